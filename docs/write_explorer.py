@@ -20,8 +20,6 @@ from explorer_systems import SHOWN, Shown, Values
 
 import coadjoint as co
 from coadjoint.kernels.interface import interface_text
-from coadjoint.program.sources import INDEPENDENT, Sources, sources_of, within
-from coadjoint.program.term_table import Terms
 from coadjoint.runs.loops.loops import loops_of_system
 
 VERSION = 2
@@ -84,27 +82,6 @@ def first_values(shown: Shown) -> Values:
     return {slider.name: slider.value for slider in shown.sliders}
 
 
-def recorded(loop: Any, terms: Any) -> Sources:
-    """Return the sources of the constants of a loop, whose tables of functions begin with the terms of the energy."""
-    sources = loop.sources()
-    if sources is not None:
-        return sources
-    found: dict[str, Any] = {}
-    for path, table in functions_in(loop.tables):
-        source = np.where(np.arange(table.size) < len(terms), np.arange(table.size), INDEPENDENT)
-        found |= within(path, sources_of(table, source, table.target, terms)) or {}
-    return found
-
-
-def functions_in(table: Any, path: str = "") -> Iterator[tuple[str, Terms]]:
-    """Yield the tables of functions inside of a table, by path."""
-    for name, value in zip(table._fields, table, strict=True):
-        if isinstance(value, Terms):
-            yield f"{path}{name}.", value
-        elif hasattr(value, "_fields"):
-            yield from functions_in(value, f"{path}{name}.")
-
-
 def moved(shown: Shown, system: Any, loops: Any, base: dict[str, Any]) -> dict[str, Any]:
     """Return by path the entries that depend on the sliders, each with a factor and a formula."""
     terms, energy = system.hamiltonian.terms(), energy_formulas(shown)
@@ -118,7 +95,7 @@ def moved(shown: Shown, system: Any, loops: Any, base: dict[str, Any]) -> dict[s
     formulas.append((energy[()], 1.0) if () in energy else None)
     found: dict[str, Any] = {}
     for name, loop in (("tables.", loops.compiled[0]), ("watch.", loops.watches[0])):
-        for path, multiples in within(name, recorded(loop, terms)).items():
+        for path, multiples in loop.sources().within(name).multiples.items():
             for index, number, factor in zip(*map(np.ndarray.tolist, multiples), strict=True):
                 if (formula := formulas[number]) is not None:
                     found.setdefault(path, []).append([index, formula[0], factor * formula[1]])

@@ -15,8 +15,7 @@ from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import interruptible_kernels, kernels
-from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.program.parts.part import Parts
+from coadjoint.kernels.tables.structures import as_structure, unrecorded
 
 if TYPE_CHECKING:
     from coadjoint.program.sources import Sources
@@ -36,9 +35,8 @@ class CompiledLoop:
     `keepalive` are objects that must live as long, such as the machine code of user functions; `shift` are the Casimirs
     and factors subtracted from the Hamiltonian, which rotate the group element at output; `memory` is the number of
     scheme memory entries per member. `accounts` are the force and the invariant of each entry after the coordinates of
-    a state. `parts` are the parts whose flows the loop computes, if any. `referenced` are the inner loops and tables
-    that the step reads by address, by the index of the address among its integers. `sources` is a function that returns
-    which coefficients of the energy its constants are multiples of, by the paths of fields, or None if not all are.
+    a state. `referenced` are the inner loops and `CompiledTables` that the step reads by address, by the index of the
+    address among its integers. `sources` returns the sources of its constants.
     """
 
     name: str
@@ -47,9 +45,8 @@ class CompiledLoop:
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
     accounts: tuple[tuple[str, str], ...] = ()
-    parts: Parts | None = None
     referenced: Mapping[int, Any] = field(default_factory=dict)
-    sources: Callable[[], Sources | None] = lambda: None
+    sources: Callable[[], Sources] = unrecorded
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that a function of the user raised in the loop, if any."""

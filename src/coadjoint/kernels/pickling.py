@@ -112,7 +112,6 @@ def picklable_loop(loop: CompiledLoop) -> dict[str, Any]:
         "shift": loop.shift,
         "memory": loop.memory,
         "accounts": loop.accounts,
-        "parts": loop.parts,
         "tables": picklable_tables(loop.tables, loop.keepalive),
     }
 

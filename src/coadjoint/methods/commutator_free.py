@@ -157,7 +157,7 @@ class CommutatorFree(CompiledStepMethod):
 
         integers, coefficients = self.constants()
         tables = matrix_tables(system, "commutator_free_matrices", integers[0], coefficients, fractions)
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, sources=tables.sources)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy: of vectors of any number type but fractions, or of a matrix or its coordinates."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,6 +20,7 @@ from coadjoint.systems.protocol import forces_of
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
+    from coadjoint.systems.system_stacks import SystemStack
 
 TANGENT_METHODS = ("formula", "complex step", "differences")
 
@@ -142,6 +144,12 @@ class Forced(Wrapper):
     def check_attitude(self, system: Any, representation: Any) -> None:
         """Raise the error of the base, which moves the group element, for the Hamiltonian part."""
         self.base.check_attitude(system.system, representation)
+
+    def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
+        """Return systems with equal forces, except for constant torques, that the base splits jointly."""
+        from coadjoint.systems.system_stacks import stacks_with_forces
+
+        return stacks_with_forces(systems, self.base.split_jointly)
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
         """Return a loop with a step of the loop of the base in each step."""

@@ -108,7 +108,8 @@ class IsospectralGauss(SubstepMethod):
 
         a, b = _coefficients(self.stages)
         tables = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=scheme_memory(STEP_LOOP, tables.tables))
+        memory = scheme_memory(STEP_LOOP, tables.tables)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=memory, sources=tables.sources)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products of each iteration; those of all substeps are counted together."""

@@ -132,7 +132,7 @@ class LineSplitting(SubstepMethod):
         numbers = [factor.ravel()] + ([] if constant is None else [constant.ravel().view(np.float64)])
         lengths = [outer * inner for outer in fractions for inner in self.fractions]
         tables = numeric_step_tables(torus, "line_splitting", integers, np.concatenate(numbers).tolist(), lengths)  # type: ignore[arg-type]
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, sources=tables.sources)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the Fourier transforms."""

@@ -110,7 +110,12 @@ class Projected(Wrapper):
         tables = wrapped_step_tables(system, "projected", inner, self.restored(system))
         memory = scheme_memory(STEP_LOOP, tables.tables)
         return CompiledLoop(
-            STEP_LOOP, tables.tables, tables.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
+            STEP_LOOP,
+            tables.tables,
+            tables.keepalive,
+            memory=memory,
+            referenced={INNER_LOOP_INDEX: inner},
+            sources=tables.sources,
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:

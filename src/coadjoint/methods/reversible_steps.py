@@ -164,7 +164,12 @@ class ReversibleSteps(Wrapper):
         tables = named_step_tables(system, step, speed_table, integers, representation, keepalive, [self.stride])
         memory = scheme_memory(STEP_LOOP, tables.tables)
         return CompiledLoop(
-            STEP_LOOP, tables.tables, tables.keepalive, memory=memory, referenced={INNER_LOOP_INDEX: inner}
+            STEP_LOOP,
+            tables.tables,
+            tables.keepalive,
+            memory=memory,
+            referenced={INNER_LOOP_INDEX: inner},
+            sources=tables.sources,
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:

@@ -1,4 +1,9 @@
-"""Sources of the constants of a table: the coefficients of the energy that they are multiples of."""
+"""Sources of the constants of tables: the numbers that they are multiples, exact sums, or other functions of.
+
+Sources are numbered: first the coefficients of all terms of the energy and its constant, as in a `SystemStack`, then as
+many as coordinates for each force, those of a constant torque. Negative ones count from the end the coefficients that a
+scheme splits, after multiples of Casimirs were subtracted: -1 is the first.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.program.parts.part import COMPUTED, Parts
+from coadjoint.program.parts.squares import ExactSums, ReductionSteps, offsets_of_squares
 from coadjoint.program.term_table import LINEAR, POLYNOMIAL, Terms
 from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.system_stacks import counts_of
@@ -21,53 +27,162 @@ INDEPENDENT = -2
 
 
 class Multiples(NamedTuple):
-    """The constants at `position` of an array, which are `factor` times the coefficients `number` of the energy."""
+    """The constants at `position` of an array, which are `factor` times the sources `number`; None: equal to them."""
 
     position: Integers
     number: Integers
-    factor: Floats
+    factor: Any
 
-    def at(self, constants: NDArray[Any], coefficients: Floats) -> NDArray[Any]:
-        """Return the array for other coefficients: (count,) for (k,), and (count, columns) for (k, columns)."""
-        filled = np.repeat(constants, coefficients[0].size).reshape(len(constants), *coefficients.shape[1:])
-        values = coefficients[self.number]
-        filled[self.position] = values if np.all(self.factor == 1.0) else (values.T * self.factor).T
+    def of(self, values: Floats) -> Floats:
+        """Return these constants for the values (m,) of the sources, or (members, constants) for (members, m)."""
+        chosen = values.take(self.number, -1)
+        return chosen if self.factor is None else np.asarray(chosen * self.factor)
+
+    def at(self, constants: NDArray[Any], values: Floats) -> NDArray[Any]:
+        """Return the array for other values of all sources: (count,) for (m,), (count, members) for (m, members)."""
+        filled = np.repeat(constants, values[0].size).reshape(len(constants), *values.shape[1:])
+        filled[self.position] = self.of(values.T).T
         return filled
 
+    def among(self, sources: Integers, numbers: Integers) -> Multiples:
+        """Return the multiples of some sources, ascending, with other numbers."""
+        chosen = np.isin(self.number, sources)
+        number = numbers[np.searchsorted(sources, self.number[chosen])]
+        return Multiples(self.position[chosen], number, self.factor[chosen])
 
-Sources = Mapping[str, Multiples]
-"""The constants of a table by the path of their field; all others do not depend on coefficients of the energy."""
+
+def concatenated(found: Sequence[Multiples]) -> Multiples:
+    """Return the multiples of an array together."""
+    return Multiples(*map(np.concatenate, zip(_NONE, *found, strict=True)))
 
 
-def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: Sequence[Term]) -> Sources | None:
-    """Return the sources of a table whose term k is a copy of source[k] among `terms`.
+class Sums(NamedTuple):
+    """Constants that are exact sums of the linear coefficients of the energy, (n,): at the positions of each rule.
 
-    `coordinate` has that of each row. None if a term is COMPUTED, or the products of a quadratic term are divided among
-    several rows of a coordinate.
+    `linear` are the values of these; those of `coordinate` that are not zero are the sources `number`.
     """
-    if np.any(source == COMPUTED):
-        return None
-    starts = np.cumsum([0, *counts_of(terms)]).tolist()
+
+    linear: Floats
+    coordinate: Integers
+    number: Integers
+    rules: Sequence[tuple[Integers, ExactSums | ReductionSteps]]
+
+    def of(self, values: Floats) -> list[list[float]]:
+        """Return these constants, by each rule, for the values (m,) of the sources."""
+        linear = self.linear.copy()
+        linear[self.coordinate] = values[self.number]
+        return [rule.at(linear) for _, rule in self.rules]
+
+    def among(self, sources: Integers, numbers: Integers) -> Sums:
+        """Return the sums with some of the sources, ascending, with other numbers; the rest are constant."""
+        chosen = np.isin(self.number, sources)
+        number, coordinate = numbers[np.searchsorted(sources, self.number[chosen])], self.coordinate[chosen]
+        rules = [one for one in self.rules if np.any(np.isin(coordinate, one[1].used))]
+        return Sums(self.linear, coordinate, number, rules)
+
+
+class Sources(NamedTuple):
+    """Constants of tables by the paths of their fields; all others do not depend on any source.
+
+    `computed` are the sources that a field depends on in another way, or that decide its structure.
+    """
+
+    multiples: Mapping[str, Multiples] = {}
+    sums: Mapping[str, Sums] = {}
+    computed: Mapping[str, Integers] = {}
+
+    def within(self, path: str) -> Sources:
+        """Return the sources of a nested table as those of the table that contains it."""
+        fields: tuple[Any, ...] = self
+        return Sources(*({path + name: value for name, value in of_kind.items()} for of_kind in fields))
+
+    def and_of(self, other: Sources) -> Sources:
+        """Return these sources and those of fields with other paths."""
+        pairs: Any = zip(self, other, strict=True)
+        return Sources(*({**own, **more} for own, more in pairs))
+
+    def renumbered(self, numbers: Integers) -> Sources:
+        """Return the sources with other numbers."""
+        multiples = {name: one._replace(number=numbers[one.number]) for name, one in self.multiples.items()}
+        sums = {name: one._replace(number=numbers[one.number]) for name, one in self.sums.items()}
+        return Sources(multiples, sums, {name: numbers[one] for name, one in self.computed.items()})
+
+
+class Coefficients(NamedTuple):
+    """The numbers of the coefficients of an energy: the first of each term, and those of degree one with their values.
+
+    `coordinate` has the coordinate of each of these.
+    """
+
+    starts: Sequence[int]
+    coordinate: Integers
+    number: Integers
+    value: Floats
+
+    @classmethod
+    def of(cls, terms: Sequence[Term]) -> Coefficients:
+        """Return the numbers of the coefficients of these terms."""
+        starts = np.cumsum([0, *counts_of(terms)]).tolist()
+        coordinates, numbers, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+        for start, term in zip(starts, terms, strict=False):
+            if (form := term.form) is not None:
+                coordinates.append(np.arange(len(form.linear)))
+                numbers.append(start + coordinates[-1])
+                values.append(form.linear)
+            elif (polynomial := getattr(term, "polynomial", None)) is not None:
+                linear = [
+                    (exponents.index(1), start + position, float(value))
+                    for position, (exponents, value) in enumerate(polynomial.monomials.items())
+                    if sum(exponents) == 1
+                ]
+                coordinates.append(np.array([k for k, *_ in linear], dtype=np.int64))
+                numbers.append(np.array([number for _, number, _ in linear], dtype=np.int64))
+                values.append(np.array([value for *_, value in linear], dtype=np.float64))
+        return cls(starts, np.concatenate(coordinates), np.concatenate(numbers), np.concatenate(values))
+
+    @property
+    def size(self) -> int:
+        """The number of coefficients with the constant of the energy, which is the last one."""
+        return self.starts[-1] + 1
+
+    @property
+    def others(self) -> Integers:
+        """The coefficients of other degrees."""
+        return np.setdiff1d(np.arange(self.starts[-1]), self.number)
+
+    def of_coordinates(self, chosen: Integers) -> Integers:
+        """Return the coefficients of degree one of these coordinates."""
+        return self.number[np.isin(self.coordinate, chosen)]
+
+    def present(self) -> Coefficients:
+        """Return the numbers without coefficients of degree one that are zero."""
+        kept = self.value != 0.0
+        return self._replace(coordinate=self.coordinate[kept], number=self.number[kept], value=self.value[kept])
+
+
+def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: Sequence[Term]) -> Sources:
+    """Return the sources of a table whose term k is a copy of source[k] among `terms`, if that is not negative.
+
+    `coordinate` has that of each row. If a coordinate has several rows in a term, the linear coefficient is in one.
+    """
+    energy = Coefficients.of(terms)
     sizes: Any = np.diff(table.row.astype(np.int64))
-    owner = np.repeat(source, sizes)
-    offset, weight, coefficient = ([_NONE] for _ in range(3))
+    owner = np.repeat(np.where(table.kind == LINEAR, source, INDEPENDENT), sizes)
+    offset, weight, coefficient = (list[Multiples]() for _ in range(3))
     for t, term in enumerate(terms):
-        rows = np.flatnonzero((owner == t) & np.repeat(table.kind == LINEAR, sizes))
+        rows, start = np.flatnonzero(owner == t), energy.starts[t]
         own = coordinate[rows].astype(np.int64)
-        if np.any(np.bincount(own) > 1):
-            return None
         entries, row, column = products_of(table, rows, own)
+        alone = (np.bincount(own, minlength=1)[own] == 1) | (table.offset[rows] != 0.0)
+        rows, own = rows[alone], own[alone]
         if (form := term.form) is not None:
             n = len(form.linear)
-            codes, wanted = form.rows * n + form.indices, row * n + column
-            found = np.minimum(np.searchsorted(codes, wanted), max(len(codes) - 1, 0))
-            if len(wanted) and not np.array_equal(codes[found], wanted):
-                return None
-            offset.append(Multiples(rows, starts[t] + own, np.ones(len(rows))))
-            weight.append(Multiples(entries, starts[t] + n + found, np.ones(len(entries))))
+            found = np.searchsorted(form.rows * n + form.indices, row * n + column)
+            offset.append(Multiples(rows, start + own, np.ones(len(rows))))
+            weight.append(Multiples(entries, start + n + found, np.ones(len(entries))))
         elif (polynomial := getattr(term, "polynomial", None)) is not None:
             number = {
-                tuple((k, e) for k, e in enumerate(exponents) if e): starts[t] + position
+                tuple((k, e) for k, e in enumerate(exponents) if e): start + position
                 for position, exponents in enumerate(polynomial.monomials)
             }
             offset.append(
@@ -77,19 +192,57 @@ def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: 
             weight.append(_listed([(e, number.get(_pair(i, j)), 2.0 if i == j else 1.0) for e, i, j in pairs]))
             coefficient.append(_listed([(m, number.get(key), 1.0) for m, key in powers_of(table, source == t)]))
     fields = {"offset": offset, "weight": weight, "coefficient": coefficient}
-    return {name: Multiples(*map(np.concatenate, zip(*found, strict=True))) for name, found in fields.items()}
+    return Sources({name: concatenated(found) for name, found in fields.items()})
 
 
-def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sources | None:
+def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sources:
     """Return the sources of the table of parts of `terms`."""
-    if np.any(parts.source == COMPUTED):
+    forms = parts.forms
+    first = forms.coordinate[forms.start[:-1]].astype(np.int64)
+    # The parts beside bodies are those of other terms.
+    source = np.full(len(parts.source), COMPUTED) if parts.bodies else parts.source
+    found = sources_of(table, source, first, terms)
+    computed = source == COMPUTED
+    if not np.any(computed):
+        return found
+    energy = Coefficients.of(terms).present()
+    linear = np.zeros(1 + int(max(forms.coordinate.max(initial=0), energy.coordinate.max(initial=0))))
+    np.add.at(linear, energy.coordinate, energy.value)
+    plain = ~computed
+    plain[list(parts.nonlinear_shares)] = True
+    rest = np.repeat(~plain, np.diff(parts.row))
+    rules = []
+    for angles, rule in offsets_of_squares(parts):
+        if table.offset[angles].tolist() == _value(rule, linear):
+            rules.append((np.array(angles), rule))
+            rest[angles] = False
+    # All other angles of completed squares are those of one coordinate.
+    number = np.full(len(linear), COMPUTED)
+    number[energy.coordinate] = energy.number
+    rest &= table.offset != 0.0
+    own = rest & (np.diff(forms.start) == 1) & (table.offset == linear[first])
+    alone = [Multiples(np.flatnonzero(own), number[first[own]], np.ones(np.count_nonzero(own)))]
+    powers = powers_of(table, computed)
+    single = [(m, int(number[key[0][0]]), 1.0) for m, key in powers if len(key) == 1 and key[0][1] == 1]
+    multiples = {
+        **found.multiples,
+        "offset": concatenated([found.multiples["offset"], *alone]),
+        "coefficient": concatenated([found.multiples["coefficient"], _listed(single)]),
+    }
+    of_rest = forms.take(np.flatnonzero(rest & ~own)).coordinate
+    bodies = [i for body in parts.bodies.values() for i in (*body.coordinates, *(body.other or ()))]
+    others = {
+        "offset": energy.of_coordinates(of_rest.astype(np.int64)),
+        "weight": np.concatenate([energy.others, energy.of_coordinates(np.array(bodies, dtype=np.int64))]),
+    }
+    return Sources(multiples, {"offset": Sums(linear, energy.coordinate, energy.number, rules)}, others)
+
+
+def _value(rule: ExactSums | ReductionSteps, linear: Floats) -> list[float] | None:
+    try:
+        return rule.at(linear)
+    except OverflowError:
         return None
-    return sources_of(table, parts.source, parts.forms.coordinate, terms)
-
-
-def within(path: str, sources: Sources | None) -> Sources | None:
-    """Return the sources of a nested table as those of the table that contains it."""
-    return None if sources is None else {path + name: found for name, found in sources.items()}
 
 
 _NONE = Multiples(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, cast
 from weakref import WeakKeyDictionary
 
@@ -23,7 +24,7 @@ from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.sources import Sources, sources_of_parts
+from coadjoint.program.sources import Coefficients, Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
@@ -208,18 +209,27 @@ def term_table(parts: Parts) -> TermTable:
     return table
 
 
-def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources | None]:
-    """Return a function for the coefficients of H, after the shift, in the constants of a program with these terms.
+def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
+    """Return a function for the sources of a program with these terms, by the paths of `Terms`.
 
-    It returns None unless all parts are copies of terms of H. The program is not kept.
+    The program is not kept.
     """
-    fixed = program.system, program.parts, program.choice
-    plain = not len(program.omitted) and not program.choice.linear and not np.any(program.frequency)
+    fixed = program.system, program.parts, program.choice.shift
+    plain = not len(program.omitted) and not np.any(program.frequency)
 
-    def sources() -> Sources | None:
-        system, parts, choice = fixed
-        shifted = shifted_terms(system.hamiltonian.terms(), quadratic_casimirs(system), choice.shift)
-        return sources_of_parts(terms, parts, shifted) if plain else None
+    def sources() -> Sources:
+        system, parts, shift = fixed
+        of_energy = system.hamiltonian.terms()
+        shifted = shifted_terms(of_energy, quadratic_casimirs(system), shift)
+        energy, split_energy = Coefficients.of(of_energy), Coefficients.of(shifted)
+        numbers = np.arange(split_energy.size)
+        edges = zip(of_energy, shifted, energy.starts, pairwise(split_energy.starts), strict=False)
+        for own, other, start, (first, last) in edges:
+            unchanged = last - first if own is other else len(other.form.linear) if other.form else 0
+            numbers[first : first + unchanged] = start + np.arange(unchanged)
+            numbers[first + unchanged : last] = -1 - np.arange(first + unchanged, last)
+        found = sources_of_parts(terms, parts, shifted).renumbered(numbers)
+        return found if plain else found._replace(computed={**found.computed, "kind": energy.others})
 
     return sources
 

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
+from coadjoint.kernels.tables.structures import NotWritable
+from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.groups import Group, individual_groups
 from coadjoint.runs.loops.loops import Loops, loops_of_system
@@ -21,11 +22,15 @@ from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.forces.torque import Torque
+from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.hamiltonians.linear_term import check_linear, linear_of, with_linear
 from coadjoint.systems.protocol import forces_of, unforced
 from coadjoint.systems.system_checks import System
 from coadjoint.validation import are_finite, read_numbers
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tables.compiled import CompiledTables
 
 Floats = NDArray[np.float64]
 
@@ -46,8 +51,6 @@ RESERVED_NAMES = frozenset(
         "self",
     )
 )
-SEED = 1993
-"""Seed of the drawn values by which inputs are located in tables; any other serves as well."""
 
 
 class Inputs:
@@ -128,8 +131,8 @@ class Inputs:
         if label not in labels:
             raise unknown_name("force", label, labels)
         k = labels.index(label)
-        force = forces_of(self.system)[k][1]
-        if not isinstance(force, Torque) or callable(force.torque):
+        force: Any = forces_of(self.system)[k][1]
+        if not is_constant_torque(force):
             raise TypeError(
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
                 "Torque may be an input"
@@ -204,12 +207,34 @@ class Inputs:
         """Coordinates of the linear term that are inputs."""
         return self.changing[self.changing < len(self._linear)]
 
-    def random_values(self) -> tuple[Floats, Floats]:
-        """Return two arrays of values in which the inputs have reproducible random digits."""
-        first, second = self.values.copy(), self.values.copy()
-        digits = 1.0 + np.random.default_rng(SEED).random((2, len(self.changing)))
-        first[self.changing], second[self.changing] = digits
-        return first, second
+    @property
+    def generic(self) -> Floats:
+        """Values for which no input vanishes, and no products of the field cancel by chance."""
+        values = self.values.copy()
+        values[self.changing] = 1.5 + 0.5 * np.cos(1.0 + np.arange(len(self.changing)))
+        return values
+
+    def writable(self, loop: CompiledLoop, watch: CompiledTables) -> WritableTables:
+        """Return the tables of the system of the `generic` values, for any other values.
+
+        Raise `NotWritable` if they depend on the inputs in a way that cannot be written into them.
+        """
+        from coadjoint.program.sources import Coefficients
+
+        values = self.generic
+        energy = Coefficients.of(self.system_at(values).hamiltonian.terms())
+        indices, tangled = dict[int, int](), list[int]()
+        present = energy.present()
+        for k in self.in_energy.tolist():
+            own = np.flatnonzero(present.coordinate == k)
+            if len(own) == 1 and present.value[own[0]] == values[k]:
+                indices[int(present.number[own[0]])] = k
+            else:
+                tangled += present.number[own].tolist()
+        for force, numbers in self._torques.items():
+            first = energy.size + force * self.system.dim
+            indices.update(zip(range(first, first + len(numbers)), numbers.tolist(), strict=True))
+        return WritableTables(loop, watch, indices, values, tangled)
 
     def settled(self, method: Method, system: Any = None) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term.
@@ -263,17 +288,11 @@ class InputLoops:
     """
 
     def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
-        random_values = inputs.random_values()
-        self.base, comparison = (
-            loops_of_system(inputs.system_at(values), method, h, representation) for values in random_values
-        )
+        self.base = loops_of_system(inputs.system_at(inputs.generic), method, h, representation)
         try:
-            self.tables = InputTables(
-                (self.base.compiled[0], comparison.compiled[0]),
-                (self.base.watches[0].tables, comparison.watches[0].tables),
-                random_values,
-            )
-        except InputsNotLocated as reason:
+            (group,), (loop,), (watch,) = self.base.groups, self.base.compiled, self.base.watches
+            self.tables = inputs.writable(replace(loop, tables=group.tables), watch._replace(tables=group.watch))
+        except NotWritable as reason:
             raise ValueError(f"{method} takes no inputs for {inputs.system.name}: {reason}") from None
 
     def build_all(self) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs
@@ -25,13 +27,16 @@ class SystemStack(NamedTuple):
     `numbers` (k,) are their numbers. `coefficients` (count, k) are those of all terms of the energy: of a quadratic
     term the linear part and the entries of M, of a polynomial those of its monomials, and at the end the constant. The
     same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those of
-    the terms that a scheme reads, from which Casimirs may be subtracted.
+    the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `torques` are
+    the numbers of constant torques, of as many as coordinates for each force; all other forces are equal.
     """
 
     systems: Sequence[Any]
     numbers: Integers
     coefficients: Floats
     split: Floats
+    factors: Floats
+    torques: Floats
 
     @property
     def first(self) -> Any:
@@ -51,8 +56,16 @@ class SystemStack(NamedTuple):
 
     def take(self, members: Integers) -> SystemStack:
         """Select systems of the stack."""
-        columns = (numbers[:, members] for numbers in (self.coefficients, self.split))
-        return SystemStack(self.systems, self.numbers[members], *columns)
+        columns: Any = self[1:]
+        return SystemStack(self.systems, *(column[..., members] for column in columns))
+
+    def varying(self) -> tuple[Integers, Floats]:
+        """Return the sources that differ between systems, numbered as in `program/sources.py`, with values (k, m)."""
+        own = np.concatenate([self.coefficients, self.torques])
+        sources = np.concatenate([own, self.split])
+        numbers = np.concatenate([np.arange(len(own)), -1 - np.arange(len(self.split))])
+        differ = np.any(sources.view(np.int64) != sources[:, :1].view(np.int64), axis=1)
+        return numbers[differ], np.ascontiguousarray(sources[differ].T)
 
     @classmethod
     def joined(cls, pieces: Sequence[SystemStack]) -> SystemStack:
@@ -120,13 +133,37 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
         coefficients = np.ascontiguousarray(
             np.concatenate([np.array(column, dtype=np.float64).T for column in columns])
         )
-        stack = SystemStack(systems, np.array(chosen), coefficients, coefficients)
+        none = np.zeros((0, len(chosen)))
+        stack = SystemStack(systems, np.array(chosen), coefficients, coefficients, none, none)
         groups = grouped(_presence(stack))
         pieces = [stack] if len(groups) == 1 else [stack.take(columns) for _, columns in groups]
         for piece in pieces:
             plain = without_cancelling(piece.first.algebra, piece.terms, piece.coefficients)
             stacks.append(piece if plain.all() else piece.take(np.flatnonzero(plain)))
     return [stack for stack in stacks if stack.size > 1]
+
+
+def stacks_with_forces(
+    systems: Sequence[Any], split_jointly: Callable[[Sequence[Any]], list[SystemStack]]
+) -> list[SystemStack]:
+    """Return stacks of systems with forces, from a function that returns those of the systems without them."""
+    groups: dict[Hashable, list[int]] = {}
+    for m, system in enumerate(systems):
+        key = tuple(type(force) if is_constant_torque(force) else force for force in system.forces)
+        with suppress(TypeError):  # parameters that have no hash
+            groups.setdefault(key, []).append(m)
+    stacks = []
+    for members in groups.values():
+        for stack in split_jointly([systems[m].system for m in members]):
+            numbers = np.array(members)[stack.numbers]
+            torques = [_torque_numbers(systems[m]) for m in numbers.tolist()]
+            stacks.append(stack._replace(systems=systems, numbers=numbers, torques=np.array(torques).T))
+    return stacks
+
+
+def _torque_numbers(system: Any) -> Floats:
+    zeros = np.zeros(system.dim)
+    return np.concatenate([force.torque if is_constant_torque(force) else zeros for force in system.forces])
 
 
 def _algebra(system: LiePoissonSystem, known: dict[Hashable, int]) -> tuple[int, int]:

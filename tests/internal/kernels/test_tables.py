@@ -3,6 +3,7 @@
 import ctypes
 import math
 import types
+from dataclasses import replace
 
 import mpmath
 import numpy as np
@@ -13,9 +14,10 @@ from coadjoint.algebra.invariants import invariant
 from coadjoint.algebra.invariants.invariant import LogarithmicInvariant
 from coadjoint.kernels.functions.compiled_functions import FormulaFunction
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
 from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import values_along
+from coadjoint.kernels.tables.structures import NotWritable, unrecorded
+from coadjoint.kernels.tables.writable import WritableTables
 from drawn_matrices import full
 from refusals import refused
 
@@ -69,22 +71,20 @@ def test_values_have_the_bits_of_the_reading(casimir, monkeypatch):
     assert np.isfinite(read[:100]).all() and math.isnan(read[100])
 
 
-DRAWN = np.array([[0.3, 0.7, 0.11], [0.9, 0.2, 0.77]])
+LINEAR = np.array([0.3, 0.7, 0.11])
 
 
-def made(method, *matrices, inputs=DRAWN):
-    bodies = [
-        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=linear))
-        for M, linear in zip(matrices, DRAWN, strict=True)
-    ]
-    loops = tuple(method.loop(body, 0.1) for body in bodies)
-    return InputTables(loops, tuple(watch_tables(body, {}).tables for body in bodies), tuple(inputs))
+def made(method, M, sources=(0, 1, 2), values=LINEAR, tangled=()):
+    """Return the tables of a body, for given values of some coefficients of its energy, the linear ones first."""
+    body = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=LINEAR))
+    indices = {source: index for index, source in enumerate(sources)}
+    return WritableTables(method.loop(body, 0.1), watch_tables(body, {}), indices, np.asarray(values), tangled)
 
 
 def test_lanes_beyond_the_last_member_read_the_last_member_again():
     linear = np.arange(15.0).reshape(5, 3)
     for method in (co.GaussLegendre(2), co.Splitting(order=2, parts="coordinates")):
-        _, watch, columns = made(method, np.diag([1.0, 1.5, 2.0]), np.diag([1.0, 1.5, 2.0])).each(linear)
+        _, watch, columns = made(method, np.diag([1.0, 1.5, 2.0])).each(linear)
         assert columns == limit("MOST_LANES")
         numbers = np.ctypeslib.as_array((ctypes.c_double * (3 * columns)).from_address(watch.terms.offset))
         referenced = numbers.reshape(3, columns)
@@ -92,27 +92,18 @@ def test_lanes_beyond_the_last_member_read_the_last_member_again():
         assert np.array_equal(referenced[:, 5:], np.repeat(linear[-1:].T, columns - 5, axis=1))
 
 
-def test_what_is_no_input_is_refused_by_name():
-    one, other = np.diag([1.0, 2.0, 3.0]), np.diag([1.0, 2.0, 3.5])
-    with refused(InputsNotLocated, "field.terms.weight"):
-        made(co.GaussLegendre(2), one, other)
-    with refused(InputsNotLocated, "field.terms.offset"):
-        made(co.GaussLegendre(2), one, one, inputs=DRAWN + 1.0)
-    with refused(InputsNotLocated, "field.terms."):
-        made(co.GaussLegendre(2), one, np.ones((3, 3)))
-
-
-# Squares of up to 16 coupled coordinates are completed in exact numbers, of more in floats; so(4) also has uncoupled
-# coordinates.
-COUPLED = {
-    "so(3)": (co.algebras.so(3), full(3, 3), 1),
-    "A3,7": (co.algebras.get("A3,7", a=1.75), full(3, 5), -1),
-    "e(3)": (co.algebras.e(3), full(6, 4), -1),
-    "six so(3)": (co.algebras.copies(co.algebras.so(3), 6), full(18, 7), 1),
-    "so(4)": (co.algebras.so(4), np.diag(np.linspace(0.5, 1.5, 6)) + 0.2 * np.eye(6)[[0, 1, 3, 2, 4, 5]], -1),
-}
-
-
-def coupled(name, linear):
-    algebra, M, sign = COUPLED[name]
-    return co.LiePoissonSystem(algebra, co.Quadratic(M, linear=linear), sign=sign)
+def test_what_cannot_be_written_is_refused_by_name():
+    diagonal, whole, apart = np.diag([1.0, 2.0, 3.0]), full(3, 3), co.Splitting(order=2, parts="coordinates")
+    made(co.GaussLegendre(2), diagonal, (3, 4, 5), np.diag(diagonal))
+    with refused(NotWritable, "field.terms.offset"):
+        made(co.GaussLegendre(2), diagonal, values=LINEAR + 1.0)
+    with refused(NotWritable, "field.terms.offset"):
+        made(co.GaussLegendre(2), diagonal, (0, 1), LINEAR[:2], tangled=(2,))
+    made(apart, whole)
+    with refused(NotWritable, "terms.weight"):
+        made(apart, whole, (3, 4), whole[0, :2])
+    with refused(NotWritable, "terms.offset"):
+        made(apart, whole, (0, 1), LINEAR[:2], tangled=(2,))
+    with refused(NotWritable, "record"):
+        loop = replace(co.GaussLegendre(2).loop(co.systems.rigid_body((1, 2, 3)), 0.1), sources=unrecorded)
+        WritableTables(loop, watch_tables(co.systems.rigid_body((1, 2, 3)), {}), {}, np.zeros(0))

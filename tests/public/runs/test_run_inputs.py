@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from own_schemes import Classical, Interpreted
 from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
@@ -58,6 +59,70 @@ def test_zero_input_converges_to_no_input(name, method):
     tolerance = 5 * (STEP / 4) ** method.order + 1e-13
     assert np.abs(ready.run(x, SPANS[0], linear=np.zeros(len(x))).x[-1] - exact).max() < tolerance
     assert np.array_equal(ready.run(x, SPANS[0]).x, ready.run(x, SPANS[0], linear=np.zeros(len(x))).x)
+
+
+METHODS = [method for name in co.methods.names() for method in getattr(co, name).examples()[:2]]
+FORCES = co.forces.LinearDamping(0.1), co.forces.Torque(np.zeros(6))
+
+
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning", "ignore::coadjoint.RoundingWarning")
+@pytest.mark.parametrize("forced", [False, True], ids=["alone", "forced"])
+@pytest.mark.parametrize("method", [*METHODS, co.Splitting(order=2, parts="coordinates")], ids=str)
+@pytest.mark.parametrize("name", ["e(3)", "e(3), apart"])
+def test_runs_have_the_bits_of_the_system_that_has_the_inputs(name, method, forced):
+    """With squares of coupled coordinates, and without; zeros are numbers as all others."""
+    n, rng = 6, np.random.default_rng(11)
+    M = full_matrix(4, n) if name == "e(3)" else np.diag(np.linspace(0.6, 1.6, n))
+    plain = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(M), -1)
+    given = plain.with_forces(*FORCES) if forced else plain
+    x, linear = rng.uniform(0.3, 0.9, n), rng.uniform(-0.15, 0.15, (3, n))
+    linear[1], torque = 0.0, rng.uniform(-0.1, 0.1, n)
+    try:
+        method.properties(plain)
+    except ValueError:
+        pytest.skip("the scheme refuses the system")
+    ready = co.prepare(given, method, STEP, inputs={"linear": tuple(range(n)), **({"T": "Torque"} if forced else {})})
+    values = {"T": torque} if forced else {}
+    together = ready.run(x, SPANS[0], linear=linear, **values)
+    for m, row in enumerate(linear):
+        sol = ready.run(x, SPANS[0], linear=row, **values)
+        system = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(M, linear=row), -1)
+        if forced:
+            system = system.with_forces(FORCES[0], co.forces.Torque(torque))
+        alone = co.integrate(system, x, SPANS[0], STEP, ready.method)
+        assert np.array_equal(sol.x, alone.x) and np.array_equal(sol.energy, alone.energy)
+        assert np.array_equal(together.x[:, m], alone.x) and np.array_equal(together.energy[:, m], alone.energy)
+
+
+def test_inputs_of_steps_in_python():
+    """What the loops read from tables may be given; a step that is called in Python has the system in it."""
+    x, linear = np.array([0.4, -0.3, 0.5]), np.array([0.1, 0.0, -0.4])
+    body, N = co.systems.rigid_body((1, 2, 3)), np.array([0.2, 0.7, -0.1])
+    with refused(ValueError, "Interpreted", "tables.whole"), pytest.warns(RuntimeWarning, match="Python calls"):
+        co.prepare(body, Interpreted(), STEP, inputs=True)
+    pushed = body.with_forces(co.forces.Torque((0, 0, 0)))
+    ready = co.prepare(pushed, Interpreted(), STEP, inputs={"N": "Torque"})
+    alone = co.integrate(body.with_forces(co.forces.Torque(N)), x, SPANS[0], STEP, Interpreted())
+    assert np.array_equal(ready.run(x, SPANS[0], N=N).x, alone.x)
+    pytest.importorskip("numba")
+    changed = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 1 / 3], linear=linear), -1)
+    run = co.prepare(body, Classical(), STEP, inputs=True).run(x, SPANS[0], linear=linear)
+    assert np.array_equal(run.x, co.integrate(changed, x, SPANS[0], STEP, Classical()).x)
+
+
+def test_coefficients_that_other_terms_share_are_refused():
+    """A linear coefficient that is the sum of several, and coordinates that squares of two terms contain."""
+    piece = co.SplitHamiltonian([((0,), co.Quadratic(0.3, linear=[0.25]))])
+    twice = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.5, 0.6, 0.7]) + piece)
+    for method in (co.GaussLegendre(2), co.Taylor(6), co.Splitting(order=2)):
+        with refused(ValueError, "takes no inputs", "offset", "neither inputs nor exact sums"):
+            co.prepare(twice, method, STEP, inputs=True)
+    co.prepare(twice, co.GaussLegendre(2), STEP, inputs=(1, 2))
+    pieces = co.SplitHamiltonian([((0,), co.Quadratic(0.3)), ((1,), co.Quadratic(0.4))])
+    coupled = co.Quadratic([[0.5, 0.1, 0.0], [0.1, 0.6, 0.0], [0.0, 0.0, 0.7]]) + pieces
+    both = co.LiePoissonSystem(co.algebras.so(3), coupled)
+    with refused(ValueError, "takes no inputs", "offset", "neither inputs nor exact sums"):
+        co.prepare(both, co.Splitting(order=2, parts="coordinates"), STEP, inputs=True)
 
 
 def test_named_inputs_take_coordinates_in_any_shape():

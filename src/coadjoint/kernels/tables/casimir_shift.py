@@ -6,6 +6,7 @@ X = -sign rho(grad C(x0)) is constant and linear in the initial momentum.
 from __future__ import annotations
 
 import ctypes
+from copy import copy
 from ctypes import addressof
 from typing import NamedTuple
 
@@ -52,10 +53,16 @@ class CompiledShiftCorrection:
         self.tables, self.rate = tables, rate
         self._address, self._packed = ctypes.byref(self._keepalive), packer(Unshifted)
         self._kernel = kernels().unshift
-        # The norm of X is at most this times the largest component of the momentum.
-        self.most = abs(rate) * float(np.sum(np.abs(tables.weight)))
+        self.most = _largest_norm(tables, rate)
         width = max(np.diff(tables.begin).tolist(), default=0)
         self._products = tables.size**3 + 30 * width**3
+
+    def at_rate(self, rate: float) -> CompiledShiftCorrection:
+        """Return the same shift with another rate."""
+        other = copy(self)
+        other._rate = other.rate = rate
+        other.most = _largest_norm(self.tables, rate)
+        return other
 
     def fill(
         self,
@@ -85,3 +92,8 @@ class CompiledShiftCorrection:
             # Packed bytes take a tenth of the time of a ctypes structure.
             numbers = x0, g0, loop_groups, out_address, members, first, last, k, stop, self._rate, elapsed_address
             self._kernel(self._address, self._packed(*numbers), schedule)
+
+
+def _largest_norm(tables: UnshiftTables, rate: float) -> float:
+    """Return the largest norm of X for momenta with components of at most 1."""
+    return abs(rate) * float(np.sum(np.abs(tables.weight)))

@@ -15,6 +15,7 @@ from coadjoint.kernels.functions.compiled_functions import (
     PythonCallback,
     warn_slow_compilation,
 )
+from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import forms_of, is_called_in_python
 
@@ -29,7 +30,7 @@ class CompiledTables(NamedTuple):
 
     tables: Any
     keepalive: tuple[Any, ...]
-    sources: Callable[[], Sources | None] = lambda: None
+    sources: Callable[[], Sources] = unrecorded
 
 
 def addresses_of(

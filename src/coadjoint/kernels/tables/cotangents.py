@@ -137,7 +137,9 @@ def flow_cotangents(
         )
         tables = with_properties(tables)
         hessians = np.concatenate([hessians, zeros])
-    return CompiledTables(FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive))
+    return CompiledTables(
+        FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive), base.sources
+    )
 
 
 def runge_kutta_cotangents(loop: CompiledLoop, system: System, added: Terms) -> CompiledTables:

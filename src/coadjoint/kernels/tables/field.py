@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
 from coadjoint.kernels.tables.compiled import addresses_of
+from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.program.sources import Coefficients, Sources, sources_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.protocol import has_compiled_bracket, has_structure_constants
 from coadjoint.systems.system_checks import System
@@ -112,6 +114,17 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
         *_own_products(system, Products(row, state, column, constant), terms),
     )
     return field, keepalive
+
+
+def sources_of_field(system: System, field: Field) -> Sources:
+    """Return the sources of the constants of a field, which is part of a table."""
+    terms = system.hamiltonian.terms()
+    if field.terms.size != len(terms):
+        unrecorded()
+    found = sources_of(field.terms, np.arange(len(terms)), field.terms.target, terms).within("terms.")
+    # Numbers decide which products cancel.
+    computed = {"separated": Coefficients.of(terms).others} if field.separated else {}
+    return found._replace(computed=computed).within("field.")
 
 
 def terms_of_field(system: System) -> TermTable:

@@ -17,7 +17,7 @@ from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
 from coadjoint.program.rational_rotations import acts_rationally
-from coadjoint.program.table import Program
+from coadjoint.program.table import Program, recorded_sources
 from coadjoint.program.term_table import LINEAR, Terms
 
 
@@ -99,7 +99,8 @@ def flow_tables(program: Program, h: float, compensated: bool, compact: bool = F
         *body_tables(program),
         h,
     )
-    return CompiledTables(with_properties(tables), keepalive)
+    recorded = recorded_sources(program, terms)
+    return CompiledTables(with_properties(tables), keepalive, lambda: recorded().within("terms."))
 
 
 def with_properties(tables: FlowTables) -> FlowTables:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,11 +13,13 @@ from numpy.typing import NDArray
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.matrix_steps import stream_tables
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
+from coadjoint.program.sources import Coefficients, Multiples, Sources
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.protocol import forces_of, is_matrix_system
 
@@ -232,6 +235,26 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
         (*keepalive, *owners, *structures, *loop_keepalive),
         numbers,
     )
-    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(tables, len(loop_integers) + 1))}
-    memory = scheme_memory(STEP_LOOP, step.tables)
-    return CompiledLoop(STEP_LOOP, step.tables, step.keepalive, memory=memory, accounts=accounts, referenced=referenced)
+    recorded = [
+        CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, table, k))
+        for k, table in enumerate(tables)
+    ]
+    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(recorded, len(loop_integers) + 1))}
+    return CompiledLoop(
+        STEP_LOOP,
+        step.tables,
+        step.keepalive,
+        memory=scheme_memory(STEP_LOOP, step.tables),
+        accounts=accounts,
+        referenced=referenced,
+        sources=step.sources,
+    )
+
+
+def _sources_of_force(system: Any, table: ForceTable, number: int) -> Sources:
+    """Return the sources of a force of this number: those of a constant torque."""
+    if table.kind != codes("ForceKind")["CONSTANT"]:
+        return Sources()
+    position = np.arange(system.dim)
+    first = Coefficients.of(system.hamiltonian.terms()).size + number * system.dim
+    return Sources({"aim": Multiples(position, first + position, np.ones(system.dim))})

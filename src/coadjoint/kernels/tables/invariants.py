@@ -10,11 +10,10 @@ import numpy as np
 from coadjoint.algebra.invariants.invariant import Invariant, LogarithmicInvariant
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
-from coadjoint.program.sources import INDEPENDENT, Multiples, Sources, sources_of, within
+from coadjoint.program.sources import INDEPENDENT, Coefficients, Multiples, Sources, concatenated, sources_of
 from coadjoint.program.term_table import ValueTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
-from coadjoint.systems.system_stacks import counts_of
 from coadjoint.systems.user_functions import Formula, takes_time
 
 
@@ -25,18 +24,20 @@ def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = Fal
     computed, store rows that repeat once.
     """
     found = invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact)
-    return found._replace(sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables))
+    return found._replace(sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables, (0,)))
 
 
-def _sources_of_watch(terms: Sequence[Term], watch: Watch) -> Sources | None:
-    """Return the coefficients of H in the constants of a watch of the energy and of other invariants."""
-    if int(watch.first[1]) != len(terms):
-        return None
-    source = np.full(watch.terms.size, INDEPENDENT)
-    source[: len(terms)] = np.arange(len(terms))
-    found = within("terms.", sources_of(watch.terms, source, watch.terms.target, terms))
-    last = np.array([sum(counts_of(terms))])
-    return None if found is None else {**found, "constant": Multiples(np.array([0]), last, np.ones(1))}
+def _sources_of_watch(terms: Sequence[Term], watch: Watch, energies: Sequence[int]) -> Sources:
+    """Return the sources of a watch whose invariants of these numbers are the energy."""
+    found: dict[str, list[Multiples]] = {}
+    for first in watch.first[list(energies)].astype(np.int64).tolist():
+        source = np.full(watch.terms.size, INDEPENDENT)
+        source[first : first + len(terms)] = np.arange(len(terms))
+        for name, one in sources_of(watch.terms, source, watch.terms.target, terms).multiples.items():
+            found.setdefault(f"terms.{name}", []).append(one)
+    constant = np.full(len(energies), Coefficients.of(terms).size - 1)
+    found["constant"] = [Multiples(np.array(energies), constant, np.ones(len(energies)))]
+    return Sources({name: concatenated(parts) for name, parts in found.items()})
 
 
 def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:
@@ -48,7 +49,9 @@ def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequenc
     subtracted = [
         [system.dim + k for k, (_, invariant) in enumerate(accounts) if invariant == name] for name, _ in watched
     ]
-    return invariants_table([*watched, *watched], system.dim, [*([()] * len(watched)), *subtracted])
+    found = invariants_table([*watched, *watched], system.dim, [*([()] * len(watched)), *subtracted])
+    energies = 0, len(watched)
+    return found._replace(sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables, energies))
 
 
 def invariants_table(
@@ -103,7 +106,7 @@ def invariants_table(
         np.array(period, dtype=np.float64),
         longest,
     )
-    return CompiledTables(watch, tuple(owner for _, keepalive in pairs for owner in keepalive))
+    return CompiledTables(watch, tuple(owner for _, keepalive in pairs for owner in keepalive), Sources)
 
 
 def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:

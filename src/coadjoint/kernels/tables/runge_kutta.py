@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.tables.compiled import CompiledTables
-from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, substeps
-from coadjoint.program.sources import Multiples, Sources, sources_of, within
+from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, sources_of_field, substeps
+from coadjoint.program.sources import Coefficients, Multiples, Sources
 from coadjoint.systems.system_checks import System
 
 
@@ -107,25 +107,19 @@ def runge_kutta_tables(
         fraction,
         moment,
     )
-    return CompiledTables(tables, keepalive)
+    return CompiledTables(tables, keepalive, lambda: sources_of_field(system, field).and_of(_of_dense(system, dense)))
 
 
-def sources_of_stages(system: System, tables: RungeKuttaTables) -> Sources | None:
-    """Return the coefficients of H in the constants of the tables."""
+def _of_dense(system: System, dense: NDArray[np.float64]) -> Sources:
+    """Return the sources of the dense M, the Hessian, if it is needed."""
     terms = system.hamiltonian.terms()
-    if system.algebra is None or tables.field.separated or tables.field.terms.size != len(terms):
-        return None
-    found = sources_of(tables.field.terms, np.arange(len(terms)), tables.field.terms.target, terms)
-    sources = within("field.terms.", found)
-    if sources is None or not len(tables.quadratic):
-        return sources
-    form = terms[0].form
-    if len(terms) > 1 or form is None:
-        return None
-    # The dense M is that of the Hessian.
+    if not dense.size:
+        return Sources()
+    if len(terms) > 1 or (form := terms[0].form) is None:
+        return Sources(computed={"quadratic": Coefficients.of(terms).others})
     position = form.rows * len(form.linear) + form.indices
-    dense = Multiples(position, len(form.linear) + np.arange(len(position)), np.ones(len(position)))
-    return {**sources, "quadratic": dense}
+    entries = Multiples(position, len(form.linear) + np.arange(len(position)), np.ones(len(position)))
+    return Sources({"quadratic": entries})
 
 
 def _ratios(fractions: Sequence[float]) -> list[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -12,11 +12,20 @@ from numpy.typing import NDArray
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
-from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, substeps, terms_of_field
+from coadjoint.kernels.tables.field import (
+    Field,
+    GroupField,
+    field_of,
+    group_of,
+    sources_of_field,
+    substeps,
+    terms_of_field,
+)
 from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.shifts.group_correction import unshift_tables
+from coadjoint.program.sources import Coefficients, Multiples, Sources
 from coadjoint.systems.protocol import has_compiled_bracket
 from coadjoint.systems.system_checks import System
 
@@ -103,18 +112,30 @@ def step_tables(
     """
     restored = method.restored(system)
     watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
-    tables = _tables(system, group_of(system, representation), watched.tables, *method.constants())
-    return _stepping(step_address(method.compiled_step), fractions, *tables, watched.keepalive)
+    tables = _tables(system, group_of(system, representation), watched, *method.constants())
+    return _stepping(step_address(method.compiled_step), fractions, tables)
 
 
-def function_tables(system: System, function: int, fractions: Sequence[float] = (1.0,)) -> CompiledTables:
-    """Return the tables, a `Stepping`, of a step that is a function at an address."""
+def function_tables(
+    system: System, function: int, fractions: Sequence[float] = (1.0,), compiled: bool = False
+) -> CompiledTables:
+    """Return the tables, a `Stepping`, of a step that is a function at an address.
+
+    If it is `compiled`, it reads the system from the tables.
+    """
     constant = sum(term.constant for term in system.hamiltonian.terms())
     no_invariants = invariants_table([], system.dim)
     tables = _tables(
-        system, group_of(system, None), no_invariants.tables, [function], [constant], not has_compiled_bracket(system)
+        system, group_of(system, None), no_invariants, [function], [constant], not has_compiled_bracket(system)
     )
-    return _stepping(step_address("step_function"), fractions, *tables, ())
+
+    def of_function() -> Sources:
+        numbers = np.arange(Coefficients.of(system.hamiltonian.terms()).size)
+        if not compiled:
+            return Sources(computed={"whole": numbers})
+        return Sources({"coefficients": Multiples(np.array([0]), numbers[-1:], np.ones(1))})
+
+    return _stepping(step_address("step_function"), fractions, tables, of_function)
 
 
 def numeric_step_tables(
@@ -125,9 +146,8 @@ def numeric_step_tables(
     fractions: Sequence[float] = (1.0,),
 ) -> CompiledTables:
     """Return the tables, a `Stepping`, of a named step that reads only integers, coefficients and the dimension."""
-    no_invariants = invariants_table([], system.dim)
-    tables = _tables(system, group_of(system, None), no_invariants.tables, integers, coefficients, True)
-    return _stepping(step_address(step), fractions, *tables, no_invariants.keepalive)
+    tables = _tables(system, group_of(system, None), invariants_table([], system.dim), integers, coefficients, True)
+    return _stepping(step_address(step), fractions, tables)
 
 
 def wrapped_step_tables(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> CompiledTables:
@@ -165,39 +185,49 @@ def named_step_tables(
     keepalive: tuple[Any, ...],
     coefficients: Sequence[float] = (),
 ) -> CompiledTables:
-    """Return the tables, a `Stepping`, of a named step that reads integers, coefficients and `invariants`."""
+    """Return the tables, a `Stepping`, of a named step that reads integers, coefficients and `invariants`.
+
+    The integers begin with those of `inner_loop_integers`.
+    """
     tables = _tables(
         system,
         group_of(system, representation),
-        invariants.tables,
+        invariants._replace(keepalive=(*invariants.keepalive, *keepalive)),
         integers,
         coefficients,
         not has_compiled_bracket(system),
     )
-    return _stepping(step_address(step), (1.0,), *tables, (*invariants.keepalive, *keepalive))
+
+    def of_shift() -> Sources:
+        return Sources(computed={"whole": Coefficients.of(system.hamiltonian.terms()).others} if integers[4] else {})
+
+    return _stepping(step_address(step), (1.0,), tables, of_shift)
 
 
 def _tables(
     system: System,
     group: GroupField,
-    invariants: Watch,
+    invariants: CompiledTables,
     integers: Sequence[int],
     numbers: Sequence[float],
     called: bool = False,
-) -> tuple[StepTables, tuple[Any, ...]]:
+) -> CompiledTables:
     field, keepalive = field_of(system, called)
     table = terms_of_field(system)
     values, values_keepalive = addresses_of(table.functions, len(table), "value", "the Hamiltonian")
     integer_array, coefficient_array = np.array(integers, dtype=np.int64), np.array(numbers, dtype=np.float64)
-    return StepTables(field, values, group, invariants, integer_array, coefficient_array), (
-        *keepalive,
-        *values_keepalive,
+    tables = StepTables(field, values, group, invariants.tables, integer_array, coefficient_array)
+    return CompiledTables(
+        tables,
+        (*keepalive, *values_keepalive, *invariants.keepalive),
+        lambda: sources_of_field(system, field).and_of(invariants.sources().within("restored.")),
     )
 
 
 def _stepping(
-    step: int, fractions: Sequence[float], tables: StepTables, keepalive: tuple[Any, ...], more: tuple[Any, ...]
+    step: int, fractions: Sequence[float], tables: CompiledTables, more: Callable[[], Sources] = Sources
 ) -> CompiledTables:
+    """Return a step with its tables; `more` returns further sources of these."""
     lengths, moments = substeps(fractions)
-    stepping = Stepping(np.array([step], dtype=np.int64), len(lengths), lengths, moments, tables)
-    return CompiledTables(stepping, (*keepalive, *more))
+    stepping = Stepping(np.array([step], dtype=np.int64), len(lengths), lengths, moments, tables.tables)
+    return CompiledTables(stepping, tables.keepalive, lambda: tables.sources().and_of(more()).within("tables."))

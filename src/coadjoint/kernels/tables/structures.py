@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import functools
 import struct
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from operator import itemgetter
 from typing import Any, TypeVar
 
@@ -25,6 +25,15 @@ ARRAYS: dict[str, Any] = {
 }
 PER_MEMBER_TYPES = frozenset(("addresses", "constants"))
 """Types of arrays with one column per member if the constants of members differ."""
+
+
+class NotWritable(ValueError):
+    """The tables depend on numbers in a way that cannot be written into them; the message names the field."""
+
+
+def unrecorded() -> Any:
+    """Refuse to return the sources of tables."""
+    raise NotWritable("its tables do not record where they are")
 
 
 @functools.cache
@@ -149,36 +158,6 @@ def stacked(members: Sequence[Tables]) -> Tables:
     first = members[0]
     columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)
     return _rebuilt(first, [_stacked_column(first, name, item, column) for name, item, column in columns])
-
-
-def filled(tables: Tables, sources: Mapping[str, Any], coefficients: Any, path: str = "") -> Tables:
-    """Return tables for other coefficients of the energy, (count,), or with columns, (count, columns), as `stacked`.
-
-    `sources` are the constants by the paths of fields, as `Multiples`; all others are those of the tables.
-    """
-
-    def item_of(name: str, item: Any) -> Any:
-        if hasattr(item, "_fields"):
-            return filled(item, sources, coefficients, f"{path}{name}.")
-        if not _varies(tables, name):
-            return item
-        if (found := sources.get(path + name)) is not None:
-            return found.at(item, coefficients)
-        return (
-            item
-            if coefficients.ndim == 1
-            else np.repeat(item, coefficients.shape[1]).reshape(len(item), coefficients.shape[1])
-        )
-
-    pairs = zip(_fields(tables), tables, strict=True)
-    return _rebuilt(tables, [item_of(name, item) for name, item in pairs])
-
-
-def same_numbers(first: Any, second: Any) -> bool:
-    """Test whether all arrays in tables of one structure have the same bytes."""
-    if isinstance(first, tuple):
-        return all(map(same_numbers, first, second))
-    return np.asarray(first).tobytes() == np.asarray(second).tobytes()
 
 
 def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) -> Any:

@@ -58,7 +58,8 @@ class CompiledStepMethod(SubstepMethod):
         from coadjoint.kernels.tables.steps import STEP_LOOP, step_tables
 
         tables = step_tables(system, self, representation, fractions)
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=scheme_memory(STEP_LOOP, tables.tables))
+        memory = scheme_memory(STEP_LOOP, tables.tables)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=memory, sources=tables.sources)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the operations of a step, or of its iterations."""

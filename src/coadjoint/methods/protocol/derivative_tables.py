@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from coadjoint.kernels.tables.structures import unrecorded
+
 if TYPE_CHECKING:
     from coadjoint.program.added_part import CoefficientMap
-    from coadjoint.program.parts.part import Parts
+    from coadjoint.program.sources import Sources
     from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 EXACT = "exact"
@@ -30,7 +32,7 @@ class DerivativeTables(NamedTuple):
     gives a list. `maps(energies)` are the `coefficients` for energies of the same monomials with other factors.
 
     The coefficients are all entries of the fields `located`, one after the other; if there are none, they are those of
-    the derivative of the energy only. The `parts` are those of a program.
+    the derivative of the energy only. `sources` are those of the tables.
     """
 
     tables_at: Callable[..., Any]
@@ -46,4 +48,4 @@ class DerivativeTables(NamedTuple):
     located: tuple[str, ...] = ()
     maps: Callable[[Mapping[str, EnergyDerivative]], Mapping[str, CoefficientMap]] | None = None
     of_members: Sequence[Mapping[str, CoefficientMap]] = ()
-    parts: Parts | None = None
+    sources: Callable[[], Sources] = unrecorded

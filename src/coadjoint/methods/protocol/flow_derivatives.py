@@ -71,7 +71,7 @@ def flow_derivatives(
         reversible=True,
         located=COEFFICIENTS,
         maps=maps,
-        parts=program.parts,
+        sources=lambda: built.sources().within("base."),
     )
 
 

@@ -113,13 +113,11 @@ class FlowMethod(Method):
     def _program_loop(self, program: Program, h: float, compact: bool = False) -> CompiledLoop:
         from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
-        from coadjoint.program.sources import within
-        from coadjoint.program.table import recorded_sources
+        from coadjoint.kernels.tables.structures import unrecorded
 
         tables = flow_tables(program, h, bool(self.compensated), compact)
         fixed = FLOW_LOOP, tables.tables, tables.keepalive, program.shift
-        recorded = recorded_sources(program, tables.tables.terms)
-        return CompiledLoop(*fixed, parts=program.parts, sources=lambda: within("terms.", recorded()))
+        return CompiledLoop(*fixed, sources=tables.sources if self.differentiable else unrecorded)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""

@@ -153,7 +153,7 @@ class RungeKuttaMethod(SubstepMethod):
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
         from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables, sources_of_stages
+        from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
         read_choice(self.solver, "solver", SOLVERS)
         scheme = type(self).__name__
@@ -166,7 +166,7 @@ class RungeKuttaMethod(SubstepMethod):
             tables.tables,
             tables.keepalive,
             memory=scheme_memory(RUNGE_KUTTA_LOOP, tables.tables),
-            sources=lambda: sources_of_stages(system, tables.tables),
+            sources=tables.sources,
         )
 
     def tangent_loop_of_substeps(

@@ -46,4 +46,5 @@ def runge_kutta_derivatives(
         shift=(),
         reversible=False,
         maps=maps,
+        sources=lambda: loop.sources().within("base."),
     )

@@ -77,8 +77,8 @@ class StepMethod(SubstepMethod):
         from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables
 
         function = StepFunction(self, system)
-        tables = function_tables(system, function.address, fractions)
-        return CompiledLoop(STEP_LOOP, tables.tables, (*tables.keepalive, function))
+        tables = function_tables(system, function.address, fractions, function.compiled)
+        return CompiledLoop(STEP_LOOP, tables.tables, (*tables.keepalive, function), sources=tables.sources)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""

@@ -35,7 +35,7 @@ class JointOrders:
         self, algebra: LieAlgebra, parts: Parts, sources: Sources, coefficients: Floats, points: Floats
     ) -> None:
         self._algebra, self._parts, self._points, self._members = algebra, parts, points, coefficients.shape[1]
-        numbers = np.unique(np.concatenate([one.number for one in sources.values()]))
+        numbers = np.unique(np.concatenate([one.number for one in sources.multiples.values()]))
         varying = numbers[np.any(coefficients[numbers] != coefficients[numbers, :1], axis=1)]
         constant = coefficients[:, 0].copy()
         constant[varying] = 0.0
@@ -115,7 +115,7 @@ def _derivatives(
     """Return `part_derivatives` for other coefficients; numbers and functions that have none are kept if `others`."""
 
     def filled(name: str, constants: NDArray[Any]) -> NDArray[Any]:
-        return sources[name].at(constants if others else 0.0 * constants, coefficients)
+        return sources.multiples[name].at(constants if others else 0.0 * constants, coefficients)
 
     shares: dict[int, NonlinearShare] = {}
     given = sorted(parts.nonlinear_shares.items())

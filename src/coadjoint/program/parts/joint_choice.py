@@ -91,6 +91,7 @@ class _Shifted:
         self, stack: SystemStack, casimirs: dict[str, QuadraticCasimir], factors: dict[str, NDArray[Any]]
     ) -> None:
         self._stack = stack
+        self._factors = np.array(list(factors.values()), dtype=np.float64).reshape(-1, stack.size)
         number = _shifted_term(stack.terms) if factors else None
         if number is None:
             self.present: Masks = np.zeros((0, stack.size), dtype=bool)
@@ -114,7 +115,7 @@ class _Shifted:
 
     def chosen(self, members: Integers) -> SystemStack:
         """Return members with equal `present`."""
-        chosen = self._stack.take(members)
+        chosen = self._stack.take(members)._replace(factors=self._factors[:, members])
         if self._totals is None:
             return chosen
         entries = self._totals[np.ix_(np.flatnonzero(self.present[:, members[0]]), members)]
@@ -180,11 +181,16 @@ def _factors(stack: SystemStack, rule: Rule, number: int | None) -> dict[str, ND
 
 
 class _Alternative(NamedTuple):
-    """A candidate with its coefficients, the terms that are split, and the sources of its parts."""
+    """A candidate with its coefficients, those of the terms that are split, and the sources of its parts."""
 
     candidate: Candidate
-    coefficients: Floats
+    stack: SystemStack
     sources: Sources
+
+    @property
+    def coefficients(self) -> Floats:
+        """The coefficients of the terms of all systems, (count, k)."""
+        return self.stack.split
 
     @property
     def parts(self) -> Parts:
@@ -248,7 +254,7 @@ def _ordered(
         members = np.flatnonzero(clear & (best == b) & (order == o))
         if members[0] == 0:
             remember(system, alternatives[b].candidate, orders[o])
-        result.append(((b, o), stack.take(members)._replace(split=alternatives[b].coefficients[:, members])))
+        result.append(((b, o), alternatives[b].stack.take(members)))
     return result
 
 
@@ -268,10 +274,10 @@ def _alternative(
                 break
         else:
             return None
-    coefficients = _Shifted(stack, casimirs, by_name).chosen(np.arange(stack.size)).split
+    chosen = _Shifted(stack, casimirs, by_name).chosen(np.arange(stack.size))
     terms = shifted_terms(stack.terms, casimirs, candidate.shift)
     sources = sources_of_parts(term_table(candidate.parts).table(), candidate.parts, terms)
-    return None if sources is None else _Alternative(candidate, coefficients, sources)
+    return None if sources.computed else _Alternative(candidate, chosen, sources)
 
 
 def _leaves_out(fewer: _Alternative, more: _Alternative) -> Masks:
@@ -293,8 +299,8 @@ def _leaves_out(fewer: _Alternative, more: _Alternative) -> Masks:
 def _angles(one: _Alternative) -> list[tuple[Any, Floats]]:
     """Return the angles of an alternative: their coordinates and columns, and their numbers (1 + k, members)."""
     forms, weights = one.parts.forms, one.parts.weights
-    offset = one.sources["offset"].at(one.parts.offset, one.coefficients)
-    weight = one.sources["weight"].at(weights.value, one.coefficients)
+    offset = one.sources.multiples["offset"].at(one.parts.offset, one.coefficients)
+    weight = one.sources.multiples["weight"].at(weights.value, one.coefficients)
     found = []
     for k in range(len(offset)):
         entries = slice(int(weights.start[k]), int(weights.start[k + 1]))

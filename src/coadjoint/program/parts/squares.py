@@ -268,6 +268,11 @@ class ExactSums(NamedTuple):
     factors: tuple[tuple[int, ...], ...]
     denominators: tuple[int, ...]
 
+    @property
+    def used(self) -> Integers:
+        """The coordinates whose coefficients are added."""
+        return np.array(self.coordinates)
+
     def at(self, b: NDArray[np.float64]) -> list[float]:
         """Evaluate the sums for finite floats b, correctly rounded; raise OverflowError beyond float64.
 
@@ -294,6 +299,11 @@ class ReductionSteps(NamedTuple):
 
     steps: tuple[tuple[tuple[int, ...], tuple[dict[int, float], ...]], ...]
     order: tuple[int, ...]
+
+    @property
+    def used(self) -> Integers:
+        """The coordinates whose coefficients are added."""
+        return np.array(sorted({k for _, forms in self.steps for form in forms for k in form}))
 
     def at(self, b: NDArray[np.float64]) -> list[float]:
         """Evaluate the linear terms bitwise as for newly completed squares; raise OverflowError beyond float64."""

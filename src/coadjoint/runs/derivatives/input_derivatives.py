@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.tables.inputs import InputsNotLocated, InputTables
 from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.structures import NotWritable
+from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.added_part import CoefficientMap
@@ -41,13 +42,12 @@ def tables_with_inputs(
     if not tables.located:
         return _located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)})[0]
     try:
-        triplets = list(at(h).derivatives(tables.located, len(inputs.values)))
-    except InputsNotLocated as reason:
+        triplets = list(at(h).derivatives(tables.located))
+    except NotWritable as reason:
         raise TypeError(
             f'{scheme} has no derivatives by inputs for {inputs.system.name}: {reason}; take parts="auto"'
         ) from None
-    changing = set(inputs.changing.tolist())
-    by_inputs = CoefficientMap.of_triplets([one for one in triplets if one[1] in changing])
+    by_inputs = CoefficientMap.of_triplets(triplets)
     return tables._replace(
         coefficients={**tables.coefficients, INPUTS: by_inputs},
         factors={**tables.factors, INPUTS: CoefficientMap.of_triplets(())},
@@ -61,17 +61,15 @@ def _located(
     h: float,
     representation: Representation,
     energies: Mapping[str, EnergyDerivative],
-) -> tuple[DerivativeTables, Callable[[float], InputTables]]:
-    """Return tables with inputs, and those of two systems by which the inputs are located for each step."""
-    two = inputs.random_values()
-    pair = [scheme.derivative_tables(inputs.system_at(values), h, representation, energies) for values in two]
-    watch = invariants_table([], inputs.system.dim).tables
+) -> tuple[DerivativeTables, Callable[[float], WritableTables]]:
+    """Return tables with inputs, and those into which inputs are written for each step."""
+    tables = scheme.derivative_tables(inputs.system_at(inputs.generic), h, representation, energies)
+    watch = invariants_table([], inputs.system.dim)
 
     # Those of the whole step, and of the last other one.
     @lru_cache(2)
-    def at(step: float) -> InputTables:
-        first, second = (CompiledLoop("", one.tables_at(step), parts=one.parts) for one in pair)
-        return InputTables((first, second), (watch, watch), two)
+    def at(step: float) -> WritableTables:
+        return inputs.writable(CompiledLoop("", tables.tables_at(step), sources=tables.sources), watch)
 
     def tables_at(step: float, values: Floats) -> Any:
         located = at(step)
@@ -79,7 +77,7 @@ def _located(
         structure.owner = located
         return structure
 
-    return pair[0]._replace(tables_at=tables_at), at
+    return tables._replace(tables_at=tables_at), at
 
 
 def by_linear(inputs: Inputs) -> EnergyDerivative:

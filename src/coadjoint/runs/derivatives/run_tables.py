@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.tables.structures import as_structure, filled
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import (
     StepwiseDerivatives,
     nearby_parameters,
     stepwise_derivatives,
 )
-from coadjoint.program.sources import within
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives, ElementDifferences
 from coadjoint.runs.derivatives.force_flows import FlowEntry
 from coadjoint.runs.derivatives.forced_steps import ForcedSteps, forced_tables
@@ -90,13 +90,16 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
     energies = [{name: run.energy(name, m) for name in names} for m in range(len(systems))]
     tables = run.base.derivative_tables(systems[0], h, None, energies[0])
     assert tables.maps is not None
-    sources = within("base.", columns.sources[0])
-    assert sources is not None
+    watch = invariants_table([], systems[0].dim)
 
     @cache
     def tables_at(step: float) -> list[Any]:
-        shared = tables.tables_at(step)
-        return [as_structure(filled(shared, sources, column)) for column in columns.coefficients[0].T]
+        loop = CompiledLoop("", tables.tables_at(step), sources=tables.sources)
+        writable = columns.written_from(loop, watch, columns.values[0])
+        structures = [writable.shared(values)[0] for values in columns.values]
+        for structure in structures:
+            structure.owner = writable
+        return structures
 
     return tables._replace(tables_at=tables_at, of_members=[tables.maps(one) for one in energies])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,6 +14,9 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import MemberBatch
 
 if TYPE_CHECKING:
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.kernels.tables.compiled import CompiledTables
+    from coadjoint.kernels.tables.writable import WritableTables
     from coadjoint.program.sources import Sources
 
 Floats = NDArray[np.float64]
@@ -130,28 +134,45 @@ def split_members(first: int, last: int, workers: int, block: int) -> list[tuple
     return [(low, high) for low, high in edges if low < high]
 
 
-class Columns(NamedTuple):
-    """Systems that differ in coefficients of the energy: those of a loop and of its watch, (count, systems)."""
+class Columns:
+    """Systems with tables that differ in some sources: `values` (systems, sources) of these `numbers`.
 
-    sources: tuple[Sources, Sources]
-    coefficients: tuple[Floats, Floats]
+    `first` are the values of the system of the loop. The `recorded` sources of the loop and of its watch are found
+    once, and pickled with the columns.
+    """
 
-    def take(self, columns: Any) -> Columns:
-        """Select systems: by their numbers, or one by its number."""
-        first, second = (numbers[:, columns] for numbers in self.coefficients)
-        return Columns(self.sources, (first, second))
+    def __init__(self, numbers: Integers, values: Floats, first: Floats, recorded: Sequence[Sources] = ()) -> None:
+        self.numbers, self.values, self._first, self._recorded = numbers, values, first, recorded
+        self._writable: tuple[Any, WritableTables] | None = None
 
-    def tables(self, loop: Any, watch: Any) -> tuple[Any, ...]:
-        """Return the tables of a loop and of its watch, with a column for each system unless it is one."""
-        from coadjoint.kernels.tables.structures import filled
+    def take(self, columns: Integers) -> Columns:
+        """Select systems by their numbers."""
+        chosen = Columns(self.numbers, self.values[columns], self._first, self._recorded)
+        chosen._writable = self._writable
+        return chosen
 
-        pairs = zip((loop, watch), self.sources, self.coefficients, strict=True)
-        return tuple(filled(tables, sources, coefficients) for tables, sources, coefficients in pairs)
+    def tables(self, loop: CompiledLoop, watch: CompiledTables) -> WritableTables:
+        """Return the tables of all systems, from a loop and its watch at any step; raise `NotWritable`."""
+        if self._writable is None or self._writable[0] is not loop.tables:
+            of_loop, of_watch = self._recorded = self._recorded or (loop.sources(), watch.sources())
+            own = replace(loop, sources=lambda: of_loop), watch._replace(sources=lambda: of_watch)
+            self._writable = loop.tables, self.written_from(*own, self._first)
+        return self._writable[1]
+
+    def written_from(self, loop: CompiledLoop, watch: CompiledTables, first: Floats) -> WritableTables:
+        """Return the tables of all systems, from others of the system that has the values `first`."""
+        from coadjoint.kernels.tables.writable import WritableTables
+
+        return WritableTables(loop, watch, {source: k for k, source in enumerate(self.numbers.tolist())}, first)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the columns without the tables, which contain addresses."""
+        return Columns, (self.numbers, self.values, self._first, self._recorded)
 
 
 def groups_of(
-    prepared: Sequence[Any],
-    watches: Sequence[Any],
+    prepared: Sequence[CompiledLoop],
+    watches: Sequence[CompiledTables],
     owners: Integers,
     in_order: bool,
     columns: Sequence[Columns | None] = (),
@@ -161,8 +182,8 @@ def groups_of(
 
     `prepared` and `watches` are the compiled loops and the watches of the distinct systems, and `owners` (members,) the
     number of that of each member. If a loop has `columns` it is that of several systems, `numbers` (members,) of them.
-    The members of a system with so many that they fill the lanes are a group of their own. With `in_order` a group has
-    only members that follow each other.
+    The members of a system with so many that they fill the lanes are a group of their own, as are those of a system
+    whose tables cannot be shared. With `in_order` a group has only members that follow each other.
 
     Examples
     --------
@@ -170,7 +191,7 @@ def groups_of(
     >>> from coadjoint.kernels.tables.invariants import watch_tables
     >>> bodies = [co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)]
     >>> own = [co.GaussLegendre(2).loop(body, 0.1) for body in bodies]
-    >>> watches = [watch_tables(body, body.casimirs).tables for body in bodies]
+    >>> watches = [watch_tables(body, body.casimirs) for body in bodies]
     >>> [group.members.tolist() for group in groups_of(own, watches, np.arange(3), in_order=False)]
     [[0, 1, 2]]
     """
@@ -180,11 +201,19 @@ def groups_of(
     numbers = np.zeros(len(owners), dtype=np.int64) if numbers is None else numbers
     columns = columns or [None] * len(prepared)
     _, system, counts = np.unique(owners * (numbers.max() + 1) + numbers, return_inverse=True, return_counts=True)
-    alone = counts[system] >= block
+    tables = [
+        None if one is None else one.tables(loop, watch)
+        for one, loop, watch in zip(columns, prepared, watches, strict=True)
+    ]
+    alone = (counts[system] >= block) | np.array([one is not None and one.separate_tables for one in tables])[owners]
     keys: dict[Hashable, int] = {}
     key = np.zeros(len(prepared), dtype=np.int64)
     for k in np.unique(owners[~alone]).tolist():
-        own = (prepared[k].name, structure_of(prepared[k].tables), structure_of(watches[k])) if not columns[k] else k
+        own = (
+            (prepared[k].name, structure_of(prepared[k].tables), structure_of(watches[k].tables))
+            if tables[k] is None
+            else k
+        )
         key[k] = keys.setdefault(own, len(keys))
     member_keys = np.where(alone, len(keys) + system, key[owners])
     order = np.arange(len(owners)) if in_order else np.argsort(member_keys, kind="stable")
@@ -192,15 +221,14 @@ def groups_of(
     groups = []
     for members in np.split(order, cuts):
         k = int(owners[members[0]])
-        loop, watch, own_columns = prepared[k].tables, watches[k], columns[k]
-        padded = np.append(members, np.repeat(members[-1:], -len(members) % block))
-        stride = 0 if alone[members[0]] else len(padded)
-        if own_columns is not None:
-            loop, watch = own_columns.take(numbers[padded] if stride else numbers[members[0]]).tables(loop, watch)
-        elif stride:
-            loop, watch = (
-                stacked([tables[o] for o in owners[members].tolist()])
-                for tables in ([p.tables for p in prepared], watches)
-            )
+        loop: Any = prepared[k].tables
+        watch, stride = watches[k].tables, 0
+        writable, own_columns = tables[k], columns[k]
+        if writable is not None and own_columns is not None:
+            values = own_columns.values[numbers[members]]
+            loop, watch, stride = (*writable.shared(values[0]), 0) if alone[members[0]] else writable.each(values)
+        elif not alone[members[0]]:
+            stride = len(members) + -len(members) % block
+            loop, watch = (stacked([one[o].tables for o in owners[members].tolist()]) for one in (prepared, watches))
         groups.append(Group(members, prepared[k].name, as_structure(loop), as_structure(watch), stride))
     return sorted(groups, key=lambda group: int(group.members[0]))  # type: ignore[index]

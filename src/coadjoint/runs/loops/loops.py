@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -87,14 +88,16 @@ class Loops:
     """The compiled loops of a run, and further properties of its system; concurrent runs may share them.
 
     A run has one loop for each distinct system, or for several of one structure, with `columns`. `owners` (members,)
-    are the numbers of the loops of the members, None if there is one system for any number of members, and `numbers`
-    (members,) those of their columns. With `in_order` a member keeps its row, which its noise depends on.
+    are the numbers of the loops of the members, None if there is one system for any number of members, `numbers`
+    (members,) those of their columns, and `corrected` (members,) those of their corrections, by default as `owners`.
+    With `in_order` a member keeps its row, which its noise depends on.
 
     Attributes
     ----------
-    compiled, watches, corrections : list
-        Of each distinct system: its loop, the tables of its invariants, and the correction of its group elements, if
-        its H was shifted by Casimirs.
+    compiled, watches : list
+        Loops, and the tables of their invariants.
+    corrections : list
+        Corrections of group elements, if H was shifted by Casimirs.
     groups : list of Group
         Members with tables of one structure.
     order : ndarray or None
@@ -134,8 +137,10 @@ class Loops:
         rows: int = 0,
         columns: Sequence[Columns | None] = (),
         numbers: NDArray[np.int64] | None = None,
+        corrected: NDArray[np.int64] | None = None,
     ) -> None:
         self._columns, self._numbers = columns, numbers
+        self._corrected = owners if corrected is None else corrected
         self.dim, self.names, self.corrections = dim, names, list(corrections)
         self.owners, self.in_order, self.rows = owners, in_order, rows
         self.accounts = compiled[0].accounts
@@ -143,7 +148,9 @@ class Loops:
         self.measured = None if matrices is None else MatrixInvariants(matrices, names, self.accounts)
         self.block = limit("MOST_LANES") if dim <= limit("WIDEST") else 1
         self.corrected_groups = (
-            partial(corrected_groups_each, self.corrections, owners) if any(self.corrections) else uncorrected_groups
+            partial(corrected_groups_each, self.corrections, self._corrected)
+            if any(self.corrections)
+            else uncorrected_groups
         )
         self._set_tables(compiled, watches)
 
@@ -157,9 +164,8 @@ class Loops:
             tables = as_structure(compiled[0].tables), as_structure(watches[0].tables)
             self.groups = [Group(None, compiled[0].name, *tables)]
         else:
-            tables_of_watches = [watch.tables for watch in watches]
             among = self.owners, self.in_order, self._columns, self._numbers
-            self.groups = groups_of(compiled, tables_of_watches, *among)
+            self.groups = groups_of(compiled, watches, *among)
             members = np.concatenate([group.members for group in self.groups if group.members is not None])
             self.order = None if np.array_equal(members, np.arange(len(members))) else members
         self._rounds: tuple[tuple[int, int], list[list[MemberBatch]]] | None = None
@@ -249,13 +255,14 @@ class Loops:
 
     def selected(self, members: NDArray[np.int64]) -> Loops:
         """Return the loops of these members of a batch, from the tables already built."""
-        assert self.owners is not None
+        assert self.owners is not None and self._corrected is not None
         chosen, owners = np.unique(self.owners[members], return_inverse=True)
-        compiled, watches, corrections = (
-            [parts[k] for k in chosen] for parts in (self.compiled, self.watches, self.corrections)
-        )
+        compiled, watches = ([parts[k] for k in chosen] for parts in (self.compiled, self.watches))
+        systems, corrected = np.unique(self._corrected[members], return_inverse=True)
+        corrections = [self.corrections[k] for k in systems.tolist()]
         if self._numbers is None:
-            return Loops(self.dim, self.names, compiled, watches, corrections, owners, self.in_order)
+            fields = self.dim, self.names, compiled, watches, corrections, owners, self.in_order
+            return Loops(*fields, corrected=corrected)
         numbers, columns = self._numbers[members], [self._columns[k] for k in chosen]
         for k, one in enumerate(columns):
             if one is not None:
@@ -271,11 +278,15 @@ class Loops:
             self.in_order,
             columns=columns,
             numbers=numbers,
+            corrected=corrected,
         )
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Whether `corrected_groups` may return infinite elements although those of the loops are finite."""
-        return any(correction.may_overflow(start, times) for correction in self.corrections if correction)
+        corrections = [correction for correction in self.corrections if correction]
+        if not corrections:
+            return False
+        return max(corrections, key=lambda correction: correction.most).may_overflow(start, times)
 
     def build_all(self) -> None:
         """Build everything that would be built lazily."""
@@ -290,7 +301,7 @@ class Loops:
         d = start.groups.shape[1]
         groups = np.array(np.swapaxes(loop_groups.reshape(-1, d, d), 1, 2))
         for row, member in enumerate(members.tolist()):
-            correction = self.corrections[0 if self.owners is None else self.owners[member]]
+            correction = self.corrections[0 if self._corrected is None else self._corrected[member]]
             if correction is not None:
                 groups[row] = correction.at(start, member, float(elapsed[row]), loop_groups[row])
         return groups
@@ -301,10 +312,10 @@ class Loops:
         Those of a shifted H are unit elements, which `corrected_groups` replaces.
         """
         unit = unit_groups(groups.shape[-1]).ravel()
-        if self.owners is None:
+        if self._corrected is None:
             return as_rows(groups) if self.corrections[0] is None else unit
         rows, shifted = np.array(as_rows(groups)), [correction is not None for correction in self.corrections]
-        rows[np.array(shifted)[self.owners]] = unit
+        rows[np.array(shifted)[self._corrected]] = unit
         return rows
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -380,12 +391,13 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
 
     `representations` holds an array (n, d, d), "coadjoint" or None for each member.
     """
-    from coadjoint.kernels.tables.structures import same_numbers
+    from coadjoint.kernels.tables.structures import NotWritable
 
     names, distinct = list(batch[0].casimirs), batch.distinct
     firsts = np.unique(batch.owners, return_index=True)[1]
-    built: list[tuple[CompiledLoop, CompiledTables, ShiftCorrection | None]] = []
+    built: list[tuple[CompiledLoop, CompiledTables]] = []
     columns: list[Columns | None] = []
+    corrections: list[ShiftCorrection | None] = [None] * len(distinct)
     owner, number = np.full(len(distinct), -1), np.zeros(len(distinct), dtype=np.int64)
 
     def add(k: int, stack: SystemStack | None = None) -> None:
@@ -395,26 +407,32 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
         except (TypeError, ValueError) as error:
             raise type(error)(f"member {firsts[k]} of the batch: {error}") from error
         watch = _watch_of(system, loop, {name: system.casimirs[name] for name in names})
-        built.append((loop, watch, _correction_of(system, loop, representation)))
+        built.append((loop, watch))
         columns.append(None)
-        owner[k] = len(built) - 1
-        sources = (loop.sources(), watch.sources()) if stack is not None else (None, None)
-        if stack is None or sources[0] is None or sources[1] is None:
+        owner[k], corrections[k] = len(built) - 1, _correction_of(system, loop, representation)
+        if stack is None:
             return
-        found = Columns((sources[0], sources[1]), (stack.split, stack.coefficients))
-        if same_numbers(found.take(0).tables(loop.tables, watch.tables), (loop.tables, watch.tables)):
+        varying, values = stack.varying()
+        found = Columns(varying, values, values[0])
+        with suppress(NotWritable):
+            found.tables(loop, watch)
             columns[-1] = found
             owner[stack.numbers], number[stack.numbers] = owner[k], np.arange(stack.size)
+            if (first := corrections[k]) is not None:
+                for m, factors in zip(stack.numbers.tolist(), stack.factors.T.tolist(), strict=True):
+                    corrections[m] = first.of_system(distinct[m], factors)
 
-    for stack in method.split_jointly(distinct) if representations[0] is None else ():
-        add(int(stack.numbers[0]), stack)
+    for stack in method.split_jointly(distinct):
+        own: list[Any] = [representations[firsts[k]] for k in stack.numbers.tolist()]
+        kept = [k for k, other in enumerate(own) if other is own[0] or np.array_equal(other, own[0])]
+        add(int(stack.numbers[0]), stack if len(kept) == stack.size else stack.take(np.array(kept)))
     for k in np.flatnonzero(owner < 0).tolist():
         add(k)
-    loops, watches, corrections = zip(*built, strict=True)
+    loops, watches = zip(*built, strict=True)
     random = any(force.random for system in distinct for force in getattr(system, "forces", ()))
     rows = batch.owners
     fields = batch.dim, ["energy", *names], loops, watches, corrections, owner[rows], random
-    return Loops(*fields, columns=columns, numbers=number[rows])
+    return Loops(*fields, columns=columns, numbers=number[rows], corrected=rows)
 
 
 def loops_of_members(systems: Sequence[System], compiled: Sequence[CompiledLoop]) -> Loops:

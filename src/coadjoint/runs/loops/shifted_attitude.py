@@ -67,6 +67,14 @@ class ShiftCorrection:
         assert system.algebra is not None
         return CompiledShiftCorrection(unshift_tables(system.algebra, rho, system.sign, shift), rate)
 
+    def of_system(self, system: System, factors: Sequence[float]) -> ShiftCorrection:
+        """Return the correction of a system with the same algebra for other factors of the Casimirs."""
+        shift = tuple((casimir, factor) for (casimir, _), factor in zip(self._shift, factors, strict=True))
+        other = ShiftCorrection(system, shift, self._representation)
+        if len(shift) == 1:
+            other._compiled_correction = self._compiled_correction.at_rate(shift[0][1])
+        return other
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the tables."""
         compiled = self._compiled_correction
@@ -76,9 +84,14 @@ class ShiftCorrection:
         """Build the tables."""
         _ = self._compiled_correction
 
+    @property
+    def most(self) -> float:
+        """Largest norm of the generator for momenta with components of at most 1."""
+        return self._compiled_correction.most
+
     def may_overflow(self, start: Start, times: Times) -> bool:
         """Whether the exponential could overflow within the run, by an upper bound on its growth."""
-        growth = self._compiled_correction.most * abs(times.h) * times.steps
+        growth = self.most * abs(times.h) * times.steps
         momenta = start.momenta
         if momenta.size <= SMALL_SIZE:
             # For few numbers Python's max is five times faster than NumPy's.

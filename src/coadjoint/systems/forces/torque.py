@@ -154,6 +154,11 @@ class Torque(Force):
         return reader.constant(state_vector(self.torque, system))
 
 
+def is_constant_torque(force: Any) -> bool:
+    """Return whether a force is a torque that is no function."""
+    return isinstance(force, Torque) and not callable(force.torque)
+
+
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
     if "A" in arguments:
         A = system.attitudes(x)

@@ -1,0 +1,232 @@
+"""Tables whose constants are written for given numbers, such as inputs, or the coefficients of members of a batch.
+
+The few arrays that depend on them are copied; the sources that the tables record say where.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.kernels.arrays import as_c_double
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.structures import ARRAYS, PER_MEMBER_TYPES, SCALARS, NotWritable, as_structure
+from coadjoint.memory import check_available_memory
+
+if TYPE_CHECKING:
+    from coadjoint.kernels.tables.compiled import CompiledTables
+    from coadjoint.program.sources import Multiples, Sources, Sums
+
+Floats = NDArray[np.float64]
+
+WRITABLE_TYPES = ("constants", "numbers")
+ADDRESS_FIELD = "tables.whole"
+"""The field of integers that contains addresses."""
+NO_SUMS, DEPENDENT = "are neither inputs nor exact sums of inputs", "depend on them"
+
+
+class Field(NamedTuple):
+    """A field of a table: name, type, offset in bytes, and value."""
+
+    name: str
+    token: str
+    offset: int
+    value: Any
+
+
+def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[Field]:
+    """Yield the fields of a table and of nested tables, in the order of the C structure."""
+    for (label, inner), token in zip(kind._fields_, kind.kinds, strict=True):
+        offset, value = base + getattr(kind, label).offset, getattr(table, label)
+        if token in SCALARS or token in ARRAYS:
+            yield Field(path + label, token, offset, value)
+        else:
+            yield from fields_of(value, inner, offset, f"{path}{label}.")
+
+
+class _Table:
+    """A table of a run. Its address is entry `index` of the integers of table number `parent`, -1 if there is none."""
+
+    def __init__(self, table: Any, sources: Sources, parent: int = -1, index: int = -1) -> None:
+        self.structure, self.parent, self.index = as_structure(table), parent, index
+        self.kind = type(self.structure)
+        self.fields = {field.name: field for field in fields_of(self.structure.source, self.kind)}
+        self.sources = sources
+
+
+def _tables_of(loop: CompiledLoop, watch: CompiledTables) -> list[_Table]:
+    """Return the tables of a loop, of the invariants, and all tables that they refer to by address."""
+    tables = [_Table(loop.tables, loop.sources()), _Table(watch.tables, watch.sources())]
+    pending = [(0, loop)]
+    while pending:
+        number, outer = pending.pop()
+        for index, referenced in outer.referenced.items():
+            if isinstance(referenced, CompiledLoop):
+                pending.append((len(tables), referenced))
+            tables.append(_Table(referenced.tables, referenced.sources(), number, index))
+    return tables
+
+
+class _Block:
+    """Arrays of several tables in one allocation, and copies of the tables that point into it."""
+
+    def __init__(self, tables: Sequence[_Table], fields_of_tables: Sequence[Sequence[Field]]) -> None:
+        self.kinds = [table.kind for table in tables]
+        self.word_offsets = list(accumulate((ctypes.sizeof(kind) // 8 for kind in self.kinds), initial=0))
+        self.start: dict[tuple[int, str], int] = {}
+        pieces, self.pointers, count = [np.zeros(1)], [], 1
+        for number, fields in enumerate(fields_of_tables):
+            for field in fields:
+                self.start[number, field.name] = count
+                self.pointers.append((self.word_offsets[number] + field.offset // 8, 8 * count))
+                pieces.append(np.ascontiguousarray(field.value).view(np.float64))
+                count += len(field.value)
+        self.template = np.concatenate(pieces)
+        self.raw = np.concatenate([np.frombuffer(bytes(table.structure), dtype=np.int64) for table in tables])
+        self.referenced = [
+            (number, self.start[table.parent, ADDRESS_FIELD] + table.index)
+            for number, table in enumerate(tables)
+            if table.parent >= 0
+        ]
+
+    def structures(self, block: Floats, columns: int) -> tuple[Any, Any]:
+        """Return copies of the first two tables that point into a block with this number of columns per row."""
+        raw, base_address = self.raw.copy(), ctypes.addressof(as_c_double(block))
+        for position, start in self.pointers:
+            raw[position] = base_address + columns * start
+        for number, position in self.referenced:
+            block.view(np.int64)[position] = raw.ctypes.data + 8 * self.word_offsets[number]
+        scheme, watch = (
+            kind.from_buffer(raw, 8 * first) for kind, first in zip(self.kinds[:2], self.word_offsets, strict=False)
+        )
+        # A structure keeps its own memory alive; this adds the memory that it points to.
+        scheme.source = watch.source = block
+        return scheme, watch
+
+
+class WritableTables:
+    """The tables of a scheme and of the watched invariants, for numbers (m,) given with each call.
+
+    `indices` maps sources to the indices of the numbers that they are; `tangled` are other sources that change with
+    these. `values` (m,) are the numbers of the tables as given. `separate_tables` is set if members with different
+    numbers need separate tables: tables refer to other tables, or a number is one that the kernels read once for all
+    members. Raise `NotWritable` if the tables depend on the sources in another way than by multiples and exact sums.
+    """
+
+    def __init__(
+        self,
+        loop: CompiledLoop,
+        watch: CompiledTables,
+        indices: Mapping[int, int],
+        values: Floats,
+        tangled: Sequence[int] = (),
+    ) -> None:
+        tables = self._tables = _tables_of(loop, watch)
+        parents = {table.parent for table in tables}
+        wanted = np.array(sorted(indices), dtype=np.int64)
+        given = np.array([indices[source] for source in wanted.tolist()], dtype=np.int64)
+        others = np.array(tangled, dtype=np.int64)
+        self._multiples: list[tuple[int, str, Multiples]] = []
+        self._sums: list[tuple[int, str, Sums]] = []
+        for number, table in enumerate(tables):
+            for path, computed in table.sources.computed.items():
+                if np.any(np.isin(computed, np.concatenate([wanted, others]))):
+                    is_constant = table.fields[path].token in WRITABLE_TYPES
+                    raise NotWritable(f"its table has {path} that {NO_SUMS if is_constant else DEPENDENT}")
+            for path, multiples in table.sources.multiples.items():
+                own = multiples.among(wanted, given)
+                template = table.fields[path].value[own.position]
+                if np.any(np.isin(multiples.number, others)) or template.tobytes() != own.of(values).tobytes():
+                    raise NotWritable(f"its table has {path} that {NO_SUMS}")
+                if len(own.number):
+                    self._multiples.append((number, path, own))
+            for path, sums in table.sources.sums.items():
+                if sums.among(others, others).rules:
+                    raise NotWritable(f"its table has {path} that {NO_SUMS}")
+                if (chosen := sums.among(wanted, given)).rules:
+                    self._sums.append((number, path, chosen))
+        written = {(number, path) for number, path, _ in (*self._multiples, *self._sums)}
+        tokens = {tables[number].fields[name].token for number, name in written}
+        self.separate_tables = len(tables) > 2 or not tokens <= PER_MEMBER_TYPES
+        written |= {(number, ADDRESS_FIELD) for number in parents if number >= 0}
+        self._shared = _Block(
+            tables,
+            [[field for name, field in table.fields.items() if (k, name) in written] for k, table in enumerate(tables)],
+        )
+        self._in_shared = self._written(self._shared)
+
+    @cached_property
+    def _each(self) -> tuple[_Block, tuple[Any, ...]]:
+        """The arrays that have a column for each member, and what is written into them."""
+        block = _Block(
+            self._tables,
+            [[field for field in table.fields.values() if field.token in PER_MEMBER_TYPES] for table in self._tables],
+        )
+        return block, self._written(block)
+
+    def _written(self, block: _Block) -> tuple[Multiples, list[tuple[Sums, list[Integers]]]]:
+        """Return the multiples of given numbers with their rows in a block, and exact sums with those of each rule."""
+        from coadjoint.program.sources import concatenated
+
+        rows = [one._replace(position=block.start[table, path] + one.position) for table, path, one in self._multiples]
+        multiples = concatenated(rows)
+        return multiples._replace(factor=None) if np.all(multiples.factor == 1.0) else multiples, [
+            (sums, [block.start[table, path] + position for position, _ in sums.rules])
+            for table, path, sums in self._sums
+        ]
+
+    def derivatives(self, names: Sequence[str]) -> Iterator[tuple[int, int, float]]:
+        """Yield the entries of these fields of the scheme, numbered one after the other, that depend on the numbers.
+
+        Each with the index of a number, and the derivative by it. Raise `NotWritable` if others depend on them.
+        """
+        fields = self._tables[0].fields
+        first = dict(zip(names, accumulate((len(fields[name].value) for name in names), initial=0), strict=False))
+        for number, path, _ in (*self._multiples, *self._sums):
+            if number == 0 and path not in first:
+                raise NotWritable(f"its table has {path} that {DEPENDENT}")
+        for number, path, one in self._multiples:
+            if number == 0:
+                entries = first[path] + one.position
+                yield from zip(entries.tolist(), one.number.tolist(), one.factor.tolist(), strict=True)
+        for number, path, sums in self._sums:
+            for position, rule in sums.rules if number == 0 else ():
+                entries, used = first[path] + position, np.isin(sums.coordinate, rule.used)
+                for coordinate, index in zip(sums.coordinate[used].tolist(), sums.number[used].tolist(), strict=True):
+                    unit = np.zeros(len(sums.linear))
+                    unit[coordinate] = 1.0
+                    yield from zip(entries.tolist(), [index] * len(entries), rule.at(unit), strict=True)
+
+    def shared(self, numbers: Floats) -> tuple[Any, Any]:
+        """Return the structures of the scheme and of the invariants for numbers (m,) common to all members."""
+        block, (multiples, sums_of_rules) = self._shared.template.copy(), self._in_shared
+        block[multiples.position] = multiples.of(numbers)
+        for sums, rows in sums_of_rules:
+            for own, entries in zip(rows, sums.of(numbers), strict=True):
+                block[own] = entries
+        return self._shared.structures(block, 1)
+
+    def each(self, numbers: Floats) -> tuple[Any, Any, int]:
+        """Return the structures for (members, m), and the number of columns; not valid if `separate_tables`."""
+        members, lanes = len(numbers), limit("MOST_LANES")
+        columns = -(-members // lanes) * lanes
+        arrays, (multiples, sums_of_rules) = self._each
+        size = len(arrays.template)
+        check_available_memory(8 * columns * size, f"the tables of {members} members with individual numbers")
+        block = np.repeat(arrays.template, columns).reshape(-1, columns)
+        # Lanes may read beyond the last member: it is repeated.
+        padded = numbers.take(np.minimum(np.arange(columns), members - 1), axis=0)
+        block[multiples.position] = multiples.of(padded).T
+        for sums, rows in sums_of_rules:
+            for own, entries in zip(rows, zip(*map(sums.of, numbers), strict=True), strict=True):
+                block[own, :members] = np.transpose(entries)
+                block[own, members:] = block[own, members - 1 : members]
+        return *arrays.structures(block.reshape(-1), columns), columns
