@@ -18,17 +18,17 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 572,  # satellites on given orbits, fits to gyroscopes, vorticity in datasets; bodies in space
-    "Python lines": 93665,  # batches with attitudes and forces prepared together; satellites on given orbits
+    "Python files": 578,  # prepared runs as C99; satellites on given orbits, fits to gyroscopes, vorticity in datasets
+    "Python lines": 95035,  # prepared runs as C99, inputs and batches by the record of tables
     "longest file": 512,
-    "classes": 596,  # exact sums among the sources of tables; satellites on given orbits, measured quantities
-    "isinstance": 908,  # attitudes as rotations and quaternions
+    "classes": 604,  # prepared runs as C99, satellites on given orbits, measured quantities
+    "isinstance": 909,  # attitudes as rotations and quaternions
     "files in cycles, with imports inside functions and for types": 52,  # motions of bodies
     "modules behind integrate": 130,  # motions of bodies
     "C++ lines": 19183,  # the nearest integer in every direction of rounding, and stages among subnormal numbers
-    "test lines": 64935,  # inputs of every scheme, attitudes and forces of batches; orbits, units of energy
+    "test lines": 65530,  # prepared runs in C, orbits by DOP853, initial attitudes, vorticity in datasets
     "test files that import internals": 74,
-    "public names": 333,  # body, bodies, gravitating_bodies and satellite_on_orbit
+    "public names": 334,  # satellite_on_orbit and export_c
 }
 
 

@@ -46,6 +46,7 @@ from .files.archives.archived_solution import open_archive as open_archive
 from .files.archives.ensemble import integrate_ensemble as integrate_ensemble
 from .files.archives.resume import resume as resume
 from .files.datasets.loaded_solution import load as load
+from .files.exports.c_export import export_c as export_c
 from .long_operations import LongWait as LongWait
 from .methods.commutator_free import CommutatorFree as CommutatorFree
 from .methods.composition import Composition as Composition

@@ -197,26 +197,47 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
 
 
 @click.command("export")
+@click.argument("file", required=False, type=click.Path())
 @click.option("--free-body", is_flag=True, help="The exact step of a free rigid body: one header, C99 and C++11.")
-@click.option("-o", "--out", "path", metavar="PATH", help="Path of the file, .h or .hpp; default: standard output.")
-def export(free_body: bool, path: str | None) -> None:
+@click.option("-o", "--out", "path", metavar="PATH", help="Path of the header, .h or .hpp; default: standard output.")
+@click.option("--name", metavar="NAME", help="What the functions of FILE begin with; default: the name of the header.")
+@click.option("--tangent", is_flag=True, help="Also the derivative of a step of FILE.")
+def export(file: str | None, free_body: bool, path: str | None, name: str | None, tangent: bool) -> None:
     """Write code for programs in other languages, under the MIT License.
 
-    The header has functions for double and float, without allocation; it needs only sqrt.
+    With the configuration FILE (TOML), it is the step of this run in C99, with the bits of the library. With
+    --free-body, it is a header with functions for double and float. Neither allocates; both need only sqrt.
     """
     from coadjoint.files.exports.headers import free_body_header
-    from coadjoint.files.output.output_files import write_header
+    from coadjoint.files.output.output_files import HEADERS, check_target, write_header
 
-    if not free_body:
-        raise click.UsageError("export has nothing to write; give --free-body")
-    if path is None:
-        return click.echo(free_body_header(), nl=False)
-    try:
-        text = free_body_header(Path(path).name)
-    except ValueError as reason:
-        raise click.UsageError(f"--out: {reason}") from None
-    write_header(text, path)
+    if file is None and not free_body:
+        raise click.UsageError("export has nothing to write; give a configuration FILE or --free-body")
+    if free_body and (file is not None or name is not None or tangent):
+        other = short(file) if file is not None else "--tangent" if name is None else "--name"
+        raise click.UsageError(f"--free-body was given with {other}; give one of them")
+    target = None if path is None else check_target(path, HEADERS)
+    if file is not None:
+        text = _exported_run(file, Path(path or file).stem if name is None else name, tangent)
+    else:
+        try:
+            text = free_body_header() if target is None else free_body_header(target.name)
+        except ValueError as reason:
+            raise click.UsageError(f"--out: {reason}") from None
+    if target is None:
+        return click.echo(text, nl=False)
+    write_header(text, target)
     click.echo(f"written: {path}")
+
+
+def _exported_run(file: str, name: str, tangent: bool) -> str:
+    from coadjoint.files.configuration.construction import section
+    from coadjoint.files.configuration.loading import load
+    from coadjoint.files.exports.c_export import c_header
+
+    prepared = load(file).ready()
+    with section(file, "export"):
+        return c_header(prepared, name, tangent)
 
 
 COMMANDS = (

@@ -110,6 +110,7 @@ OWN = {
     "co.thermal_states": {"system": co.systems.spin_lattice(), "members": 2, "sweeps": 2},
     "co.spectra.structure_factor": {"solution": WAVES},
     "co.certify": {"steps": 4},
+    "co.export_c": {"prepared": READY, "path": ARCHIVE.with_name("run.h")},
     "co.analysis.phase_error": {"t": [1.0], "x": [X]},
     "co.resume": {"t_end": 2.0},
     "co.integrate_ensemble": {"x0": ENSEMBLE.x0, "threads": 1},

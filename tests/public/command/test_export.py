@@ -1,10 +1,12 @@
-"""`coadjoint export`: the header of free bodies on standard output and in files, and refusals."""
+"""`coadjoint export`: headers on standard output and in files, and refusals."""
 
 from pathlib import Path
 
 import pytest
 
+import coadjoint as co
 from command import command
+from configuration_files import READY_MADE
 
 
 def test_the_header_is_printed_or_written(tmp_path, monkeypatch, capsys):
@@ -24,12 +26,16 @@ def test_the_header_is_printed_or_written(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ([], "coadjoint: export has nothing to write; give --free-body"),
+        ([], "coadjoint: export has nothing to write; give a configuration FILE or --free-body"),
         (["--free-bodies"], "coadjoint: unknown option '--free-bodies'; did you mean '--free-body'?"),
         (["--free-body", "-o", "body.txt"], "body.txt: the suffix sets the format; it must be .h or .hpp"),
         (["--free-body", "-o", "no/body.h"], "no/body.h: the folder no does not exist; create it first"),
         (["--free-body", "-o", 'a"b.h'], "coadjoint: --out: 'a\"b.h' cannot be included; give a name without"),
-        (["--free-body", "step.toml"], "coadjoint: got unexpected extra argument (step.toml)"),
+        (["--free-body", "step.toml"], "coadjoint: --free-body was given with 'step.toml'; give one of them"),
+        (["--free-body", "--tangent"], "coadjoint: --free-body was given with --tangent; give one of them"),
+        (["--free-body", "--name", "top"], "coadjoint: --free-body was given with --name; give one of them"),
+        (["step.toml"], "step.toml: cannot be read (No such file or directory)"),
+        (["step.toml", "-o", "step.c"], "step.c: the suffix sets the format; it must be .h or .hpp"),
     ],
 )
 def test_wrong_exports_are_refused(tmp_path, monkeypatch, capsys, arguments, reason):
@@ -37,3 +43,34 @@ def test_wrong_exports_are_refused(tmp_path, monkeypatch, capsys, arguments, rea
     status, out, err = command(capsys, "export", *arguments)
     assert (status, out, err.count("\n")) == (2, "", 1) and err.startswith(reason)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_configuration_is_printed_or_written(tmp_path, monkeypatch, capsys):
+    """As by the function, with the name of the header or of the configuration."""
+    monkeypatch.chdir(tmp_path)
+    Path("body.toml").write_text(READY_MADE)
+    prepared = co.prepare(co.systems.rigid_body((1.0, 2.0, 2.5)), co.Splitting(order=4), step=0.1)
+    text = co.export_c(prepared, "body.h").read_text()
+    assert command(capsys, "export", "body.toml") == (0, text, "")
+    assert command(capsys, "export", "body.toml", "-o", "own.h") == (0, "written: own.h\n", "")
+    assert Path("own.h").read_text() == co.export_c(prepared, "again.h", name="own").read_text()
+    assert command(capsys, "export", "body.toml", "-o", "own.h", "--name", "body", "--tangent").status == 0
+    assert Path("own.h").read_text() == co.export_c(prepared, "body.h", tangent=True).read_text()
+
+
+@pytest.mark.parametrize(
+    ("changed", "arguments", "reason"),
+    [
+        (('"Splitting"\norder = 4', '"GaussLegendre"'), [], "body.toml: export: GaussLegendre(stages=2) solves"),
+        (("", ""), ["--name", "2b"], "body.toml: export: the functions cannot begin with '2b'"),
+        (("", ""), ["-o", "mine.h"], "mine.h: is a header that coadjoint did not write, so it is not replaced"),
+        (("[run]", "attitude = true\n[run]"), [], "body.toml: "),
+    ],
+)
+def test_runs_that_cannot_be_exported_are_refused(tmp_path, monkeypatch, capsys, changed, arguments, reason):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.h").write_text("int mine;\n")
+    Path("body.toml").write_text(READY_MADE.replace(*changed) if changed[0] else READY_MADE)
+    status, out, err = command(capsys, "export", "body.toml", *arguments)
+    assert (status, out, err.count("\n")) == (2, "", 1) and err.startswith(reason)
+    assert Path("mine.h").read_text() == "int mine;\n" and len(list(tmp_path.iterdir())) == 2

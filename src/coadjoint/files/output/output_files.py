@@ -32,6 +32,8 @@ MOVIES = (".mp4", ".gif")
 TEXTS = (".json",)
 PAGES = (".html",)
 HEADERS = (".h", ".hpp")
+OWN_HEADER, MOST_OF_A_TITLE = b"coadjoint", 400
+"""What the first bytes of a header that the library has written contain."""
 REQUIRED_PACKAGES = {
     ".nc": ("xarray", "h5netcdf", "h5py"),
     ".zarr": ("xarray", "zarr"),
@@ -90,6 +92,10 @@ def _check_replaceable(target: Path) -> None:
     if target.suffix != ".zarr":
         if target.is_dir():
             raise OutputError(f"{target}: is a folder; give the name of a file")
+        if target.suffix in HEADERS and target.exists() and OWN_HEADER not in target.read_bytes()[:MOST_OF_A_TITLE]:
+            raise OutputError(
+                f"{target}: is a header that coadjoint did not write, so it is not replaced; give another name"
+            )
     elif os.path.lexists(target):
         if not any((target / name).exists() for name in (".zgroup", "zarr.json")):
             raise OutputError(f"{target}: exists and is not a Zarr store, so it is not replaced; give another name")

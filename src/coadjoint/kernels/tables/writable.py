@@ -30,6 +30,8 @@ Floats = NDArray[np.float64]
 WRITABLE_TYPES = ("constants", "numbers")
 ADDRESS_FIELD = "tables.whole"
 """The field of integers that contains addresses."""
+WATCH = 1
+"""The number of the table of the invariants."""
 NO_SUMS, DEPENDENT = "are neither inputs nor exact sums of inputs", "depend on them"
 
 
@@ -182,6 +184,22 @@ class WritableTables:
             (sums, [block.start[table, path] + position for position, _ in sums.rules])
             for table, path, sums in self._sums
         ]
+
+    def multiples(self) -> Iterator[tuple[Any, str, Multiples]]:
+        """Yield the numbers of the scheme that are multiples of those given, by their table and field."""
+        yield from (
+            (self._tables[number].structure.source, path, one) for number, path, one in self._of(self._multiples)
+        )
+
+    @property
+    def has_sums(self) -> bool:
+        """Whether numbers of the scheme are sums of those given."""
+        return bool(self._of(self._sums))
+
+    @staticmethod
+    def _of(found: list[tuple[int, str, Any]]) -> list[tuple[int, str, Any]]:
+        """Return what belongs to the scheme, not to the watched invariants."""
+        return [one for one in found if one[0] != WATCH]
 
     def derivatives(self, names: Sequence[str]) -> Iterator[tuple[int, int, float]]:
         """Yield the entries of these fields of the scheme, numbered one after the other, that depend on the numbers.

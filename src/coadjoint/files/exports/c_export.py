@@ -1,0 +1,396 @@
+"""Prepared runs as freestanding C99."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from coadjoint.errors import in_one_line
+from coadjoint.files.exports.c_flows import PartsInC
+from coadjoint.files.exports.c_runtime import includes, runtime
+from coadjoint.files.exports.c_stages import StagesInC
+from coadjoint.files.exports.c_statements import VECTORS, WIDTH, Inputs, Value, block, function, repeated, wrapped
+from coadjoint.files.exports.headers import FREE_BODY
+from coadjoint.files.output.output_files import write_header
+from coadjoint.kernels.interface import codes
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.flow import FlowTables
+from coadjoint.kernels.tables.forces import ForceTable
+from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
+from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX
+from coadjoint.kernels.tables.writable import WritableTables
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.program.term_table import FUNCTION, Terms
+from coadjoint.runs.inputs import InputLoops
+from coadjoint.runs.loops.loops import loops_of_system
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.short_repr import short
+from coadjoint.systems.protocol import forces_of, is_batch, unforced, unforced_matrix_system
+from coadjoint.validation import read_bool, read_path
+
+IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
+"""Names of C functions; longer ones are not distinguished by all linkers."""
+FIELDS = ("offset", "coefficient")
+"""The numbers of terms that may be inputs."""
+MOST_NUMBERS = 2**22
+"""Numbers of the tables; a file of more would take compilers minutes and gigabytes."""
+
+
+@suggest_keywords
+def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None, tangent: bool = False) -> Path:
+    """Write the steps of a prepared run as C99: one header, without allocation, that needs only ``sqrt``.
+
+    For microcontrollers, simulators and other programs without Python. The functions compute with the elementary
+    functions of the library and have the bits of its runs, whatever the compiler, its optimization and the processor.
+
+    Parameters
+    ----------
+    prepared : PreparedRun
+        System, scheme, step and inputs. Exported are splittings and compositions of exact flows with any polynomial
+        energy, free bodies and bonds, and explicit Runge-Kutta methods; also with `forces.LinearDamping` and constant
+        `forces.Torque`.
+    path : str or Path
+        Path of the header, .h or .hpp. A header that this function has written is replaced.
+    name : str, optional
+        What the names of all functions begin with; by default the file name without its suffix.
+    tangent : bool
+        Whether to write the derivative of a step, too.
+
+    Returns
+    -------
+    Path
+        The path of the header.
+
+    Raises
+    ------
+    TypeError
+        The run cannot be exported: it has functions of the user, matrices, an implicit scheme, compensated sums, noise,
+        a group element, or several systems. The message names what cannot be exported.
+    ValueError, OutputError
+        The name is not an identifier of C, or the path cannot be written.
+
+    Notes
+    -----
+    With the name ``top``, n coordinates, and m inputs (without inputs there is no argument ``u``)::
+
+        void top_step(double x[n], const double u[m], double h);
+        void top_run(double x[n], const double u[m], double h, unsigned long steps);
+        void top_step_with_tangents(double x[n], double v[], unsigned long vectors, const double u[m], double h);
+
+    ``top_run`` has the bits of a run with this number of steps, ``top_step`` those of a run of one step. The last flow
+    of a step of a splitting is joined with the first flow of the next one, so that one long run and several short ones
+    differ by round-off.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import coadjoint as co
+    >>> top = co.prepare(co.systems.heavy_top(), co.Splitting(order=4), step=0.05)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     text = co.export_c(top, f"{folder}/top.h").read_text()
+    >>> "static inline void top_step(double *x, double h)" in text
+    True
+    """
+    target = read_path(path, "path")
+    text = c_header(prepared, target.stem if name is None else name, read_bool(tangent, "tangent"))
+    write_header(text, target)
+    return target
+
+
+class Exported(NamedTuple):
+    """The statements of a step of the length h, of all steps of a run, and of the derivative of a step.
+
+    `lines` define what they call. A run is `resumable` if it has functions for the first step and all others.
+    """
+
+    lines: list[str]
+    step: list[str]
+    steps: list[str]
+    change: list[str]
+    widest: int = 0
+    resumable: bool = False
+
+
+def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
+    """Return the text of the header of `export_c`.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body = co.prepare(co.systems.rigid_body((1, 2, 3)), co.Splitting(), step=0.1)
+    >>> "void body_run(double *x, double h, unsigned long steps)" in c_header(body, "body")
+    True
+    """
+    if type(name) is not str or not IDENTIFIER.fullmatch(name) or name.lower() == "coadjoint":
+        raise ValueError(
+            f"the functions cannot begin with {short(name)}; give a name of at most 41 letters, digits and underscores "
+            "that begins with a letter, other than coadjoint"
+        )
+    loop, numbers = _loop_of(prepared)
+    inputs = Inputs(", const double *u", ", u") if prepared.inputs is not None else Inputs()
+    exported = _exported(prepared, loop, numbers, inputs, tangent, bool(forces_of(prepared.system)))
+    lines = exported.lines
+    lines += function("step", f"double *x{inputs.declared}, double h", exported.step)
+    lines += function("run", f"double *x{inputs.declared}, double h, unsigned long steps", exported.steps)
+    if tangent:
+        arguments = f"double *x, {VECTORS}{inputs.declared}, double h"
+        lines += function("step_with_tangents", arguments, exported.change)
+    body = "\n".join(lines)
+    n = prepared.system.dim
+    kind = "uint16_t" if max(n, _largest(body)) < 2**16 else "uint32_t"
+    called = runtime(body)
+    defined = [f"#define COADJOINT_SIZE {n}", f"#define COADJOINT_STEP {prepared.step!r}"]
+    if "COADJOINT_WIDEST" in called:
+        defined.append(f"#define COADJOINT_WIDEST {exported.widest}")
+    defined += [f"typedef {kind} coadjoint_index;"] if "coadjoint_index" in body else []
+    code = "\n".join([includes(defined), called, body, END])
+    code = code.replace("coadjoint_", f"{name}_").replace("COADJOINT_", f"{name.upper()}_")
+    return _comment(prepared, name, tangent, exported.resumable) + "\n".join(map(wrapped, code.split("\n")))
+
+
+END = """
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT DEFAULT
+#elif defined(__GNUC__)
+#pragma GCC pop_options
+#endif
+#endif
+"""
+
+
+def _largest(body: str) -> int:
+    """Return the largest whole number that a table may contain."""
+    return max(map(int, re.findall(r"(?<![\w.])\d+(?![\w.])", body)), default=0)
+
+
+class _Numbers:
+    """The numbers of tables: written out, or the inputs that each call sets."""
+
+    def __init__(self, entries: dict[tuple[int, str, int], int]) -> None:
+        self._entries = entries
+
+    def of(self, table: Any, field: str, values: Any) -> list[Value]:
+        """Return the numbers of a field of a table."""
+        found: list[Value] = values.tolist()
+        for (owner, name, position), index in self._entries.items():
+            if owner == id(table) and name == field:
+                found[position] = f"u[{index}]"
+        return found
+
+    def of_terms(self, table: Any, prefix: str, terms: Terms) -> Any:
+        """Return the function of numbers of terms, for `c_terms`."""
+        known = {
+            field: self.of(table, prefix + field, getattr(terms, field))
+            for field in ("offset", "weight", "coefficient")
+        }
+        return lambda field, position: known[field][position]
+
+    def check_constant(self, table: Any, fields: Sequence[str], why: str) -> None:
+        """Raise TypeError if numbers that are not in `fields` of a table are inputs."""
+        for owner, name, _ in self._entries:
+            if owner == id(table) and name not in fields:
+                raise TypeError(f"{why} has inputs in {name}, which cannot be exported; prepare it without inputs")
+
+
+def _loop_of(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
+    """Return the loop of a run of step 1, whose flows have the lengths of the coefficients, and its numbers."""
+    if not isinstance(prepared, PreparedRun):
+        raise TypeError(f"{short(prepared)} is no prepared run; give that of `prepare`")
+    system, scheme = prepared.system, prepared.scheme
+    if is_batch(system):
+        raise TypeError("a batch has several systems, and one is exported; prepare the system of a member")
+    if unforced_matrix_system(system) is not None:
+        raise TypeError(f"{system.name} has matrices as states, which are multiplied by BLAS; it cannot be exported")
+    if prepared.representation is not None:
+        raise TypeError(
+            "the run has an attitude, a group element, which cannot be exported; prepare it without, or take "
+            "co.systems.body, whose state contains the attitude"
+        )
+    if unforced(system).algebra is None:
+        raise TypeError(f"{system.name} has a structure matrix that is a function, which cannot be exported")
+    if prepared.inputs is None:
+        return loops_of_system(system, scheme, 1.0, None).compiled[0], _Numbers({})
+    loops = InputLoops(prepared.inputs, scheme, 1.0, None)
+    return loops.base.compiled[0], _Numbers(_entries(prepared, loops.tables))
+
+
+def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, str, int], int]:
+    assert prepared.inputs is not None
+    place = {index: position for position, index in enumerate(prepared.inputs.changing.tolist())}
+    found = {}
+    for table, field, (positions, sources, factor) in tables.multiples():
+        assert factor is None or np.all(factor == 1.0)  # coefficients of linear terms, and torques
+        for position, source in zip(positions.tolist(), sources.tolist(), strict=True):
+            found[id(table), field, position] = place[source]
+    if tables.has_sums:
+        raise TypeError(
+            f"inputs of {prepared.system.name} enter completed squares of several coordinates, which cannot be "
+            "exported; prepare it without inputs"
+        )
+    return found
+
+
+def _exported(
+    prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool, forced: bool
+) -> Exported:
+    exporters: dict[Any, Callable[..., Exported]] = {FlowTables: _splitting, RungeKuttaTables: _stages}
+    export = exporters.get(type(loop.tables))
+    if export is not None:
+        return export(prepared, loop.tables, numbers, inputs, tangent)
+    if forced:
+        return _forced(prepared, loop, numbers, inputs, tangent)
+    raise TypeError(
+        f"{prepared.method} is neither a splitting nor an explicit Runge-Kutta method, so it cannot be exported"
+    )
+
+
+def _check_terms(prepared: PreparedRun, terms: Terms) -> None:
+    if (terms.kind == FUNCTION).any():
+        raise TypeError(
+            f"the energy of {prepared.system.name} has a function, which cannot be exported; only polynomials can"
+        )
+    size = len(terms.weight) + len(terms.coefficient)
+    if size > MOST_NUMBERS:
+        raise TypeError(f"the energy of {prepared.system.name} has {size} numbers; at most {MOST_NUMBERS} are exported")
+
+
+def _splitting(prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
+    terms = tables.terms
+    _check_terms(prepared, terms)
+    if tables.compensated:
+        raise TypeError(f"{prepared.method} has compensated sums, which cannot be exported; give compensated=False")
+    numbers.check_constant(tables, [f"terms.{field}" for field in FIELDS], str(prepared.method))
+    parts = PartsInC(tables, numbers.of_terms(tables, "terms.", terms), inputs)
+    begin, first, every, end = (int(row) for row in tables.section)
+    lines = parts.functions(tangent)
+    state, x = f"double *x{inputs.declared}, double h", f"x{inputs.passed}, h"
+    lines += function("first", state, parts.rows(begin, first))
+    lines += function("next", state, parts.rows(first, every))
+    lines += function("finish", state, parts.rows(every, end))
+    finish = f"coadjoint_finish({x});"
+    steps = [
+        "if (steps == 0) return;",
+        f"coadjoint_first({x});",
+        f"while (--steps > 0) coadjoint_next({x});",
+        finish,
+    ]
+    change = [*parts.rows(begin, first, tangent=True), *parts.rows(every, end, tangent=True)] if tangent else []
+    return Exported(lines, [f"coadjoint_first({x});", finish], steps, change, parts.widest, True)
+
+
+def _stages(
+    prepared: PreparedRun, tables: RungeKuttaTables, numbers: _Numbers, inputs: Inputs, tangent: bool
+) -> Exported:
+    solver = {value: key for key, value in codes("Solver").items()}[tables.solver]
+    if solver not in ("EXPLICIT", "ITERATED"):
+        raise TypeError(
+            f"{prepared.method} solves equations in each step, so it cannot be exported; take a splitting or "
+            "ExplicitRungeKutta"
+        )
+    terms = tables.field.terms
+    _check_terms(prepared, terms)
+    numbers.check_constant(tables, [f"field.terms.{field}" for field in FIELDS], str(prepared.method))
+    stages = StagesInC(tables, numbers.of_terms(tables, "field.terms.", terms), inputs, solver == "EXPLICIT")
+    n = tables.field.size
+    lines = stages.functions(tangent)
+    error = [f"double error[{n}];", f"for (unsigned long i = 0; i < {n}; ++i) error[i] = 0.0;"]
+    step = stages.substeps()
+    steps = [*error, *block("for (; steps > 0; --steps)", step)]
+    change = [*error, *stages.substeps(tangent=True)] if tangent else []
+    return Exported(lines, [*error, *step], steps, change)
+
+
+def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
+    """Half flows of the forces, a step of the scheme, and half flows in reversed order."""
+    inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
+    forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]
+    lines, n = inner.lines, prepared.system.dim
+    declared = inputs.declared
+    for k, ((label, _), table) in enumerate(zip(forces_of(prepared.system), forces, strict=True)):
+        flow, change = _flow_of_force(label, table, numbers, n)
+        lines += function(f"force_{k}", f"double *x{declared}, double tau", flow)
+        if tangent:
+            lines += function(f"force_change_{k}", "double *v, double tau", change)
+    x, numbered = f"x{inputs.passed}", range(len(forces))
+    forward = [f"coadjoint_force_{k}({x}, 0.5 * h);" for k in numbered]
+    lines += function("inner_step", f"double *x{declared}, double h", inner.step)
+    step = [*forward, f"coadjoint_inner_step({x}, h);", *forward[::-1]]
+    steps = [f"for (; steps > 0; --steps) coadjoint_step({x}, h);"]
+    changed: list[str] = []
+    if tangent:
+        lines += function("inner_change", f"double *x, {VECTORS}{declared}, double h", inner.change)
+        each = "for (unsigned long vector = 0; vector < vectors; ++vector)"
+        moved = [f"coadjoint_force_change_{k}(v + vector * {n}, 0.5 * h);" for k in numbered]
+        half = [[*block(each, [moved[k]]), forward[k]] for k in numbered]
+        middle = f"coadjoint_inner_change(x, v, vectors{inputs.passed}, h);"
+        changed = [*(line for one in half for line in one), middle, *(line for one in half[::-1] for line in one)]
+    return Exported(lines, step, steps, changed, inner.widest)
+
+
+def _flow_of_force(label: str, table: ForceTable, numbers: _Numbers, n: int) -> tuple[list[str], list[str]]:
+    """Return the statements of the flow of a force, and those of its derivative."""
+    kinds, shapes = codes("ForceKind"), codes("Shape")
+    aim = numbers.of(table, "aim", table.aim)
+    if table.kind == kinds["CONSTANT"]:
+        numbers.check_constant(table, ("aim",), label)
+        return repeated("x[{i}] = coadjoint_fma(tau, {b}, x[{i}]);", {"i": range(n), "b": aim[:n]}), []
+    if table.kind != kinds["DAMPING"]:
+        raise TypeError(f"the flow of {label} is not exact, or it is a function; it cannot be exported")
+    if table.shape == shapes["FULL"]:
+        raise TypeError(f"the rate of {label} is a matrix, which cannot be exported; give a number for each coordinate")
+    rates = table.rate.tolist() * (n if table.shape == shapes["MULTIPLE"] else 1)
+    numbers.check_constant(table, (), label)
+    found = {"i": range(n), "r": rates[:n], "b": aim[:n]}
+    flow = repeated("coadjoint_damp(x, {i}, {r}, {b}, tau);", found)
+    change = repeated("coadjoint_damp(v, {i}, {r}, 0.0, tau);", {"i": range(n), "r": rates[:n]})
+    return flow, change
+
+
+def _comment(prepared: PreparedRun, name: str, tangent: bool, resumable: bool) -> str:
+    """Return the license, what is exported, and how it is called."""
+    license_text = FREE_BODY.read_text(encoding="utf-8").partition("\n")[2].partition("\nConventions.")[0]
+    u = "" if prepared.inputs is None else f", const double u[{len(prepared.inputs.changing)}]"
+    n, upper = prepared.system.dim, name.upper()
+    functions = [
+        (f"step(double x[{n}]{u}, double h)", "one step of the length h"),
+        (f"run(double x[{n}]{u}, double h, unsigned long steps)", "several steps"),
+    ]
+    if resumable:
+        functions += [
+            (f"first(double x[{n}]{u}, double h)", "the first step of a run"),
+            (f"next(double x[{n}]{u}, double h)", "every other step"),
+            (f"finish(double x[{n}]{u}, double h)", "completes a copy of the state between two steps"),
+        ]
+    if tangent:
+        moved = f"also moves {n} numbers each by its derivative"
+        functions.append((f"step_with_tangents(double x[{n}], double v[], unsigned long vectors{u}, double h)", moved))
+    what = _safe(f"{prepared.system.name} by {prepared.method}")
+    lines = [fill(f"/* {name}: steps of {what}, written by coadjoint.", WIDTH, break_on_hyphens=False), ""]
+    lines += [license_text.strip(), ""]
+    lines += [f"    void {name}_{function};\n        {meaning}" for function, meaning in functions]
+    conditions = f"The prepared step is {upper}_STEP, and a state has {upper}_SIZE numbers. "
+    if prepared.inputs is not None:
+        order, position = [], 0
+        for key, indices in prepared.inputs.indices.items():
+            order.append(f"{key} from u[{position}] on")
+            position += indices.size
+        conditions += f"The inputs are {', '.join(order)}. "
+    lines += ["", fill(conditions + CONDITIONS.format(upper=upper), WIDTH, break_on_hyphens=False)]
+    return "\n".join(lines) + "\n"
+
+
+CONDITIONS = """C99 or C++11, compiled by GCC or Clang at any level, has the bits of the library. Numbers must be \
+rounded to nearest; -ffast-math is refused; do not give -ffp-contract=fast to Clang, and give other compilers an \
+option that does not fuse products. {upper}_FMA may name a function of three numbers, a b + c rounded once; if it is \
+not defined, it is an instruction of the processor, or else computed by integers. Names that are not in this list are \
+internal. */"""
+
+
+def _safe(text: str) -> str:
+    line = in_one_line(text, 200).encode("ascii", "replace").decode()
+    return line.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").replace("\\", "/")
