@@ -6,48 +6,57 @@
 
 namespace coadjoint {
 
-// out[a] += cotangents . D_a x for all angles of a part, for vectors side by side.
-template <class V>
-NOINLINE void angle_cotangents(const Action& action, uint32_t part, bool apart, const V* x, const V* cotangents,
-                               int64_t rows, V* out) {
+// Call `visit(a, i, component)` for each component i that D_a changes, of all angles a of a part: component(at) is that of
+// D_a x for the x with the components at(0), at(1), ...
+template <class Visit>
+INLINE void each_generator(const Action& action, uint32_t part, bool apart, const Visit& visit) {
     share_runs(action, part, apart, [&](uint32_t run, uint32_t low, uint32_t high) {
         const int kind = action.kind[run] % RATIONAL;
-        const uint32_t repeat = action.repeat[run];
+        const uint32_t repeat = action.repeat[run], angle = action.angle[run];
         const uint32_t* index = action.indices + action.position[run] + (kind == SCALE ? 1 : 2) * uint64_t(repeat) * low;
         const double* constants = action.constants + action.constant[run];
-        V* total = out + action.angle[run] + low;
         if (kind == CUBIC || kind == SERIES) {
             const BlockRows block(action, run);
             const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
             for (uint32_t k = 0; k < block.width; ++k)
-                for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
-                    const V value(values[entry]);
-                    const int64_t i = block.coordinates[k] * rows, j = block.coordinates[block.columns[entry]] * rows;
-                    for (int64_t row = 0; row < rows; ++row)
-                        *total = fma(value * x[j + row], cotangents[i + row], *total);
-                }
+                visit(angle, block.coordinates[k], [&](const auto& at) {
+                    typedef std::decay_t<decltype(at(0u))> V;
+                    V total(0.0);
+                    for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
+                        total = fma(V(values[entry]), at(block.coordinates[block.columns[entry]]), total);
+                    return total;
+                });
             return;
         }
-        for (uint32_t q = low; q < high; ++q, ++total)
+        for (uint32_t q = low; q < high; ++q)
             for (uint32_t b = 0; b < repeat; ++b, index += kind == SCALE ? 1 : 2) {
-                const int64_t i = index[0] * rows, j = kind == SCALE ? i : index[1] * rows;
-                const V first(constants[kind == SHEAR ? q * repeat + b : kind == PLANE ? 4 * q : q]);
-                for (int64_t row = 0; row < rows; ++row) {
-                    const V a = x[i + row], c = x[j + row], u = cotangents[i + row], w = cotangents[j + row];
-                    if (kind == SCALE) {
-                        *total = fma(first * a, u, *total);
-                    } else if (kind == ROTATE) {
-                        *total = fma(first, fma(a, w, -(c * u)), *total);
-                    } else if (kind == SHEAR) {
-                        *total = fma(first * c, u, *total);
-                    } else {
-                        const double* plane = constants + 4 * q;
-                        const V mean(plane[0]), half(plane[1]), upper(plane[2]), lower(plane[3]);
-                        *total = fma(fma(mean + half, a, upper * c), u, *total);
-                        *total = fma(fma(lower, a, (mean - half) * c), w, *total);
-                    }
+                const uint32_t i = index[0], j = kind == SCALE ? i : index[1];
+                const double *plane = constants + 4 * q, by = constants[kind == SHEAR ? q * repeat + b : q];
+                if (kind == ROTATE) {
+                    visit(angle + q, i, [&](const auto& at) { return -(by * at(j)); });
+                    visit(angle + q, j, [&](const auto& at) { return by * at(i); });
+                } else if (kind == PLANE) {
+                    const auto sum = [](double first, const auto& x, double second, const auto& y) {
+                        return fma(std::decay_t<decltype(x)>(first), x, second * y);
+                    };
+                    visit(angle + q, i, [&](const auto& at) { return sum(plane[0] + plane[1], at(i), plane[2], at(j)); });
+                    visit(angle + q, j, [&](const auto& at) { return sum(plane[3], at(i), plane[0] - plane[1], at(j)); });
+                } else {
+                    visit(angle + q, i, [&](const auto& at) { return by * at(j); });
                 }
             }
+    });
+}
+
+// out[a] += cotangents . D_a x for all angles of a part, for vectors side by side.
+template <class V>
+NOINLINE void angle_cotangents(const Action& action, uint32_t part, bool apart, const V* x, const V* cotangents,
+                               int64_t rows, V* out) {
+    each_generator(action, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
+        V total = out[a];
+        for (int64_t row = 0; row < rows; ++row)
+            total = fma(component([&](uint32_t j) { return x[j * rows + row]; }), cotangents[i * rows + row], total);
+        out[a] = total;
     });
 }
 

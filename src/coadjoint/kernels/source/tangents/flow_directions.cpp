@@ -1,6 +1,5 @@
 // The loop over the steps of programs with tangent vectors that are saved, for Python.
 #include "flows/compiled_rows.hpp"
-#include "tangents/bundle.hpp"
 #include "tangents/flow_tangents.hpp"
 
 namespace coadjoint {

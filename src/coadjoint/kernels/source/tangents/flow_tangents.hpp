@@ -2,8 +2,7 @@
 // dtheta.
 #pragma once
 
-#include "flows/flow_alone.hpp"
-#include "tangents/second_derivatives.hpp"
+#include "tangents/angle_cotangents.hpp"
 #include "tangents/bundle.hpp"
 
 namespace coadjoint {
@@ -13,49 +12,13 @@ namespace coadjoint {
 template <class A, class V>
 NOINLINE void add_angle_changes(const Action& action, uint32_t part, bool apart, const A* x, int64_t states,
                                 const V* changes, V* vectors, int64_t rows) {
-    share_runs(action, part, apart, [&](uint32_t run, uint32_t low, uint32_t high) {
-        const int kind = action.kind[run] % RATIONAL;
-        const uint32_t repeat = action.repeat[run];
-        const uint32_t* index = action.indices + action.position[run] + (kind == SCALE ? 1 : 2) * uint64_t(repeat) * low;
-        const double* constants = action.constants + action.constant[run];
-        const V* change = changes + (int64_t(action.angle[run]) + low) * rows;
-        // Add to component i, in which D_a takes state r to moved(r).
-        const auto gain = [&](uint32_t i, auto&& moved) {
-            for (int64_t r = 0; r < states; ++r) {
-                const V by(moved(r));
-                V* vector = vectors + (i * states + r) * rows;
-                for (int64_t b = 0; b < rows; ++b) vector[b] = fma(by, change[b], vector[b]);
-            }
-        };
-        if (kind == CUBIC || kind == SERIES) {
-            const BlockRows block(action, run);
-            const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
-            for (uint32_t k = 0; k < block.width; ++k)
-                gain(block.coordinates[k], [&](int64_t r) {
-                    A moved(0.0);
-                    for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
-                        moved = fma(A(values[entry]), x[block.coordinates[block.columns[entry]] * states + r], moved);
-                    return moved;
-                });
-            return;
+    each_generator(action, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
+        const V* change = changes + int64_t(a) * rows;
+        for (int64_t r = 0; r < states; ++r) {
+            const V by(component([&](uint32_t j) { return x[j * states + r]; }));
+            V* vector = vectors + (i * states + r) * rows;
+            for (int64_t b = 0; b < rows; ++b) vector[b] = fma(by, change[b], vector[b]);
         }
-        for (uint32_t q = low; q < high; ++q, change += rows)
-            for (uint32_t b = 0; b < repeat; ++b) {
-                const A *one = x + index[0] * states, *other = kind == SCALE ? one : x + index[1] * states;
-                if (kind == SCALE) {
-                    gain(index[0], [&](int64_t r) { return constants[q] * one[r]; });
-                } else if (kind == ROTATE) {
-                    gain(index[0], [&](int64_t r) { return -(constants[q] * other[r]); });
-                    gain(index[1], [&](int64_t r) { return constants[q] * one[r]; });
-                } else if (kind == SHEAR) {
-                    gain(index[0], [&](int64_t r) { return constants[q * repeat + b] * other[r]; });
-                } else {
-                    const double* plane = constants + 4 * q;
-                    gain(index[0], [&](int64_t r) { return fma(A(plane[0] + plane[1]), one[r], plane[2] * other[r]); });
-                    gain(index[1], [&](int64_t r) { return fma(A(plane[3]), one[r], (plane[0] - plane[1]) * other[r]); });
-                }
-                index += kind == SCALE ? 1 : 2;
-            }
     });
 }
 
@@ -137,14 +100,17 @@ struct FlowTangentState {
         if (flows.empty()) return sweep(first, last, x, dx, vectors, t, h, further);
         for (const ElementaryFlow& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
-                follow(flow, x, dx, vectors, further);
+                rows == 1 ? follow(std::integral_constant<int64_t, 1>(), flow, x, dx, vectors, further)
+                          : follow(rows, flow, x, dx, vectors, further);
             else
                 row(flow.row, x, dx, vectors, t, h, further);
     }
 
   private:
-    // Move states (at i * states + r) and their vectors by the blocks of an angle theta, whose changes are `of_angle`.
-    INLINE void follow_blocks(bool corrected, const AngleBlocks& blocks, const A& theta, const V* of_angle,
+    // Move states (at i * states + r) and their vectors by the blocks of an angle theta, whose changes are `of_angle`. A
+    // single row is known to the compiler, which then keeps it in registers.
+    template <class Rows>
+    INLINE void follow_blocks(Rows rows, bool corrected, const AngleBlocks& blocks, const A& theta, const V* of_angle,
                               const Vectors<A>& x, V* vectors) {
         const int64_t states = x.rows;
         const bool turns = blocks.kind == ROTATE;
@@ -208,7 +174,8 @@ struct FlowTangentState {
             }
     }
 
-    INLINE void follow(const ElementaryFlow& flow, A* x, A* dx, V* vectors, const FurtherTangents<A, V>& further) {
+    template <class Rows>
+    INLINE void follow(Rows rows, const ElementaryFlow& flow, A* x, A* dx, V* vectors, const FurtherTangents<A, V>& further) {
         A theta(flow.offset);
         V* change = changes.at;
         std::fill_n(change, rows, V(0.0));
@@ -236,8 +203,8 @@ struct FlowTangentState {
                 follow_cubic(false, tables.group, flow.group, theta, change, group, further.vectors, wide_group.at);
             return;
         }
-        follow_blocks(compensated, flow.momentum, theta, change, momentum, vectors);
-        if (further.group) follow_blocks(false, flow.group, theta, change, group, further.vectors);
+        follow_blocks(rows, compensated, flow.momentum, theta, change, momentum, vectors);
+        if (further.group) follow_blocks(rows, false, flow.group, theta, change, group, further.vectors);
     }
 
     // Move what follows the momentum by the angles of a row.
