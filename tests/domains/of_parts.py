@@ -223,10 +223,68 @@ OF_FORCES = {
     },
     "Viscosity": {"nu": not_negative(), "power": whole(1, 32), "rotation": flag()},
 }
+PLATES = {
+    "areas": structured(((0.5,), [0]), ((), (-0.5,), (1.0, 2.0), 0.5, (math.inf,), ("1",), (1j,))),
+    "normals": structured(
+        (((0, 0.6, 0.8),), np.eye(3)[:1]), (((0, 0, 2),), (0, 0, 1), ((0, 0, math.nan),), (("1", 0, 0),))
+    ),
+    "centres": structured((((0, 0.5, -0.5),), np.zeros((1, 3))), ((0, 0, 1), ((0, 0, math.inf),), ((1j, 0, 0),))),
+}
+IN_SPACE = vector((0.5, -1.0, 0.25), real(), lambda t: np.array([1.0, 0.0, t])).plus(
+    outside=(of_nothing, flow, np.eye(3), lambda t: t)
+)
+GAINS = vector((0.5, 0.25, 1.0), real(), 0.5, 0, FULL, number=True).plus(
+    outside=(np.eye(2), (1.0, 2.0), np.ones((2, 2, 2)))
+)
+LIMITS = optional(vector((0.5, 0.25, 1.0), positive(), 0.5, number=True)).plus(outside=(np.eye(3), (1.0, 2.0)))
+SHARES = Domain((0.25, 0, 0.5, (0.3,)), (-0.1, 1.1, (0.1, 0.2), math.nan, "1", 1j), "specular|diffuse")
+HOLDING = {
+    "law": instance(co.forces.Pointing(0.5, 1.0), co.forces.Torque((0.0, 0.0, 1.0)))
+    .plus(outside=(co.forces.LinearDamping(0.5), co.forces.Torque((1.0, 2.0))))
+    .but_called("law"),
+    "period": positive(),
+    "first": whole(0, usual=0, tried=0),
+    "max_torque": LIMITS,
+}
+ON_BODIES = {
+    "GravityGradient": {
+        "mu": real(),
+        "position": IN_SPACE.plus(outside=((0, 0, 0),)),
+        "quadrupole": GAINS,
+    },
+    "MagneticDipole": {
+        "moment": vector((0.5, -1.0, 0.25), real()),
+        "B": IN_SPACE,
+        "position": Domain((None,), ((1.0, 2.0), math.nan, "1", flow)),
+    },
+    "SolarPressure": {"pressure": real(), "sun": IN_SPACE, **PLATES, "specular": SHARES, "diffuse": SHARES},
+    "Drag": {"density": real(), "velocity": IN_SPACE, **PLATES, "coefficient": real()},
+    "Pointing": {
+        "stiffness": GAINS,
+        "damping": GAINS,
+        "attitude": Domain(
+            (None, (0, 0, 0, 1), np.eye(3)), (np.ones((3, 3)), (0, 0, 0, 2), 1.0, "1", of_nothing, flow)
+        ),
+        "rate": IN_SPACE,
+        "error": choice("sine", "quaternion"),
+        "max_torque": LIMITS,
+    },
+    "Sampled": HOLDING,
+    "ReactionWheels": HOLDING | {"max_momentum": LIMITS},
+    "ControlMomentGyros": HOLDING | {"max_rate": optional(positive()), "regularization": positive()},
+    "Thrusters": HOLDING
+    | {
+        "max_torque": vector((0.5, 0.25, 1.0), positive(), 0.5, number=True).plus(outside=(np.eye(3), (1.0, 2.0))),
+        "min_impulse": vector((0.5, 0.25, 1.0), not_negative(), 0.5, number=True).plus(outside=(np.eye(3), (1.0, 2.0))),
+    },
+}
+OF_FORCES |= ON_BODIES
+SATELLITE = co.systems.body((1.0, 2.0, 2.5), wheels=0.01 * np.eye(3), gyros=[[(1, 0, 0), (0, 1, 0)]])
 ON_FLUIDS = {"BetaPlane", "RandomForcing", "Viscosity"}
+TARGETS = {"Friction": SCALAR} | dict.fromkeys(ON_BODIES, SATELLITE)
 FORCES = {
     name: case_of(getattr(co.forces, name), SHARED, **OF_FORCES.get(name, {}),
-        then=None if name in ON_FLUIDS else SCALAR.with_forces if name == "Friction" else BODY.with_forces)
+        then=None if name in ON_FLUIDS else TARGETS.get(name, BODY).with_forces)
     for name in co.forces.names()
 }  # fmt: skip
 

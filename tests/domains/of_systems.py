@@ -17,6 +17,7 @@ from domains.kinds import (
     one_of,
     positive,
     real,
+    structured,
     vector,
     whole,
     with_entry,
@@ -112,7 +113,21 @@ OWN = {
         "hessian": Domain((None, spring_curvatures), (cosine, spring, 1.0, True, []), "hessian|potential"),
     },
     "gravitating_bodies": {"order": one_of(2, 0, 4)},
-    "body": {"attitude": flag(usual=True), "inertia": INERTIA.plus((2.0, 2.0, 0.0), outside=((0, 0, 0), (0, 0, 1)))},
+    "body": {
+        "attitude": flag(usual=True),
+        "inertia": INERTIA.plus((2.0, 2.0, 0.0), outside=((0, 0, 0), (0, 0, 1))),
+        "wheels": structured(
+            ((), [(0, 0, 0.1)], 0.01 * np.eye(3)),
+            ((0, 0, 0.1), [(0, 0, 0)], [(0, 0, 9.0)], [(0, 0, math.nan)], [(0, 0, "1")], [(0, 0, 1j)], 1.0),
+            keep=((), []),
+        ),
+        "gyros": structured(
+            ((), [[(1, 0, 0), (0, 1, 0)]]),
+            ([(1, 0, 0), (0, 1, 0)], [[(1, 0, 0), (0, 2, 0)]], [[(1, 0, 0), (1, 0, 0)]], [[(0, 0, 0)] * 2], 1.0),
+            keep=((), []),
+        ),
+        "held": whole(0, 4096, usual=0, tried=2),
+    },
     "clebsch_body": {
         "inertia": vector((1.0, 1.0, 1.0), positive(), (3, 3, 3), (0.001,) * 3),
         "inverse_mass": vector((1.0, 1.5, 3.0), real(), (-1, 0, 2)),

@@ -121,7 +121,9 @@ def forces_of(system: Any, options: Options, rng: np.random.Generator) -> list[s
     """Return forces that the system takes; a torque if one is an input."""
     noisy, wanted = options["forces"] == "noise", {"none": 0, "one": 1, "two": 2, "noise": 2}[options["forces"]]
     found = [force_text("Torque", system)] if options["inputs"] == "torque" else []
-    names = [str(name) for name in rng.permutation(co.forces.names())]
+    # Sampled forces make states longer.
+    fitting = [name for name in co.forces.names() if not issubclass(getattr(co.forces, name), co.forces.Sampled)]
+    names = [str(name) for name in rng.permutation(fitting)]
     timed = wanted == 2 or rng.random() < 0.3  # a force of the user depends on time
     for name in sorted(names, key=lambda name: (noisy != is_noise(name), timed and name != "OwnForce")):
         text = force_text(name, system)

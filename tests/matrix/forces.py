@@ -18,6 +18,19 @@ VALUES = {
     "seed": "3",
     "temperature": "0.1",
     "function": "f.damped",
+    "mu": "0.5",
+    "position": "(1.0, -0.5, 0.25)",
+    "moment": "(0.1, 0.2, -0.1)",
+    "B": "(0.3, -0.2, 0.1)",
+    "pressure": "0.05",
+    "sun": "(0.6, 0.0, 0.8)",
+    "density": "0.05",
+    "velocity": "(1.0, 0.5, 0.0)",
+    "areas": "(0.5,)",
+    "normals": "((0.6, 0.8, 0.0),)",
+    "centres": "((0.0, 0.2, 0.3),)",
+    "stiffness": "0.1",
+    "damping": "0.2",
 }
 """A value for each parameter; a force with a new one needs an entry here."""
 OF_MATRICES = "0.1 * system.algebra.projected(np.random.default_rng(5).normal(size={0.shape}) * (0.5 + 0.5j))"

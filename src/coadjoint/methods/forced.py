@@ -15,7 +15,7 @@ from coadjoint.methods.protocol.wrapper import Wrapper, check_base
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
-from coadjoint.systems.protocol import forces_of
+from coadjoint.systems.protocol import forces_of, is_batch
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -40,17 +40,17 @@ def check_supports(system: Any, method: Method) -> None:
     effective_scheme(system, method).properties(system)
 
 
-def check_direction(system: Any, h: float) -> None:
-    """Raise ValueError if time runs backward and a force is not reversible.
+def check_steps(system: Any, t0: float, h: float) -> None:
+    """Raise ValueError if a force cannot act in steps from t0: backward, or if samples are not at starts of steps.
 
     Examples
     --------
     >>> import coadjoint as co
-    >>> check_direction(co.systems.rigid_body(), -0.1)
+    >>> check_steps(co.systems.rigid_body(), 0.0, -0.1)
     """
-    irreversible = [label for label, force in forces_of(system) if not force.reversible]
-    if h < 0.0 and irreversible:
-        raise ValueError(f"{irreversible[0]} does not run backward, and t_span ends before it starts")
+    for one in system.distinct if is_batch(system) else (system,):
+        for _, force in forces_of(one):
+            force.check_steps(t0, h)
 
 
 class FlowOfForce(NamedTuple):
@@ -155,7 +155,7 @@ class Forced(Wrapper):
         """Return a loop with a step of the loop of the base in each step."""
         from coadjoint.kernels.tables.forces import forced_loop
 
-        check_direction(system, h)
+        check_steps(system, 0.0, h)
         return forced_loop(system, self.base.loop(system.system, h, representation), representation)
 
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:

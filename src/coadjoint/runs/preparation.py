@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
-from coadjoint.methods.forced import effective_scheme
+from coadjoint.methods.forced import check_steps, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
@@ -181,6 +181,7 @@ class Preparation:
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
         times = self.cache.times.of(t_span, save_every)
+        check_steps(self.system, times.t0, times.h)
         if t_eval is None:
             return times, None
         moments = output_times_of(t_eval, times, save_every, whole_steps=bool(noises_of(self.system)))

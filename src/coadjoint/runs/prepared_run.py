@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.methods.forced import check_steps
 from coadjoint.runs.crossings.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
@@ -107,6 +108,7 @@ class PreparedRun(Preparation):
             plan, times = cache.plan, cache.times.of(t_span, save_every)
             if plan is not None and plan.is_short and plan.groups == ONE_VECTOR:
                 if plan.times is not times:
+                    check_steps(self.system, times.t0, times.h)
                     plan = cache.plan = plan.at_times(times) or plan
                 solution = solution_of_short_run(plan, x0.copy(), began) if plan.times is times else None
                 if solution is not None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import as_c_double
 from coadjoint.kernels.loop import raise_outcome
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
+from coadjoint.methods.forced import check_steps
 from coadjoint.runs.loops.execution import raise_reason
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.plan import Plan, check_run_memory
@@ -92,6 +93,7 @@ class FinalStateRun:
         """Prepare the call for another span."""
         self._span = self._advance = None
         times = times_between(span_of(t_span), self._prepared.step, ENDS_ONLY)
+        check_steps(self._prepared.system, times.t0, times.h)
         if times.h != self._h:
             self._h, self._whole_run = times.h, self._allocated(times)
         if self._whole_run is not None and times.steps:

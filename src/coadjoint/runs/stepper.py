@@ -12,7 +12,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.forced import check_supports, effective_scheme
+from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
@@ -77,7 +77,9 @@ class Stepper:
         prepared = self._prepared_with(attitude)
         values = prepared.values_of(inputs)
         start = prepared.start(x, initial, values)
-        return prepared.follow(Times(read_number(t, "t"), self.h, 1, 1), start, values=values)
+        times = Times(read_number(t, "t"), self.h, 1, 1)
+        check_steps(self.system, times.t0, times.h)
+        return prepared.follow(times, start, values=values)
 
     def __call__(self, x: Any, t: float = 0.0, **inputs: Any) -> NDArray[np.float64]:
         """Return the state after one step.

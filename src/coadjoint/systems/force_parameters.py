@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass, replace
 from itertools import islice
 from typing import Any, NamedTuple
@@ -44,6 +44,9 @@ class ForceParameter(NamedTuple):
 
 def with_value(force: Any, field: str, value: Floats) -> Force:
     """Return the force with another value of a parameter."""
+    outer, _, inner = field.partition(".")
+    if inner:
+        return replace(force, **{outer: with_value(getattr(force, outer), inner, value)})
     return replace(force, **{field: value if value.ndim else float(value)})
 
 
@@ -67,9 +70,17 @@ def force_numbers(system: ForcedSystem) -> dict[str, ForceParameter]:
     return {
         f"{label}.{field}": ForceParameter(position, field, value)
         for position, (label, force) in enumerate(zip(system.labels, system.forces, strict=True))
-        for field, given in (force.parameters() if is_dataclass(type(force)) else {}).items()
-        if field not in force.selectors and (value := real_numbers(given)) is not None
+        for field, value in _numbers_of(force)
     }
+
+
+def _numbers_of(force: Force) -> Iterator[tuple[str, Floats]]:
+    """Yield the numbers of a force, and those of a law in it, such as ``law.damping``."""
+    for field, given in (force.parameters() if is_dataclass(type(force)) else {}).items():
+        if isinstance(given, Force):
+            yield from ((f"{field}.{inner}", value) for inner, value in _numbers_of(given))
+        elif field not in force.selectors and (value := real_numbers(given)) is not None:
+            yield field, value
 
 
 def with_force_values(system: ForcedSystem, plain: Any, values: Mapping[str, Floats]) -> ForcedSystem:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,17 @@ from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.validation import read_list, read_number, read_numbers, to_array, truncate_title
 
-OF_BODIES = ("state", "attitudes", "positions", "velocities", "angular_velocity", "angular_momentum", "momentum")
+OF_BODIES = (
+    "state",
+    "attitudes",
+    "positions",
+    "velocities",
+    "angular_velocity",
+    "angular_momentum",
+    "momentum",
+    "wheel_speeds",
+    "gimbal_angles",
+)
 """Methods of systems of bodies, which these have with forces as well."""
 MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
 
@@ -234,6 +245,8 @@ class ForcedSystem:
         for force in forces:
             if not isinstance(force, Force):
                 raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
+        system, forces = _with_held_numbers(system, forces)
+        for force in forces:
             force.check(system)
         streams = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
         if len(set(streams)) < len(streams):
@@ -410,6 +423,19 @@ class ForcedSystem:
         from coadjoint.systems.description import system_table
 
         return system_table(self, forces=forces_text(self.forces))
+
+
+def _with_held_numbers(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
+    """Return a system with room in its state for the numbers that forces hold, and the forces with their places."""
+    counts = [force.held_numbers(system) for force in forces]
+    if not any(counts):
+        return system, tuple(forces)
+    starts = [0, *accumulate(counts)]
+    placed = [
+        replace(force, first=first) if count else force
+        for force, count, first in zip(forces, counts, starts, strict=False)
+    ]
+    return system.with_held(starts[-1]), tuple(placed)
 
 
 def forces_text(forces: Sequence[Force]) -> str:

@@ -22,7 +22,7 @@ from coadjoint.files.configuration.initial_states import check_named, initial_st
 from coadjoint.files.configuration.parsing import ValidTables, parse_toml, read_utf8, valid_tables
 from coadjoint.files.configuration.sweeps import Sweep, read_sweep, swept_states, swept_system
 from coadjoint.files.records.stored_events import event_of_file
-from coadjoint.methods.forced import check_direction, check_supports, effective_scheme
+from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.integrate import chosen_for
@@ -143,7 +143,7 @@ def _check_times(name: str, file: File, system: Any, step: float) -> None:
         times = times_of(file.run.t_span, step, file.run.save_every)
         if file.run.t_eval is not None:
             output_times_of(file.run.t_eval, times, file.run.save_every)
-        check_direction(system, times.h)
+        check_steps(system, times.t0, times.h)
 
 
 def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:

@@ -19,6 +19,7 @@ from coadjoint.files.records.stored_axes import axes_record
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, formula_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
@@ -148,15 +149,27 @@ def _forced_record(system: ForcedSystem) -> dict[str, Any]:
     """Return the Hamiltonian part, and the forces by name and parameters."""
     inner, forces, missing = record_of(system.system), [], []
     for label, force in forces_of(system):
-        parameters = force.parameters()
-        known = described.KINDS.get(type(force).__name__) is type(force)
-        if not known or any(callable(value) for value in parameters.values()):
+        described_force = _force_record(force)
+        if described_force is None:
             missing.append(f"force: {label}")
-            continue
-        forces.append({"name": type(force).__name__, **{key: _plain(value) for key, value in parameters.items()}})
+        else:
+            forces.append(described_force)
     missing = [*inner.get("not_stored", ()), *missing]
     record: dict[str, Any] = {"name": system.name, "forces": forces, "system": inner}
     return {**record, "not_stored": missing} if missing else record
+
+
+def _force_record(force: Force) -> dict[str, Any] | None:
+    """Return the name and the parameters of a force, and of a law in it; None if there is a function in it."""
+    record: dict[str, Any] = {"name": type(force).__name__}
+    if described.KINDS.get(record["name"]) is not type(force):
+        return None
+    for key, value in force.parameters().items():
+        entry = _force_record(value) if isinstance(value, Force) else None if callable(value) else _plain(value)
+        if entry is None and value is not None:
+            return None
+        record[key] = entry
+    return record
 
 
 def _plain(value: Any) -> Any:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text
+from coadjoint.systems.forces.body_torque import CLASSICAL_BODIES
 from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 if TYPE_CHECKING:
@@ -16,21 +17,6 @@ if TYPE_CHECKING:
 
 ORTHOGONALITY = 1e-6
 """Largest deviation from orthogonality of attitudes that are taken for rotations."""
-
-CLASSICAL_BODIES = frozenset(
-    (
-        "clebsch_body",
-        "goryachev_chaplygin_top",
-        "gyrostat",
-        "heavy_top",
-        "kirchhoff_body",
-        "kovalevskaya_top",
-        "lagrange_top",
-        "rigid_body",
-        "satellite",
-    )
-)
-"""Systems whose first three coordinates are an angular momentum in the frame of the body, with sign -1."""
 
 
 class BodyMotion(SolutionAttributes):

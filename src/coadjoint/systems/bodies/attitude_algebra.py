@@ -47,6 +47,24 @@ def attitude_algebra() -> LieAlgebra:
 
 
 @lru_cache(maxsize=16)
+def with_carried(g: LieAlgebra, names: tuple[str, ...]) -> LieAlgebra:
+    """Return an algebra of body with further coordinates that commute with all: motion carries them unchanged.
+
+    Examples
+    --------
+    >>> with_carried(so(3), ("k1",)).basis
+    ('e1', 'e2', 'e3', 'k1')
+    """
+    if not names:
+        return g
+    assert g.representation is not None
+    matrices = np.zeros((g.dim + len(names), *g.representation.shape[1:]))
+    matrices[: g.dim] = g.representation
+    label = f"{g.name} + R^{len(names)}"
+    return LieAlgebra._from_valid(g.triples, len(matrices), (*g.basis, *names), label, matrices, {})
+
+
+@lru_cache(maxsize=16)
 def bodies_algebra(count: int) -> LieAlgebra:
     """Return the algebra of (L, X, Y, Z) of each body, the momenta p and positions r of all centres, and z.
 
@@ -68,32 +86,36 @@ def bodies_algebra(count: int) -> LieAlgebra:
     return LieAlgebra._from_valid(g.triples, g.dim, basis, name, None, {})
 
 
-def axis_products(count: int, dim: int) -> dict[str, Quadratic]:
-    """Return the products of the space axes of each body, which are Casimirs; none of more than 64 bodies."""
+def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadratic]:
+    """Return the products of the space axes of each body, which are Casimirs; none of more than 64 bodies.
+
+    A body that is `alone` has no positions, but may carry rotors.
+    """
     found = {}
     for body in range(count if count <= MAX_RECORDED_BODIES else 0):
         for a in range(3):
             for b in range(a, 3):
                 pairs = [(_axis(body, a, i), _axis(body, b, i), 1.0 + (a == b)) for i in range(3)]
                 label = f"{AXES[a]}.{AXES[b]}"
-                found[label if dim == PER_BODY else f"{label} [{body + 1}]"] = _form(dim, pairs)
+                found[label if alone or dim == PER_BODY else f"{label} [{body + 1}]"] = _form(dim, pairs)
     return found
 
 
-def momentum_in_space(count: int, dim: int) -> KnownInvariants:
+def momentum_in_space(count: int, dim: int, alone: bool = False) -> KnownInvariants:
     """Return the components in space of the total momentum, and of the total angular momentum, the sum of A L + r x p.
 
     They are integrals at the states of bodies, where z = 1 and the axes are orthonormal, and not at others.
     """
     found: dict[str, Callable[[], Quadratic]] = {}
-    for axis in range(3) if dim > PER_BODY else ():
+    positions = dim > PER_BODY and not alone
+    for axis in range(3) if positions else ():
         linear = np.zeros(dim)
         linear[PER_BODY * count + axis : (PER_BODY + 3) * count : 3] = 1.0
         found[f"total p{axis + 1}"] = partial(_quadratic, dim, [], linear)
     for axis in range(3):
         pairs = [(PER_BODY * body + i, _axis(body, axis, i), 1.0) for body in range(count) for i in range(3)]
         second, third = (axis + 1) % 3, (axis + 2) % 3
-        for body in range(count) if dim > PER_BODY else ():
+        for body in range(count) if positions else ():
             p, r = PER_BODY * count + 3 * body, (PER_BODY + 3) * count + 3 * body
             pairs += [(p + third, r + second, 1.0), (p + second, r + third, -1.0)]
         found[f"total L{axis + 1}"] = partial(_form, dim, pairs)

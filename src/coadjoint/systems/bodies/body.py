@@ -8,29 +8,45 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.bodies.attitude_algebra import PER_BODY, attitude_algebra, axis_products, momentum_in_space
+from coadjoint.systems.bodies.attitude_algebra import (
+    PER_BODY,
+    attitude_algebra,
+    axis_products,
+    momentum_in_space,
+    with_carried,
+)
 from coadjoint.systems.bodies.body_inertia import inverse_of_moving, read_body_inertia
 from coadjoint.systems.bodies.body_systems import BodySystem
 from coadjoint.systems.bodies.rigid_body import rotations
+from coadjoint.systems.bodies.rotors import energy_with_rotors, read_rotors
 from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_bool
+from coadjoint.validation import read_bool, read_integer
 
 Floats = npt.NDArray[np.float64]
 
+MAX_HELD = 4096
+"""Largest count of numbers that forces hold: far above that of any spacecraft, and small in memory."""
 
-def _energy(inertia: npt.NDArray[Any], *, attitude: bool) -> tuple[npt.NDArray[Any]]:
-    return (_in_state(inverse_of_moving(inertia), attitude),)
+
+def _energy(
+    inertia: npt.NDArray[Any], wheels: npt.NDArray[Any], *, gyros: npt.ArrayLike, attitude: bool, held: int
+) -> tuple[npt.NDArray[Any]]:
+    """Return the matrix of the energy; its first three coordinates are the momentum."""
+    first, momenta = PER_BODY if attitude else 3, np.asarray(gyros, dtype=np.float64).reshape(-1, 2, 3)
+    if len(wheels) + len(momenta) == 0:
+        return (_in_state(inverse_of_moving(inertia), first + held),)
+    tensor = inertia if inertia.ndim == 2 else np.diag(inertia)
+    dim = first + len(wheels) + 2 * len(momenta) + held
+    return (energy_with_rotors(tensor, wheels.reshape(-1, 3), momenta, first, dim),)
 
 
-def _in_state(M: npt.NDArray[Any], attitude: bool) -> npt.NDArray[Any]:
-    """Return the matrix of the energy from the inverse inertia, (3,) or (3, 3)."""
-    if not attitude:
-        return M
-    matrix = np.zeros((PER_BODY,) * M.ndim, dtype=M.dtype)
+def _in_state(M: npt.NDArray[Any], dim: int) -> npt.NDArray[Any]:
+    """Return the matrix of the energy of a state from the inverse inertia, (3,) or (3, 3)."""
+    matrix = np.zeros((dim,) * M.ndim, dtype=M.dtype)
     matrix[tuple(slice(0, 3) for _ in M.shape)] = M
     return matrix
 
@@ -49,37 +65,57 @@ def _in_state(M: npt.NDArray[Any], attitude: bool) -> npt.NDArray[Any]:
         quantity="state",
     ),
 )
-def body(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), attitude: bool = True) -> BodySystem:
+def body(
+    inertia: npt.ArrayLike = (1.0, 2.0, 2.5),
+    attitude: bool = True,
+    wheels: npt.ArrayLike = (),
+    gyros: npt.ArrayLike = (),
+    held: int = 0,
+) -> BodySystem:
     """Return a rigid body with its attitude in the state: a satellite, a gyroscope, a rod.
 
     Choose it if a torque depends on the attitude, such as that of a pointing controller: ``co.forces.Torque(lambda x,
-    A, t: ...)``. For the free motion of the momentum alone `rigid_body` is cheaper, and for bodies with positions see
-    `bodies`. The state is (L, X, Y, Z): the angular momentum in the body frame, and the three space axes seen from the
-    body, which are the rows of the attitude A, from the body to space. The algebra is so(3) acting on three copies of
-    R^3, with sign -1: ``L' = L cross Omega``, ``X' = X cross Omega``, and so on, ``Omega = I^-1 L``.
+    A, t: ...)``, or if the body carries reaction wheels or control-moment gyros. For the free motion of the momentum
+    alone `rigid_body` is cheaper, and for bodies with positions see `bodies`. The state is (L, X, Y, Z): the angular
+    momentum in the body frame, and the three space axes seen from the body, which are the rows of the attitude A, from
+    the body to space. The algebra is so(3) acting on three copies of R^3, with sign -1: ``L' = L cross Omega``, ``X' =
+    X cross Omega``, and so on, ``Omega = I^-1 L``.
+
+    With wheels and gyros L is the momentum of all together, ``Omega = M (L - R y)``, and the state ends with y: the
+    momentum k of each wheel about its axis in space, and the cosine and the sine of each gimbal angle. Motion does not
+    change y, and forces on y do not change L, so that motors keep the momentum in space to rounding.
 
     Parameters
     ----------
     inertia : (3,) or (3, 3)
-        Principal moments of inertia, or the inertia tensor in the body frame (mass times length squared). The moment
-        along a rod is zero, and the other two are equal.
+        Principal moments of inertia, or the inertia tensor in the body frame (mass times length squared), of the body
+        with its wheels and gyros, locked. The moment along a rod is zero, and the other two are equal.
     attitude : bool
         Whether the attitude is part of the state; without it the state is L, as that of `rigid_body`.
+    wheels : (m, 3)
+        Reaction wheels: of each its moment of inertia about its axis, times the unit vector of the axis. Their motors
+        are `co.forces.ReactionWheels`.
+    gyros : (g, 2, 3)
+        Control-moment gyros with a single gimbal: of each the momentum of its rotor at the gimbal angles 0 and 90
+        degrees, orthogonal vectors of equal length. Their motors are `co.forces.ControlMomentGyros`.
+    held : int
+        Count of numbers at the end of the state that sampled forces hold; ``with_forces`` sets it.
 
     Returns
     -------
     BodySystem
-        State: 12 numbers; ``state(attitude=, angular_velocity=)`` makes it, and ``attitudes(x)``,
-        ``angular_velocity(x, frame=)``, ``angular_momentum(x, frame=)`` read it. Solutions have ``rotation``,
-        ``angular_velocity`` and ``angular_momentum``. Casimirs: the products of the axes, ``"X.X"``, ..., ``"Y.Z"``.
-        Integrals of the free body: ``"total L1"``, ``"total L2"``, ``"total L3"``, its momentum in space.
-        ``exact(x0, t)`` in closed form. With ``Splitting(parts="free_body")`` the free motion is one exact part, which
-        turns the axes.
+        State: 12 numbers and those above; ``state(attitude=, angular_velocity=, wheel_speeds=, gimbal_angles=)`` makes
+        it, and ``attitudes(x)``, ``angular_velocity(x, frame=)``, ``angular_momentum(x, frame=)``, ``wheel_speeds(x)``,
+        ``gimbal_angles(x)`` read it. Solutions have ``rotation``, ``angular_velocity`` and ``angular_momentum``.
+        Casimirs: the products of the axes, ``"X.X"``, ..., ``"Y.Z"``. Integrals of the free body: ``"total L1"``,
+        ``"total L2"``, ``"total L3"``, the momentum in space. Without wheels and gyros ``exact(x0, t)`` in closed form,
+        and with ``Splitting(parts="free_body")`` the free motion is one exact part, which turns the axes.
 
     Raises
     ------
     TypeError, ValueError
-        `inertia` has another shape, or is not finite, symmetric and positive, but for the moment along a rod.
+        `inertia` has another shape, or is not finite, symmetric and positive, but for the moment along a rod. `wheels`
+        or `gyros` has another shape or a zero vector, or the moments of wheels exceed `inertia`.
 
     Warns
     -----
@@ -98,27 +134,39 @@ def body(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), attitude: bool = True) -> Bod
     found = read_body_inertia(inertia)
     if not found.tensor.any():
         raise ValueError("inertia is zero: a point does not rotate; use co.systems.bodies for points with positions")
-    M, named = found.inverse, {"sign": -1, "name": "body"}
-    parameters = {"inertia": found.given, "attitude": read_bool(attitude, "attitude")}
-    if not parameters["attitude"]:
-        exact: Any = partial(exact_solution, M, -1)
-        return BodySystem(found, rotations(), Quadratic(M), parameters=parameters, exact=exact, **named)
+    rotors, attitude = read_rotors(wheels, gyros, found), read_bool(attitude, "attitude")
+    held = read_integer(held, "held", 0, MAX_HELD)
+    parameters = {"inertia": found.given, "attitude": attitude}
+    parameters |= dict(zip(("wheels", "gyros"), rotors.given, strict=True)) | {"held": held}
+    names = (*rotors.names, *(f"held{i + 1}" for i in range(held)))
+    algebra = with_carried(attitude_algebra() if attitude else rotations(), names)
+    if rotors.names:
+        (M,) = _energy(found.tensor, rotors.wheels, gyros=rotors.gyros, attitude=attitude, held=held)
+    else:
+        M = _in_state(found.inverse, algebra.dim)
     return BodySystem(
         found,
-        attitude_algebra(),
-        Quadratic(_in_state(M, attitude=True)),
-        casimirs=axis_products(1, PER_BODY),
-        integrals=momentum_in_space(1, PER_BODY),
+        algebra,
+        Quadratic(M),
+        casimirs=axis_products(1, algebra.dim, alone=True) if attitude else None,
+        integrals=momentum_in_space(1, algebra.dim, alone=True) if attitude else None,
         parameters=parameters,
-        exact=partial(_free_motion, M),
-        **named,
+        exact=None if rotors.names else partial(_free_motion, found.inverse, algebra.dim, attitude),
+        rotors=rotors,
+        held=held,
+        sign=-1,
+        name="body",
     )
 
 
-def _free_motion(M: Floats, x0: Any, t: Any, attitude: Any = False) -> Floats:
+def _free_motion(M: Floats, dim: int, in_state: bool, x0: Any, t: Any, attitude: Any = False) -> Any:
     """Return the state of the free body: its momentum in closed form, and the axes turned by its attitude."""
+    if dim == 3:
+        return exact_solution(M, -1, x0, t, attitude)
     reject_attitude(attitude, "body")
-    start, times = start_and_times(x0, t, PER_BODY)
-    L, turned = exact_solution(M, -1, start[:3], times, attitude=True)
-    axes = np.einsum("ai,...ij->...aj", start[3:].reshape(3, 3), turned)
-    return np.concatenate([L, axes.reshape(*times.shape, 9)], axis=-1)
+    start, times = start_and_times(x0, t, dim)
+    turning, kept = np.split(start, [PER_BODY if in_state else 3])
+    L, turned = exact_solution(M, -1, turning[:3], times, attitude=True)
+    axes = np.einsum("ai,...ij->...aj", turning[3:].reshape(-1, 3), turned)
+    parts = L, axes.reshape(*times.shape, -1), np.broadcast_to(kept, (*times.shape, len(kept)))
+    return np.concatenate(parts, axis=-1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,9 @@ from coadjoint.systems.bodies.body_states import (
     read_attitudes,
     read_vectors,
 )
+from coadjoint.systems.bodies.rotors import NO_ROTORS, Rotors, without_wheels
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made_systems
 from coadjoint.validation import read_choice, read_numbers
 
 Floats = npt.NDArray[np.float64]
@@ -33,16 +35,14 @@ class _Bodies(LiePoissonSystem):
         for name, value in fields.items():
             object.__setattr__(self, name, value)
 
-    @property
-    def has_attitude(self) -> bool:
-        """Whether the attitudes are part of the state."""
-        return self.dim > 3
+    has_attitude: bool = True
+    """Whether the attitudes are part of the state."""
 
     def _rows(self, x: Any) -> Floats:
         """Return (L, X, Y, Z) of each body, (..., bodies, 4, 3)."""
         states = self._states(x)
         if not self.has_attitude:
-            return states[..., None, None, :]
+            return states[..., None, None, :3]
         count = len(self.inertias)
         return states[..., : PER_BODY * count].reshape(*states.shape[:-1], count, 4, 3)
 
@@ -107,8 +107,12 @@ class _Bodies(LiePoissonSystem):
         -------
         ndarray, shape (..., 3) or (..., k, 3)
         """
+        return self._in_frame(self._velocities(x), x, frame)
+
+    def _velocities(self, x: Any) -> Floats:
+        """Return the angular velocities in the body frames, (..., bodies, 3)."""
         inverse = np.stack([_matrix(inertia.inverse) for inertia in self.inertias])
-        return self._in_frame(np.einsum("kij,...kj->...ki", inverse, self._rows(x)[..., 0, :]), x, frame)
+        return np.asarray(np.einsum("kij,...kj->...ki", inverse, self._rows(x)[..., 0, :]))
 
     def momentum(self, angular_velocity: npt.ArrayLike) -> Floats:
         """Return the angular momentum in the body frame for an angular velocity in the body frame.
@@ -149,9 +153,89 @@ class _Bodies(LiePoissonSystem):
 class BodySystem(_Bodies):
     """One body; `body` makes it."""
 
-    def __init__(self, inertia: BodyInertia, *arguments: Any, **named: Any) -> None:
+    def __init__(
+        self, inertia: BodyInertia, *arguments: Any, rotors: Rotors = NO_ROTORS, held: int = 0, **named: Any
+    ) -> None:
         super().__init__(*arguments, **named)
-        self._set(inertias=(inertia,))
+        has_attitude = self.dim - len(rotors.names) - held > 3
+        self._set(inertias=(inertia,), rotors=rotors, held=held, has_attitude=has_attitude)
+
+    rotors: Rotors
+    held: int
+
+    @property
+    def first_carried(self) -> int:
+        """Index of the first number of the rotors in the state; those that forces hold follow."""
+        return PER_BODY if self.has_attitude else 3
+
+    def with_held(self, count: int) -> BodySystem:
+        """Return the body whose state ends with this count of numbers that forces hold.
+
+        Parameters
+        ----------
+        count : int
+            Count of numbers, at least 0.
+
+        Returns
+        -------
+        BodySystem
+
+        Raises
+        ------
+        TypeError
+            The system is not made by `co.systems.body`, or has another Hamiltonian.
+        """
+        if count == self.held:
+            return self
+        parameters = self.parameters or {}
+        if "held" not in parameters:
+            raise TypeError(
+                f"{self.name} has no room in its state for numbers that forces hold; take co.systems.body, of another "
+                f"Hamiltonian with held={count}"
+            )
+        return cast(BodySystem, ready_made_systems()[self.name](**{**parameters, "held": count}))
+
+    def _velocities(self, x: Any) -> Floats:
+        if not self.rotors.names:
+            return super()._velocities(x)
+        momenta = np.einsum("...q,qi->...i", self._carried(x), self.rotors.momenta)
+        inverse = without_wheels(self.inertias[0].tensor, self.rotors.wheels)
+        return np.asarray(np.einsum("ij,...j->...i", inverse, self._states(x)[..., :3] - momenta))[..., None, :]
+
+    def _carried(self, x: Any) -> Floats:
+        first = self.first_carried
+        return self._states(x)[..., first : first + len(self.rotors.names)]
+
+    def wheel_speeds(self, x: npt.ArrayLike) -> Floats:
+        """Return the speeds of the reaction wheels relative to the body, in radians per time.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., m)
+        """
+        wheels, moments = self.rotors.wheels, self.rotors.moments
+        along = np.einsum("mi,...i->...m", wheels / moments[:, None], self._velocities(x)[..., 0, :])
+        return np.asarray(self._carried(x)[..., : len(wheels)] / moments - along)
+
+    def gimbal_angles(self, x: npt.ArrayLike) -> Floats:
+        """Return the gimbal angles of the control-moment gyros, in radians from -pi to pi.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., g)
+        """
+        gimbals = self._carried(x)[..., len(self.rotors.wheels) :]
+        return np.asarray(np.arctan2(gimbals[..., 1::2], gimbals[..., ::2]))
 
     @suggest_keywords
     def state(
@@ -159,6 +243,8 @@ class BodySystem(_Bodies):
         attitude: Any = None,
         angular_velocity: npt.ArrayLike = (0.0, 0.0, 0.0),
         *,
+        wheel_speeds: npt.ArrayLike | None = None,
+        gimbal_angles: npt.ArrayLike | None = None,
         scalar_first: bool = False,
         degrees: bool = False,
         frame: str = "body",
@@ -171,10 +257,14 @@ class BodySystem(_Bodies):
             From the body to space: a matrix, a rotation, or a unit quaternion; by default that of space.
         angular_velocity : (3,)
             In radians per time.
+        wheel_speeds : (m,), optional
+            Of the reaction wheels relative to the body, in radians per time; zero by default.
+        gimbal_angles : (g,), optional
+            Of the control-moment gyros, in radians; zero by default.
         scalar_first : bool
             Whether a quaternion is (w, x, y, z) instead of (x, y, z, w).
         degrees : bool
-            Whether the angular velocity is in degrees per time.
+            Whether angular velocities, and gimbal angles, are in degrees.
         frame : {"body", "space"}
             Frame of the angular velocity.
 
@@ -207,10 +297,19 @@ class BodySystem(_Bodies):
                 "angular_velocity has shape (3, 3), which may be a matrix or values for 3 members; give one, (3,), or "
                 "an attitude for each member, (3, 3, 3)"
             )
-        L = self._momentum(omega[..., None, :], "angular_velocity")
-        if A is None:
-            return L[..., 0, :]
-        return _joined(np.concatenate(_over_members((L, 2), (A, 2)), axis=-2))
+        L = self._momentum(omega[..., None, :], "angular_velocity")[..., 0, :]
+        unit = np.pi / 180.0 if degrees else 1.0
+        count, gimbals = len(self.rotors.wheels), len(self.rotors.gyros)
+        speeds = unit * _read_rotors(wheel_speeds, "wheel_speeds", count)
+        angles = unit * _read_rotors(gimbal_angles, "gimbal_angles", gimbals)
+        along = np.einsum("mi,...i->...m", self.rotors.momenta[:count], omega)
+        L, speeds, along, angles = _over_members((L, 1), (speeds, 1), (along, 1), (angles, 1))
+        turns = _joined(np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+        momenta = np.einsum("...q,qi->...i", turns, self.rotors.momenta[count:])
+        L = L + np.einsum("...m,mi->...i", speeds, self.rotors.wheels) + momenta
+        axes = np.zeros(0) if A is None else _joined(A)
+        rows = (L, axes, self.rotors.moments * (speeds + along), turns, np.zeros(self.held))
+        return np.concatenate(_over_members(*((row, 1) for row in rows)), axis=-1)
 
 
 class BodiesSystem(_Bodies):
@@ -315,6 +414,10 @@ class BodiesSystem(_Bodies):
         L, A, r, p = _over_members((L[..., None, :], 3), (A, 3), (r, 2), (v * self.masses[:, None], 2))
         parts = np.concatenate([L, A], axis=-2).reshape(*r.shape[:-2], -1), _joined(p), _joined(r)
         return np.concatenate([*parts, np.ones((*r.shape[:-2], 1))], axis=-1)
+
+
+def _read_rotors(values: Any, what: str, count: int) -> Floats:
+    return np.zeros(count) if values is None else read_vectors(values, what, (count,))
 
 
 def _joined(array: Floats) -> Floats:

@@ -99,6 +99,31 @@ class Force(metaclass=ExplainedCalls):
             The force and the system do not match; the message names the mismatch.
         """
 
+    def held_numbers(self, system: Any) -> int:
+        """Return how many numbers at the end of the state the force holds, and with_forces makes room for.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        int
+        """
+        return 0
+
+    def check_steps(self, t0: float, h: float) -> None:
+        """Raise ValueError if the force cannot act in steps of length h from time t0.
+
+        Parameters
+        ----------
+        t0, h : float
+            Start of a run, and its step.
+        """
+        if h < 0.0 and not self.reversible:
+            raise ValueError(f"{self.label} does not run backward, and t_span ends before it starts")
+
     @abstractmethod
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         """Return the contribution of the force to x'.

@@ -10,12 +10,20 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.beta_plane import BetaPlane
+from coadjoint.systems.forces.control_moment_gyros import ControlMomentGyros
 from coadjoint.systems.forces.custom_force import OwnForce
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
 from coadjoint.systems.forces.friction import Friction
+from coadjoint.systems.forces.gravity_gradient import GravityGradient
 from coadjoint.systems.forces.heat_bath import HeatBath
 from coadjoint.systems.forces.linear_damping import LinearDamping
+from coadjoint.systems.forces.magnetic_dipole import MagneticDipole
+from coadjoint.systems.forces.plates import Drag, SolarPressure
+from coadjoint.systems.forces.pointing import Pointing
 from coadjoint.systems.forces.random_forcing import RandomForcing
+from coadjoint.systems.forces.reaction_wheels import ReactionWheels
+from coadjoint.systems.forces.sampled import Sampled
+from coadjoint.systems.forces.thrusters import Thrusters
 from coadjoint.systems.forces.torque import Torque
 from coadjoint.systems.forces.viscosity import Viscosity
 from coadjoint.validation import check_parameters, read_choice
@@ -23,6 +31,8 @@ from coadjoint.validation import check_parameters, read_choice
 FORCES: tuple[type[Force], ...] = (
     *(BetaPlane, DoubleBracketDamping, Friction, HeatBath, LinearDamping),
     *(OwnForce, RandomForcing, Torque, Viscosity),
+    *(GravityGradient, MagneticDipole, Drag, SolarPressure, Pointing),
+    *(Sampled, ReactionWheels, ControlMomentGyros, Thrusters),
 )
 
 KINDS: dict[str, type[Force]] = {kind.__name__: kind for kind in FORCES}
@@ -38,8 +48,8 @@ def names() -> tuple[str, ...]:
 
     Examples
     --------
-    >>> names()[:4]
-    ('BetaPlane', 'DoubleBracketDamping', 'Friction', 'HeatBath')
+    >>> names()[:3]
+    ('BetaPlane', 'ControlMomentGyros', 'DoubleBracketDamping')
     """
     return tuple(sorted(KINDS))
 
@@ -98,7 +108,10 @@ def from_description(description: Mapping[str, Any]) -> Force:
     >>> from_description({"name": "Torque", "torque": [0.0, 0.0, 1.0]})
     Torque(torque=(0.0, 0.0, 1.0))
     """
-    parameters = dict(description)
+    parameters = {
+        key: from_description(value) if isinstance(value, Mapping) and "name" in value else value
+        for key, value in description.items()
+    }
     name = parameters.pop("name", None)
     if not isinstance(name, str):
         raise ValueError(

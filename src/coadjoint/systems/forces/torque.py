@@ -11,21 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.forces.base import ForceReader
 from coadjoint.systems.forces.rates import check_state, has_matrix_state, read_state, sample_states, state_vector
-from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, takes_time
+from coadjoint.systems.forces.state_torque import (
+    StateTorque,
+    check_attitude,
+    constant_in_time,
+    sample_state,
+    torque_on_state,
+    torque_shape,
+)
+from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
 from coadjoint.validation import read_numbers
-
-PER_BODY = 12  # L, and the three space axes seen from the body
-SAMPLE_ATTITUDE = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
-
-# Nodes and weights of the five-point Gauss-Legendre rule on (-1, 1).
-NODES = (-0.9061798459386640, -0.5384693101056831, 0.0, 0.5384693101056831, 0.9061798459386640)
-WEIGHTS = (0.23692688505618908, 0.47862867049936647, 0.5688888888888889, 0.47862867049936647, 0.23692688505618908)
 
 
 @dataclass(frozen=True)
-class Torque(Force):
+class Torque(StateTorque):
     """A torque in the body frame, ``x' = N``: a thruster, a motor, a control law, radiation pressure.
 
     The flow of a constant torque is exact. That of a function of time is its integral by the five-point Gauss-Legendre
@@ -122,35 +123,32 @@ class Torque(Force):
         if has_matrix_state(system):
             torque = self.torque(*_call_arguments(self._arguments(), system.from_vector(x), t))
             return np.asarray(system.to_vector(torque))
-        function, arguments = self._on_state(system)
-        return np.asarray(function(*_call_arguments(arguments, x, t)))
+        return super().field(system, x, t)
 
-    def _on_state(self, system: Any) -> tuple[Any, str]:
-        """Return the contribution to x' as a function, and its arguments: "t", "x" or "x, t"."""
+    @property
+    def sees_attitude(self) -> bool:
+        """Whether it is a function of the attitude."""
+        return callable(self.torque) and "A" in self._arguments()
+
+    def law_on_state(self, system: Any) -> tuple[Any, str]:
+        if not callable(self.torque):
+            return constant_in_time(np.array(self.torque)), "t"
+        return self.on_state(system)
+
+    def on_state(self, system: Any) -> tuple[Any, str]:
+        if not callable(self.torque):
+            return constant_in_time(state_vector(self.torque, system)), "t"
         arguments = self._arguments()
         return torque_on_state(self.torque, arguments, system) if "A" in arguments else (self.torque, arguments)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if not callable(self.torque):
             return np.asarray(x + tau * state_vector(self.torque, system))
-        if self._arguments() == "t":
-            pairs = zip(NODES, WEIGHTS, strict=True)
-            return np.asarray(
-                x + 0.5 * tau * sum(w * self.field(system, x, t + 0.5 * tau * (1.0 + c)) for c, w in pairs)
-            )
-        k1 = self.field(system, x, t)
-        k2 = self.field(system, x + 0.5 * tau * k1, t + 0.5 * tau)
-        k3 = self.field(system, x + 0.5 * tau * k2, t + 0.5 * tau)
-        k4 = self.field(system, x + tau * k3, t + tau)
-        return np.asarray(x + tau * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0)
-
-    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
-        """Return one, or None for a function of the state."""
-        return np.array(1.0) if not callable(self.torque) or self._arguments() == "t" else None
+        return super().flow(system, x, t, tau)
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         if callable(self.torque):
-            return reader.function(*self._on_state(system))
+            return super().describe_to(reader, system)
         return reader.constant(state_vector(self.torque, system))
 
 
@@ -186,66 +184,3 @@ def attitude_arguments(torque: Callable[..., Any]) -> str | None:
         names = ", ".join(one.name for one in parameters)
         raise TypeError(f"the torque is a function of ({names}); give one of (x, A) or (x, A, t)")
     return "x, A, t" if more else "x, A"
-
-
-def check_attitude(system: Any) -> None:
-    """Raise TypeError for a system without attitudes in its state."""
-    if not getattr(system, "has_attitude", False):
-        raise TypeError(
-            f"the torque is a function of the attitude A, which the state of {system.name} does not have; take "
-            "co.systems.body(inertia) or co.systems.bodies, whose states have it"
-        )
-
-
-def torque_shape(system: Any) -> tuple[int, ...]:
-    """Return the shape of the torques on all bodies of a system, (3,) or (k, 3)."""
-    return (*system.bodies, 3)
-
-
-def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[Callable[..., Any], str]:
-    """Return the contribution to x' of a torque of (x, A) or (x, A, t) as a function of (x) or (x, t), and which.
-
-    The torque returns (3,) or (k, 3) in the frames of the bodies; Numba compiles both functions.
-    """
-    function = callable_from_compiled(torque)
-    if not system.bodies:
-
-        def of_body(x: Any) -> Any:
-            result = 0.0 * x
-            result[:3] = function(x, x[3:12].reshape(3, 3))
-            return result
-
-        def of_body_in_time(x: Any, t: Any) -> Any:
-            result = 0.0 * x
-            result[:3] = function(x, x[3:12].reshape(3, 3), t)
-            return result
-
-        return (of_body_in_time, "x, t") if arguments == "x, A, t" else (of_body, "x")
-    count = system.bodies[0]
-    end = PER_BODY * count
-
-    def of_bodies(x: Any) -> Any:
-        torques = function(x, np.ascontiguousarray(x[:end].reshape(count, 4, 3)[:, 1:, :]))
-        result = 0.0 * x
-        for k in range(count):
-            for i in range(3):
-                result[PER_BODY * k + i] = torques[k, i]
-        return result
-
-    def of_bodies_in_time(x: Any, t: Any) -> Any:
-        torques = function(x, np.ascontiguousarray(x[:end].reshape(count, 4, 3)[:, 1:, :]), t)
-        result = 0.0 * x
-        for k in range(count):
-            for i in range(3):
-                result[PER_BODY * k + i] = torques[k, i]
-        return result
-
-    return (of_bodies_in_time, "x, t") if arguments == "x, A, t" else (of_bodies, "x")
-
-
-def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
-    """Return a sample point with rotations as attitudes."""
-    y = x.copy()
-    count = len(system.inertias)
-    y[: PER_BODY * count].reshape(count, 4, 3)[:, 1:] = SAMPLE_ATTITUDE
-    return y

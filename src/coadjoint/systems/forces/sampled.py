@@ -1,0 +1,178 @@
+"""Controllers that are sampled: their torque, or the command of an actuator, is held between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.short_repr import short
+from coadjoint.systems.forces.base import Force, ForceReader
+from coadjoint.systems.forces.body_torque import check_one_body, read_limits
+from coadjoint.systems.forces.pointing import limited_by
+from coadjoint.systems.forces.state_torque import StateTorque, sample_state
+from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, sample_points
+from coadjoint.validation import read_integer, read_positive
+
+DIFFERENCE_TIME = 2.0**-16  # of differences of a flow, whose error is proportional to its square
+ON_GRID = 1e-9  # part of a step by which a time may miss a whole number of steps, by rounding
+
+
+@dataclass(frozen=True)
+class Sampled(Force):
+    """A torque that is sampled at a rate and held constant in the body frame between samples (zero-order hold).
+
+    Samples are at the multiples of the period, before the step that begins there, and the held torque acts exactly. It
+    is in the state, whose last numbers are those that forces hold: ``with_forces`` makes room for them, and
+    ``system.state(...)`` of its result makes states, where nothing is held. So runs continue, are stored, and are
+    differentiated as others.
+
+    Parameters
+    ----------
+    law : Torque, Pointing or another torque on a body
+        The torque in the body frame of the state and the time at a sample.
+    period : float
+        Time between samples, a whole number of steps. Runs start at a whole number of steps.
+    max_torque : float or (3,), optional
+        Limit of each component.
+    first : int
+        Index of its first number among those that forces hold; ``with_forces`` sets it.
+
+    Raises
+    ------
+    TypeError, ValueError
+        The law is no torque, or the system is not made by `co.systems.body`. In runs: the step does not divide the
+        period, the start is no whole number of steps, or time runs backward.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> law = co.forces.Pointing(stiffness=0.5, damping=1.5)
+    >>> sat = co.systems.body((1.0, 2.0, 2.5)).with_forces(co.forces.Sampled(law, period=0.5))
+    >>> x0 = sat.state([0.6, 0.0, 0.0, 0.8], angular_velocity=(0.1, 0.2, 0.3))
+    >>> sol = co.integrate(sat, x0, (0, 60), 0.05)
+    >>> bool(sol.rotation[-1].magnitude() < 1e-5), bool((sol.x[21:30, -3:] == sol.x[21, -3:]).all())
+    (True, True)
+    """
+
+    law: Any
+    period: float
+    max_torque: Any = None
+    first: int = field(default=0, kw_only=True)
+
+    reversible: ClassVar[bool] = False
+    selectors: ClassVar[tuple[str, ...]] = ("period", "first")
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.law, StateTorque):
+            raise TypeError(
+                f"law of {self.label} is {short(self.law)}; give a torque of co.forces, such as Pointing(...) or "
+                "Torque(function)"
+            )
+        object.__setattr__(self, "period", read_positive(self.period, f"period of {self.label}"))
+        object.__setattr__(self, "first", read_integer(self.first, "first", 0))
+        self._read_limits("max_torque")
+
+    def _read_limits(self, name: str, shape: tuple[int, ...] = (3,)) -> None:
+        object.__setattr__(self, name, read_limits(getattr(self, name), f"{name} of {self.label}", shape))
+
+    def held_numbers(self, system: Any) -> int:
+        check_one_body(system, self.label)
+        if not hasattr(system, "with_held"):
+            raise TypeError(
+                f"{self.label} is held in the state, and that of {system.name} has no room for it; take "
+                "co.systems.body(inertia), or body(inertia, attitude=False)"
+            )
+        return self._count(system)
+
+    def _count(self, system: Any) -> int:
+        """Return how many numbers are held."""
+        return 3
+
+    def _command(self, system: Any) -> Callable[..., Any]:
+        """Return what is held, as a function of the torque (3,) of the law and of the state."""
+        limited = limited_by(self.max_torque)
+
+        def command(torque: Any, x: Any) -> Any:
+            return limited(torque)
+
+        return command
+
+    def _act(self, system: Any, begin: int) -> Callable[..., None]:
+        """Return the function (y, t, tau) that moves a state in place; what is held begins at `begin`."""
+
+        def act(y: Any, t: Any, tau: Any) -> None:
+            for i in range(3):
+                y[i] += tau * y[begin + i]
+
+        return act
+
+    def check(self, system: Any) -> None:
+        self.held_numbers(system)
+        if getattr(self.law, "sees_attitude", False):
+            self.law.check(system)
+        x = sample_points(system.dim)[0]
+        x = sample_state(x, system) if system.has_attitude else x
+        torque = np.asarray(_law_of(self.law, system)(x, SAMPLE_TIME))
+        if torque.shape != (3,):
+            raise ValueError(f"the law of {self.label} returns {short(torque.tolist())}; it must return (3,)")
+
+    def check_steps(self, t0: float, h: float) -> None:
+        super().check_steps(t0, h)
+        for what, time in (("period", self.period), ("start", t0)):
+            count = time / h
+            if abs(count - round(count)) > ON_GRID * max(1.0, abs(count) * ON_GRID):
+                raise ValueError(
+                    f"the {what} {'of the run' if what == 'start' else f'of {self.label}'} is {time:g}, which is not a "
+                    f"whole number of steps of {h:g}; samples are at starts of steps, so take a step that divides it"
+                )
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        """Return the derivative while the command is held."""
+        act, (whole, half) = _flow_of(self, system)[1], (np.array(x, dtype=np.float64) for _ in range(2))
+        act(whole, t, DIFFERENCE_TIME)
+        act(half, t, 0.5 * DIFFERENCE_TIME)
+        return np.asarray((4.0 * half - whole - 3.0 * np.asarray(x)) / DIFFERENCE_TIME)
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        return np.asarray(_flow_of(self, system)[0](x, t, tau))
+
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
+        return reader.flow(_flow_of(self, system)[0])
+
+
+# Systems are immutable, and forces too. Derivatives by differences return to some hundred systems in each step.
+@lru_cache(maxsize=1024)
+def _flow_of(force: Sampled, system: Any) -> tuple[Callable[..., Any], Callable[..., None]]:
+    """Return the flow, and its part while the command is held."""
+    begin, count, period = system.dim - system.held + force.first, force._count(system), force.period
+    law, command = _law_of(force.law, system), callable_from_compiled(force._command(system))
+    act = callable_from_compiled(force._act(system, begin))
+
+    def flow(x: Any, t: Any, tau: Any) -> Any:
+        y = x.copy()
+        # The halves of a step begin at the multiples of tau, and whole steps at even ones.
+        if np.abs(t - period * np.floor(t / period + 0.5)) < 0.25 * tau:
+            values = command(law(x, t), x)
+            for i in range(count):
+                y[begin + i] = values[i]
+        act(y, t, tau)
+        return y
+
+    return flow, act
+
+
+def _law_of(law: StateTorque, system: Any) -> Callable[..., Any]:
+    """Return the torque of a law in the body frame, (3,), as a function of (x, t) for compiled functions."""
+    function, arguments = law.law_on_state(system)
+    inner = callable_from_compiled(function)
+    forms: Mapping[str, Callable[..., Any]] = {
+        "t": lambda x, t: inner(t)[:3],
+        "x": lambda x, t: inner(x)[:3],
+        "x, t": lambda x, t: inner(x, t)[:3],
+    }
+    return callable_from_compiled(forms[arguments])

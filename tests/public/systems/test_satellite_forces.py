@@ -1,0 +1,297 @@
+"""Forces on a satellite: DOP853 in quaternions, closed forms, bits, archives and refusals."""
+
+import numpy as np
+import pytest
+from pairs_of_bodies import splitting
+from scipy.spatial.transform import Rotation
+from scipy.special import ellipj
+
+import coadjoint as co
+from refusals import refused
+from satellite_forces import CASES, LAW, PERIOD, PYRAMID, SPIN, STEP, TENSOR, TURNED, WHEELS, F, S, error_of, reference
+
+each = pytest.mark.parametrize("name", CASES)
+
+
+def test_every_force_on_a_body_is_a_case():
+    kinds = [getattr(F, name) for name in F.names()]
+    acting = {kind.__name__ for kind in kinds if hasattr(kind, "law_on_state") or issubclass(kind, F.Sampled)}
+    assert acting == {name.partition(" ")[0] for name in CASES} | {"Torque"}
+
+
+@pytest.mark.thinned(2)
+@each
+def test_a_run_by_dop853_in_quaternions(name):
+    """Order two, with samples at their times; a plate that begins to be lit, and a pulse that ends, within a step."""
+    case = CASES[name]
+    wanted, x0 = reference(case, 4.0), case.start
+    coarse, fine = (
+        error_of(case, co.integrate(case.system, x0, (0, 4), h, splitting(2)).x[-1], wanted) for h in (STEP, STEP / 16)
+    )
+    assert fine < 1e-5 and np.log2(coarse / fine) / 4 == pytest.approx(2, abs=0.3), (coarse, fine)
+
+
+@each
+def test_members_archives_and_steps_have_the_same_bits(name, tmp_path, no_fsync):
+    case, method, span = CASES[name], splitting(2), (0.0, 24 * STEP)
+    system, x0 = case.system, case.start
+    other = x0.copy()
+    other[:3] *= 0.7
+    members = np.stack([x0, other])
+    whole = co.integrate(system, members, span, STEP, method)
+    for k, one in enumerate(members):
+        single = co.integrate(system, one, span, STEP, method)
+        np.testing.assert_array_equal(whole.x[:, k], single.x)
+        np.testing.assert_array_equal(
+            whole.work[case.force.label]["energy"][:, k], single.work[case.force.label]["energy"]
+        )
+    assert whole.angular_velocity.shape == (25, 2, 3)
+    batch = co.batch([system, case.build({})])
+    np.testing.assert_array_equal(co.integrate(batch, members, span, STEP, method).x, whole.x)
+    # Cut between two samples, where a command is held.
+    first = co.integrate(system, members, (0.0, 5 * STEP), STEP, method)
+    second = co.integrate(system, first.x[-1], (5 * STEP, 24 * STEP), STEP, method)
+    np.testing.assert_array_equal(second.x, whole.x[5:])
+    ready = co.prepare(system, method, STEP)
+    np.testing.assert_array_equal(ready.end(x0, span), whole.x[-1, 0])
+    step = co.stepper(system, method, STEP)
+    np.testing.assert_array_equal(step(step(x0), STEP), whole.x[2, 0])
+    path = tmp_path / "run.zarr"
+    co.integrate(system, x0, (0.0, 5 * STEP), STEP, method, archive=path)
+    resumed = co.resume(path, span[1], **({} if case.stored else {"system": system}))
+    np.testing.assert_array_equal(resumed.to_xarray()["x"], whole.x[:, 0])
+
+
+@each
+def test_the_work_of_a_force_is_the_change_of_energy(name):
+    """By a scheme that keeps the energy: to rounding."""
+    case = CASES[name]
+    system, x0 = case.system, case.start
+    sol = co.integrate(system, x0, (0, 6), STEP, co.GaussLegendre(2))
+    assert sol.balance()["energy"] < 2e-13 and abs(sol.energy[-1] - sol.energy[0]) > 1e-4
+    assert {name for name, value in sol.balance().items() if value > 2e-13} == set()
+    # The power while a command is held is the slope of the work.
+    rate = sum(system.power(sol.x[3], sol.t[3]).values())
+    energy = sol.work[case.force.label]["energy"]
+    assert rate == pytest.approx((energy[4] - energy[2]) / (2 * STEP), abs=0.05 * np.abs(np.diff(energy)).max() / STEP)
+
+
+@pytest.mark.parametrize("error, share", [("sine", 1.0), ("quaternion", 0.5)])
+def test_a_spring_is_a_pendulum(error, share):
+    """About a principal axis, far from small angles: the angle, or half of it, is that of a pendulum."""
+    K, moment, top = 0.7, 2.5, 2.0
+    sat = S.body((1.0, 2.0, moment)).with_forces(F.Pointing(K, 0.0, Rotation.from_rotvec([0, 0, 0.5]), error=error))
+    x0 = sat.state(Rotation.from_rotvec([0, 0, 0.5 + top]))
+    sol = co.integrate(sat, x0, (0, 20), 1 / 512, save_every=64)
+    k, rate = np.sin(share * top / 2), np.sqrt(K / moment)
+    _, cn, dn, _ = ellipj(rate * sol.t, k * k)
+    wanted = 2 * np.arcsin(k * cn / dn) / share
+    angles = (Rotation.from_rotvec([0, 0, 0.5]).inv() * sol.rotation).as_rotvec()
+    np.testing.assert_allclose(angles[:, 2], wanted, rtol=0, atol=1e-5)
+    assert np.abs(angles[:, :2]).max() < 1e-13
+
+
+def test_a_magnet_keeps_what_the_field_keeps():
+    """Energy with that of the magnet, and the momentum in space along the field; a swing is a pendulum's."""
+    m, B, sat = np.array([0.2, -0.3, 0.5]), np.array([0.3, 0.4, -0.1]), CASES["MagneticDipole"].system
+    x0 = CASES["MagneticDipole"].start
+    coarse, fine = (co.integrate(sat, x0, (0, 50), h, splitting(2)) for h in (1 / 32, 1 / 64))
+    swings = []
+    for sol in (coarse, fine):
+        potential = -np.einsum("i,tij,j->t", B, sat.attitudes(sol.x), m)
+        swings.append(np.ptp(sol.energy + potential))
+        along = sat.angular_momentum(sol.x, frame="space") @ B
+        assert np.ptp(along) < 1e-13
+    assert swings[1] < 1e-5 and swings[0] / swings[1] == pytest.approx(4, abs=0.2)
+    compass = S.body((1.0, 2.0, 2.5)).with_forces(F.MagneticDipole((2.0, 0, 0), (0.5, 0, 0)))
+    sol = co.integrate(compass, compass.state(Rotation.from_rotvec([0, 0, 2.0])), (0, 20), 1 / 512, save_every=64)
+    k = np.sin(1.0)
+    _, cn, dn, _ = ellipj(np.sqrt(1 / 2.5) * sol.t, k * k)
+    np.testing.assert_allclose(sol.rotation.as_rotvec()[:, 2], 2 * np.arcsin(k * cn / dn), rtol=0, atol=1e-5)
+
+
+def test_a_sampled_damper_and_a_constant_torque_are_exact():
+    """Of one axis: powers of 1 - period damping / moment, whatever the step, and a momentum that grows linearly."""
+    for h in (0.5, 0.25, 1 / 64):
+        sat = S.body((1.0, 2.0, 2.5)).with_forces(F.Sampled(F.Pointing(0.0, 1.5), 0.5))
+        sol = co.integrate(sat, sat.state(angular_velocity=(0, 0, 0.8)), (0, 8), h)
+        samples = sol.angular_velocity[:: round(0.5 / h), 2]
+        np.testing.assert_allclose(samples, 0.8 * (1 - 0.5 * 1.5 / 2.5) ** np.arange(17), rtol=0, atol=1e-14)
+        for law in (F.Torque((0.0, 0.25, 0.0)), F.Torque(lambda t: np.array([0.0, 0.25, 0.0]))):
+            driven = S.body((1.0, 2.0, 2.5), attitude=False).with_forces(F.Sampled(law, 0.5))
+            run = co.integrate(driven, driven.state(), (0, 8), h)
+            np.testing.assert_array_equal(run.x[:, 1], 0.25 * run.t)
+
+
+def test_a_sampled_controller_settles_as_its_matrix():
+    """Small angles about a principal axis: the angle and the rate at samples are powers of a matrix."""
+    K, C, I3, T = 0.8, 1.2, 2.5, 0.5
+    sat = S.body((1.0, 2.0, I3)).with_forces(F.Sampled(F.Pointing(K, C), T))
+    small = 1e-5
+    sol = co.integrate(sat, sat.state(Rotation.from_rotvec([0, 0, small])), (0, 16), T / 4, save_every=4)
+    step = np.array([[1 - T**2 * K / (2 * I3), T - T**2 * C / (2 * I3)], [-T * K / I3, 1 - T * C / I3]])
+    wanted = np.array([np.linalg.matrix_power(step, k) @ [small, 0.0] for k in range(33)])
+    np.testing.assert_allclose(sol.rotation.as_rotvec()[:, 2], wanted[:, 0], rtol=0, atol=1e-9 * small)
+    np.testing.assert_allclose(sol.angular_velocity[:, 2], wanted[:, 1], rtol=0, atol=1e-9 * small)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2), co.Taylor(order=8)], ids=repr)
+@pytest.mark.parametrize("name", ["ReactionWheels", "ControlMomentGyros"])
+def test_motors_keep_the_momentum_in_space(name, method):
+    """That of body and rotors together, to rounding; the norm of gimbals too."""
+    case = CASES[name]
+    sol = co.integrate(case.system, case.start, (0, 100), STEP, method)
+    space = case.system.angular_momentum(sol.x, frame="space")
+    assert np.abs(space - space[0]).max() < 2e-13
+    assert np.abs(sol.angular_velocity[-1] - sol.angular_velocity[0]).max() > 0.1
+    if name == "ControlMomentGyros":
+        np.testing.assert_allclose(sol.x[:, 12:20:2] ** 2 + sol.x[:, 13:20:2] ** 2, 1.0, rtol=0, atol=1e-13)
+        assert np.abs(np.diff(np.unwrap(case.system.gimbal_angles(sol.x), axis=0), axis=0)).max() <= 0.3 * STEP + 1e-14
+
+
+def test_wheels_are_limited():
+    law = F.Pointing(2.0, 4.0, WANTED := Rotation.from_rotvec([0, 0, 2.5]), error="quaternion")
+    motors = F.ReactionWheels(law, PERIOD, max_torque=0.05, max_momentum=(0.3, 0.4, 0.5))
+    free = S.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3))
+    sat = free.with_forces(motors)
+    sol = co.integrate(sat, sat.state(), (0, 200), STEP)
+    momenta, held = sol.x[:, 12:15], sol.x[:, -3:]
+    assert np.abs(held).max() == 0.05
+    assert momenta[:, 2].min() == -0.5 and np.abs(momenta[:, :2]).max() == 0.0
+    assert (WANTED.inv() * sol.rotation[-1]).magnitude() < 1e-6
+    # A slow wheel spins up as fast as its motor allows.
+    np.testing.assert_allclose(sol.x[: round(1 / STEP), 14], -0.05 * sol.t[: round(1 / STEP)], rtol=1e-13, atol=1e-15)
+
+
+def test_wheels_in_a_plane_give_what_they_can():
+    sat = S.body(TENSOR, wheels=WHEELS[:2]).with_forces(F.ReactionWheels(F.Torque((0.3, 0.2, 0.1)), PERIOD))
+    held = co.integrate(sat, sat.state(), (0, PERIOD), PERIOD).x[-1, -2:]
+    unit = WHEELS[:2] / np.linalg.norm(WHEELS[:2], axis=1)[:, None]
+    np.testing.assert_allclose(held, -np.linalg.pinv(unit.T) @ [0.3, 0.2, 0.1], rtol=1e-13)
+
+
+def test_thrusters_fire_by_whole_impulses():
+    """A pulse that ends within a step is exact, and one below the smallest is left out."""
+    for h in (0.5, 0.125):
+        jets = F.Thrusters(F.Torque((0.05, -0.3, 0.004)), 0.5, (0.2, 0.2, 0.1), min_impulse=0.003)
+        sat = S.body((1.0, 1.0, 1.0), attitude=False).with_forces(jets)
+        sol = co.integrate(sat, sat.state(), (0, 2), h, save_every=round(0.5 / h))
+        np.testing.assert_allclose(sol.x[:, 0], 0.025 * np.arange(5), rtol=0, atol=1e-16)
+        np.testing.assert_allclose(sol.x[:, 1], -0.1 * np.arange(5), rtol=1e-15, atol=0)
+        assert np.abs(sol.x[:, 2]).max() == 0.0
+
+
+def test_several_sampled_forces_have_their_own_numbers():
+    """Also at different rates; added one after the other as together."""
+    both = F.ReactionWheels(LAW, 0.5), F.Thrusters(F.Pointing(0.0, 0.1), 1.0, 0.2)
+    free = S.body(TENSOR, wheels=WHEELS)
+    sat = free.with_forces(*both)
+    assert sat.dim == 12 + 4 + 4 + 3 and sat.state().shape == (23,)
+    assert [force.first for force in sat.forces] == [0, 4]
+    chained = free.with_forces(both[0]).with_forces(both[1])
+    x0 = sat.state(TURNED, SPIN)
+    runs = [co.integrate(system, x0, (0, 3), STEP).x for system in (sat, chained)]
+    np.testing.assert_array_equal(*runs)
+    changes = np.any(np.diff(runs[0][:, -3:], axis=0) != 0, axis=1)
+    assert set(np.flatnonzero(changes) % round(1 / STEP)) == {0}
+
+
+def test_dampers_act_on_classical_bodies():
+    """With the angular velocity of each, which a rotor shifts."""
+    for system in (
+        S.rigid_body(TENSOR),
+        S.gyrostat((1.0, 2.0, 2.5), (0.1, 0.2, 0.3)),
+        S.heavy_top(),
+        S.kirchhoff_body(),
+    ):
+        damped, x = system.with_forces(F.Pointing(0.0, (0.5, 0.2, 0.1))), 0.3 + 0.1 * np.arange(system.dim)
+        change = damped.vector_field(x) - system.vector_field(x)
+        omega = system.hamiltonian.gradient(x)[:3]
+        np.testing.assert_allclose(
+            change, np.r_[-np.array([0.5, 0.2, 0.1]) * omega, np.zeros(system.dim - 3)], atol=1e-15
+        )
+        assert damped.power(x)["Pointing"] < 0.0
+        assert co.integrate(damped, x, (0, 1), 0.125).x.shape == (9, system.dim)
+
+
+def test_bodies_with_rotors():
+    """States from speeds and angles, and the energy of each part."""
+    free = S.body(TENSOR, wheels=WHEELS, gyros=PYRAMID)
+    speeds, angles = np.array([1.0, -2.0, 0.5, 3.0]), np.array([0.2, -0.3, 3.0, 0.1])
+    x0 = free.state(TURNED, SPIN, wheel_speeds=speeds, gimbal_angles=angles)
+    np.testing.assert_allclose(free.wheel_speeds(x0), speeds, rtol=1e-13)
+    np.testing.assert_allclose(free.gimbal_angles(x0), angles, rtol=1e-13)
+    np.testing.assert_allclose(free.angular_velocity(x0), SPIN, rtol=0, atol=1e-13)
+    moments = np.linalg.norm(WHEELS, axis=1)
+    unit = WHEELS / moments[:, None]
+    kinetic = 0.5 * SPIN @ TENSOR @ SPIN + 0.5 * moments @ ((speeds + unit @ SPIN) ** 2 - (unit @ SPIN) ** 2)
+    assert free.energy(x0) == pytest.approx(kinetic, rel=1e-13)
+    degrees = free.state(
+        TURNED, np.degrees(SPIN), wheel_speeds=np.degrees(speeds), gimbal_angles=np.degrees(angles), degrees=True
+    )
+    np.testing.assert_allclose(degrees, x0, rtol=0, atol=1e-14)
+    sol = co.integrate(free, np.stack([x0, degrees]), (0, 10), STEP, observe=free.integrals)
+    assert all(np.ptp(values[:, 0]) < 1e-13 for values in sol.observed.values()) and len(sol.observed) == 3
+    np.testing.assert_array_equal(
+        sol.x[:, :, 12:], np.broadcast_to(np.stack([x0, degrees])[:, 12:], sol.x[:, :, 12:].shape)
+    )
+    assert sol.system.wheel_speeds(sol.x).shape == (161, 2, 4)
+    balanced = S.body((2.0, 2.0, 2.0), wheels=[(0, 0, 0.5)])
+    turning = co.integrate(balanced, balanced.state(None, (0, 0, 0.3), wheel_speeds=[2.0]), (0, 5), 0.5)
+    np.testing.assert_allclose(turning.rotation.as_rotvec()[:, 2], 0.3 * turning.t, rtol=0, atol=1e-14)
+
+
+def test_what_is_refused():
+    sampled, wheels = F.Sampled(LAW, 0.5), F.ReactionWheels(LAW, 0.5, max_torque=(1.0, 2.0))
+    for force in (LAW, CASES["MagneticDipole"].force, sampled, wheels):
+        with refused(TypeError, force.label, "co.systems.body"):
+            S.gravitating_bodies().with_forces(force)
+    with refused(TypeError, "Pointing", "rigid_body", "attitude"):
+        S.rigid_body().with_forces(LAW)
+    with refused(TypeError, "Sampled", "rigid_body", "co.systems.body"):
+        S.rigid_body().with_forces(sampled)
+    for force, name in ((wheels, "wheels"), (CASES["ControlMomentGyros"].force, "gyros")):
+        with refused(TypeError, name, "co.systems.body"):
+            S.body().with_forces(force)
+    with refused(ValueError, "max_torque", "(2,)", "4"):
+        S.body(TENSOR, wheels=WHEELS).with_forces(wheels)
+    with refused(TypeError, "law", "LinearDamping"):
+        F.Sampled(F.LinearDamping(0.1), 0.5)
+    with refused(TypeError, "max_torque"):
+        F.Thrusters(LAW, 0.5)
+    sat = S.body().with_forces(sampled)
+    x0 = sat.state()
+    for step, span, named in ((0.3, (0, 3), "period"), (0.25, (0.1, 1.1), "start"), (2.0, (0, 2), "period")):
+        with refused(ValueError, named, f"{step:g}"):
+            co.integrate(sat, x0, span, step)
+    with refused(ValueError, "Sampled", "backward"):
+        co.integrate(sat, x0, (1, 0), 0.25)
+    with refused(ValueError, "start", "0.1"):
+        co.stepper(sat, co.Splitting(), 0.25)(x0, 0.1)
+    with refused(ValueError, "start", "0.1"):
+        co.prepare(sat, co.Splitting(), 0.25).end(x0, (0.1, 1.1))
+    ready = co.prepare(sat, co.Splitting(), 0.25)
+    ready.run(x0, (0, 1))
+    with refused(ValueError, "start", "0.1"):
+        ready.run(x0, (0.1, 1.1))
+    with refused(ValueError, "(12,)", "15"):
+        co.integrate(sat, S.body().state(), (0, 1), 0.25)
+    with refused(ValueError, "[0.1, 0.2]", "(3,)"):
+        S.body().with_forces(F.Sampled(F.Torque((0.1, 0.2)), 0.5))
+
+
+def test_rotors_that_are_refused():
+    for wheels, named in (([(0, 0, 1.0, 0)], "(1, 4)"), ([(0, 0, 0)], "wheels[0]"), ([(0, 0, 2.5)], "exceed")):
+        with refused(ValueError, "wheels", named):
+            S.body((1.0, 2.0, 2.5), wheels=wheels)
+    for gyros, named in (
+        ([(1, 0, 0)], "(1, 3)"),
+        ([[(1, 0, 0), (0, 2, 0)]], "gyros[0]"),
+        ([[(1, 0, 0), (1, 1, 0)]], "gyros[0]"),
+    ):
+        with refused(ValueError, "gyros", named):
+            S.body((1.0, 2.0, 2.5), gyros=gyros)
+    with refused(ValueError, "rod"):
+        S.body((2.0, 2.0, 0.0), wheels=[(0.1, 0, 0)])
+    with refused(ValueError, "wheel_speeds", "(2,)"):
+        S.body(TENSOR, wheels=WHEELS).state(wheel_speeds=(1.0, 2.0))

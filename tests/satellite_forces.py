@@ -1,0 +1,233 @@
+"""Forces on a satellite, each beside its own equations in quaternions, without this library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import coadjoint as co
+
+F, S = co.forces, co.systems
+TENSOR = np.array([[1.2, 0.1, -0.05], [0.1, 2.0, 0.15], [-0.05, 0.15, 2.4]])
+TURNED, SPIN = Rotation.from_rotvec([0.6, -0.4, 0.3]), np.array([0.2, -0.1, 0.3])
+STEP, PERIOD = 1 / 16, 0.5
+WHEELS = np.array([[0.05, 0.0, 0.0], [0.0, 0.04, 0.03], [0.0, -0.03, 0.04], [0.02, 0.02, 0.01]])
+PYRAMID = np.array([[(-q, p, 0), (-0.6 * p, -0.6 * q, 0.8)] for p, q in ((1, 0), (0, 1), (-1, 0), (0, -1))])
+AREAS, NORMALS = (0.7, 1.3, 0.4), ((0.6, 0.8, 0.0), (0.0, -0.6, 0.8), (-1.0, 0.0, 0.0))
+CENTRES = ((0.5, 0.1, -0.2), (0.0, -0.3, 0.4), (-0.2, 0.6, 0.1))
+TOWARD = np.array([0.48, -0.6, 0.64])
+Q = np.array([[0.3, 0.05, 0.0], [0.05, 0.1, -0.1], [0.0, -0.1, 0.2]])
+STIFF, SLOW = np.array([[0.4, 0.05, 0.0], [0.05, 0.5, 0.0], [0.0, 0.0, 0.6]]), (0.9, 1.1, 1.3)
+WANTED = Rotation.from_rotvec([0.1, 0.2, -0.3])
+
+
+def path(t):
+    return np.array([1.5 + 0.1 * np.sin(t), np.cos(t), 0.3 * t])
+
+
+def dipole_field(t, r):
+    return np.array([0.3 * r[1], 0.2 + 0.1 * np.cos(t), -0.1 * r[0]])
+
+
+def nadir(t):
+    c, s = np.cos(0.2 * t), np.sin(0.2 * t)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def gradient_of(r, mu, quadrupole):
+    """Return the torque of the field in space on unit second moments: the matrix of second derivatives of U."""
+    s = np.linalg.norm(r)
+
+    def U(r):
+        s = np.sqrt((r * r).sum())
+        return -mu * (1 / s + (np.trace(quadrupole) - 3 * (r @ quadrupole @ r) / s**2) / (2 * s**3))
+
+    h, E = 1e-3 * s, np.eye(3)  # sixth order in both directions: 1e-12
+    weights = {1: 3 / 4, 2: -3 / 20, 3: 1 / 60}
+    D = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for a, wa in weights.items():
+                for b, wb in weights.items():
+                    for p in (a, -a):
+                        for q in (b, -b):
+                            D[i, j] += np.sign(p * q) * wa * wb * U(r + h * (p * E[i] + q * E[j]))
+    return D / h**2
+
+
+def gravity(mu, place, quadrupole):
+    def torque(t, omega, A):
+        D = A.T @ gradient_of(place(t) if callable(place) else place, mu, quadrupole) @ A
+        M = TENSOR @ D
+        return np.array([M[1, 2] - M[2, 1], M[2, 0] - M[0, 2], M[0, 1] - M[1, 0]])
+
+    return torque
+
+
+def sunlight(t, omega, A):
+    total, s = np.zeros(3), A.T @ TOWARD
+    for a, n, c, mirror in zip(AREAS, np.array(NORMALS), np.array(CENTRES), (0.3, 0.5, 0.1), strict=True):
+        lit = max(s @ n, 0.0)
+        total += np.cross(c, -0.02 * a * lit * ((1 - mirror) * s + 2 * (mirror * lit + 0.2 / 3) * n))
+    return total
+
+
+def thin_air(t, omega, A):
+    total, v = np.zeros(3), A.T @ np.array([0.5 + 0.1 * t, 0.3, -0.2])
+    for a, n, c in zip(AREAS, np.array(NORMALS), np.array(CENTRES), strict=True):
+        total += np.cross(c, -0.5 * 0.2 * 2.2 * a * max(v @ n, 0.0) * v)
+    return total
+
+
+def toward(kind, wanted=lambda t: WANTED.as_matrix(), rate=(0.0, 0.0, 0.0), limit=np.inf):
+    def torque(t, omega, A):
+        q = Rotation.from_matrix(wanted(t).T @ A).as_quat()
+        e = 2 * np.sign(q[3]) * q[:3] * (1.0 if kind == "quaternion" else np.abs(q[3]))
+        return np.clip(-STIFF @ e - np.diag(SLOW) @ (omega - A.T @ np.array(rate)), -limit, limit)
+
+    return torque
+
+
+LAW = F.Pointing(STIFF, SLOW, WANTED)
+
+
+class Case(NamedTuple):
+    """A force, a reference torque of (t, omega, A), arguments of the body, and which actuator there is."""
+
+    force: Any
+    torque: Callable[..., Any]
+    body: Mapping[str, Any] = MappingProxyType({})
+    actuator: str = ""
+    stored: bool = True
+    """Whether it has no functions."""
+
+    @property
+    def free(self):
+        return S.body(TENSOR, **self.body)
+
+    @property
+    def system(self):
+        return self.free.with_forces(self.force)
+
+    @property
+    def start(self):
+        given = {"wheel_speeds": (1.0, -2.0, 0.5, 3.0)} if "wheels" in self.body else {}
+        given |= {"gimbal_angles": (0.2, -0.3, 0.4, 0.1)} if "gyros" in self.body else {}
+        return self.system.state(TURNED, SPIN, **given)
+
+    def build(self, changed):
+        """Return the system with other values of parameters."""
+        own = {name: value for name, value in changed.items() if "." not in name}
+        force = self.force
+        for name, value in changed.items():
+            *outer, field = name.split(".")[1:] or [""]
+            if outer:
+                force = replace(force, law=replace(force.law, **{field: value}))
+            elif field:
+                force = replace(force, **{field: value})
+        return S.body(**{"inertia": TENSOR, **self.body, **own}).with_forces(force)
+
+
+PLATES = {"areas": AREAS, "normals": NORMALS, "centres": CENTRES}
+CASES = {
+    "GravityGradient": Case(F.GravityGradient(0.8, (1.2, -0.5, 0.7)), gravity(0.8, np.array([1.2, -0.5, 0.7]), 0 * Q)),
+    "GravityGradient of an oblate centre": Case(F.GravityGradient(0.8, path, Q), gravity(0.8, path, Q), stored=False),
+    "MagneticDipole": Case(
+        F.MagneticDipole((0.2, -0.3, 0.5), (0.3, 0.4, -0.1)),
+        lambda t, omega, A: np.cross([0.2, -0.3, 0.5], A.T @ [0.3, 0.4, -0.1]),
+    ),
+    "MagneticDipole along a path": Case(
+        F.MagneticDipole((0.2, -0.3, 0.5), dipole_field, path),
+        lambda t, omega, A: np.cross([0.2, -0.3, 0.5], A.T @ dipole_field(t, path(t))),
+        stored=False,
+    ),
+    "SolarPressure": Case(F.SolarPressure(0.02, TOWARD, **PLATES, specular=(0.3, 0.5, 0.1), diffuse=0.2), sunlight),
+    "Drag": Case(F.Drag(0.2, lambda t: np.array([0.5 + 0.1 * t, 0.3, -0.2]), **PLATES), thin_air, stored=False),
+    "Pointing": Case(LAW, toward("sine")),
+    "Pointing by quaternions": Case(
+        F.Pointing(STIFF, SLOW, nadir, (0.0, 0.0, 0.2), "quaternion"),
+        toward("quaternion", nadir, (0.0, 0.0, 0.2)),
+        stored=False,
+    ),
+    "Sampled": Case(F.Sampled(LAW, PERIOD, 0.4), toward("sine", limit=0.4), actuator="torque"),
+    "ReactionWheels": Case(F.ReactionWheels(LAW, PERIOD), toward("sine"), {"wheels": WHEELS}, "wheels"),
+    "ControlMomentGyros": Case(
+        F.ControlMomentGyros(LAW, PERIOD, max_rate=0.3), toward("sine"), {"gyros": PYRAMID}, "gyros"
+    ),
+    "Thrusters": Case(F.Thrusters(LAW, PERIOD, (0.5, 0.4, 0.3), 0.01), toward("sine"), actuator="thrusters"),
+}
+
+
+def slope_of_attitude(q, omega):
+    return 0.5 * np.r_[q[3] * omega + np.cross(q[:3], omega), -q[:3] @ omega]
+
+
+def reference(case: Case, t_end: float) -> dict[str, np.ndarray]:
+    """Return attitude, angular velocity and rotors at the end, by DOP853 between samples and ends of pulses."""
+    unit, moments = WHEELS / np.linalg.norm(WHEELS, axis=1)[:, None], np.linalg.norm(WHEELS, axis=1)
+    start, free = case.start, case.system
+    rotors = free.wheel_speeds(start) if case.actuator == "wheels" else free.gimbal_angles(start)
+    y, t = np.r_[TURNED.as_quat(), SPIN, rotors], 0.0
+
+    def momenta(angles):
+        c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+        return c * PYRAMID[:, 0] + s * PYRAMID[:, 1], c * PYRAMID[:, 1] - s * PYRAMID[:, 0]
+
+    def slope(t, y, u):
+        q, omega, own = np.split(y, [4, 7])
+        A = Rotation.from_quat(q).as_matrix()
+        L, rates = TENSOR @ omega, np.zeros(0)
+        N = case.torque(t, omega, A) if not case.actuator else u if len(u) == 3 else np.zeros(3)
+        if case.actuator == "wheels":
+            # The motors act on the wheels, and the body without their moments about the axes has the opposite torque.
+            L = L + (moments * own) @ unit
+            turning = np.linalg.solve(TENSOR - (unit.T * moments) @ unit, np.cross(L, omega) - u @ unit)
+            return np.r_[slope_of_attitude(q, omega), turning, u / moments - unit @ turning]
+        if case.actuator == "gyros":
+            h, dh = momenta(own)
+            L, N, rates = L + h.sum(axis=0), -u @ dh, u
+        return np.r_[slope_of_attitude(q, omega), np.linalg.solve(TENSOR, np.cross(L, omega) + N), rates]
+
+    def follow(y, t, to, u):
+        if to <= t:
+            return y
+        y = solve_ivp(slope, (t, to), y, method="DOP853", rtol=1e-13, atol=1e-13, args=(u,)).y[:, -1]
+        return np.r_[y[:4] / np.linalg.norm(y[:4]), y[4:]]
+
+    if not case.actuator:
+        y = follow(y, 0.0, t_end, np.zeros(0))
+    while case.actuator and t < t_end - 1e-9:
+        torque, pulses = case.torque(t, y[4:7], Rotation.from_quat(y[:4]).as_matrix()), np.zeros(3)
+        if case.actuator == "wheels":
+            torque = -np.linalg.pinv(unit.T) @ torque
+        elif case.actuator == "gyros":
+            B = momenta(y[7:])[1]
+            share = 1e-3 * (PYRAMID[:, 0] ** 2).sum() / 3
+            torque = np.clip(-B @ np.linalg.solve(B.T @ B + share * np.eye(3), torque), -0.3, 0.3)
+        elif case.actuator == "thrusters":
+            full = np.array([0.5, 0.4, 0.3])
+            pulses = np.minimum(np.abs(torque) / full, 1.0) * PERIOD
+            pulses[pulses * full < 0.01] = 0.0
+            torque = np.sign(torque) * full
+        edges = sorted({*pulses, PERIOD} - {0.0}) if case.actuator == "thrusters" else [PERIOD]
+        since = 0.0
+        for edge in edges:
+            on = np.where(since < pulses, torque, 0.0) if case.actuator == "thrusters" else torque
+            y, since = follow(y, t + since, t + edge, on), edge
+        t += PERIOD
+    q, omega, own = np.split(y, [4, 7])
+    return {"attitude": Rotation.from_quat(q).as_matrix(), "omega": omega, "rotors": own}
+
+
+def error_of(case: Case, x: np.ndarray, wanted: dict[str, np.ndarray]) -> float:
+    """Return the largest difference of a state from the reference."""
+    system = case.system
+    own = system.wheel_speeds(x) if case.actuator == "wheels" else system.gimbal_angles(x)
+    found = {"attitude": system.attitudes(x), "omega": system.angular_velocity(x), "rotors": own}
+    return max(np.abs(found[name] - wanted[name]).max(initial=0.0) for name in wanted)
