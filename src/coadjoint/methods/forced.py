@@ -48,6 +48,8 @@ def check_steps(system: Any, t0: float, h: float) -> None:
     >>> import coadjoint as co
     >>> check_steps(co.systems.rigid_body(), 0.0, -0.1)
     """
+    if not forces_of(system):
+        return
     for one in system.distinct if is_batch(system) else (system,):
         for _, force in forces_of(one):
             force.check_steps(t0, h)

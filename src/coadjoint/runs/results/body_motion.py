@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text
-from coadjoint.systems.forces.body_torque import CLASSICAL_BODIES
+from coadjoint.systems.coordinates import CLASSICAL_BODIES
 from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 if TYPE_CHECKING:

@@ -11,25 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import CLASSICAL_BODIES
 from coadjoint.systems.forces.rates import read_matrix
 from coadjoint.systems.forces.state_torque import StateTorque, check_attitude, constant_in_time, torque_on_state
 from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments
 from coadjoint.validation import read_finite
-
-CLASSICAL_BODIES = frozenset(
-    (
-        "clebsch_body",
-        "goryachev_chaplygin_top",
-        "gyrostat",
-        "heavy_top",
-        "kirchhoff_body",
-        "kovalevskaya_top",
-        "lagrange_top",
-        "rigid_body",
-        "satellite",
-    )
-)
-"""Systems whose first three coordinates are an angular momentum in the frame of the body, with sign -1."""
 
 
 class BodyTorque(StateTorque):
