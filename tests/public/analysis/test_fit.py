@@ -320,6 +320,7 @@ def test_residuals_that_contradict_sigma_are_reported(factor):
     assert [("contradict sigma" in str(one.message)) for one in noticed] == [True] * (factor > 1.0)
 
 
+@pytest.mark.filterwarnings("ignore:.*no body has")
 def test_rates_given_as_momenta_are_reported():
     """Of the moments 1, 1.8 and 2.4: the fit has other moments, and residuals far above sigma."""
     body = co.systems.rigid_body((1.0, 1.8, 2.4))
