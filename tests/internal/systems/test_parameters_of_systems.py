@@ -301,3 +301,22 @@ def test_energies_of_functions_and_of_pieces_have_no_parameters():
         assert parameters_of(co.LiePoissonSystem(SO3, energy)) == {}
     with refused(ValueError, "inertai", "inertia", "rigid_body"):
         parameter_of(co.systems.rigid_body(), "inertai")
+
+
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
+def test_members_of_a_batch_may_have_derivatives_of_other_monomials(registering, method):
+    """The derivative of 1 + p^2 has no monomial at p = 0; each member has that of its run alone."""
+
+    def energy(p):
+        return (np.array([1.0 + p * p, 0.5 + p, 0.25]),)
+
+    @co.systems.ready_made(energy=energy)
+    def made(p):
+        return co.LiePoissonSystem(SO3, co.Quadratic(*energy(p)), name="made", parameters={"p": p})
+
+    systems, x0 = [made(p) for p in (0.25, 0.0, 0.375)], np.array([0.3, 0.8, 0.4])
+    sol, pullback = co.prepare(co.batch(systems), method, 0.125).vjp(x0, (0, 1))
+    found = pullback(sol.x**2)["p"]
+    for m, system in enumerate(systems):
+        alone, own = co.prepare(system, method, 0.125).vjp(x0, (0, 1))
+        assert found[m] == own(alone.x**2)["p"] != 0.0

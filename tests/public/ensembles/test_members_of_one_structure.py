@@ -315,3 +315,15 @@ def test_memory_of_a_prepared_batch(case):
     tracemalloc.stop()
     assert prepared.system is systems
     assert used < bound * count and peak < 2 * bound * count, (used, peak)
+
+
+@pytest.mark.parametrize("count", [33, 70])
+def test_states_between_steps_of_members_in_several_rows_of_lanes(count):
+    """Several times in each step, so that rows of columns follow each other more than once."""
+    rng, systems = np.random.default_rng(count), tops(count)
+    states, times = 0.3 * rng.standard_normal((count, 6)), [0.001, 0.003, 0.01, 0.02, 0.021, 0.5]
+    method, thinned = METHODS["auto"], (0, 31, 32, count - 1)
+    whole = co.prepare(co.batch(systems), method, STEP).run(states, (0.0, 0.5), t_eval=times)
+    for m in thinned:
+        alone = co.prepare(systems[m], method, STEP).run(states[m], (0.0, 0.5), t_eval=times)
+        assert np.array_equal(whole.x[:, m], alone.x), m

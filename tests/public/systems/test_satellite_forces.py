@@ -295,3 +295,30 @@ def test_rotors_that_are_refused():
         S.body((2.0, 2.0, 0.0), wheels=[(0.1, 0, 0)])
     with refused(ValueError, "wheel_speeds", "(2,)"):
         S.body(TENSOR, wheels=WHEELS).state(wheel_speeds=(1.0, 2.0))
+
+
+@pytest.mark.parametrize("degrees", [40.0, 120.0, 179.0])
+@pytest.mark.parametrize("main", range(3))
+def test_the_error_of_quaternion_feedback_is_twice_the_vector_part(main, degrees):
+    """Beyond 120 degrees by the largest component of the axis, whichever it is."""
+    axis = np.array([0.2, -0.3, 0.1])
+    axis[main] = 1.0
+    axis /= np.linalg.norm(axis)
+    law = F.Pointing(stiffness=0.5, damping=0.0, error="quaternion")
+    sat = S.body(TENSOR).with_forces(law)
+    x = sat.state(Rotation.from_rotvec(degrees * axis, degrees=True))
+    wanted = -0.5 * 2.0 * np.sin(np.radians(degrees) / 2.0) * axis
+    assert sat.vector_field(x)[:3] == pytest.approx(wanted, abs=1e-13)
+
+
+def test_pulses_begin_with_their_periods_at_any_step():
+    """Steps and periods that are no binary fractions: the times of samples are rounded."""
+    jets = F.Thrusters(F.Torque((0.03, 0.0, 0.0)), period=1.1, max_torque=0.1)
+    sat = S.body((1.0, 2.0, 2.5)).with_forces(jets)
+    sol = co.integrate(sat, sat.state(), (0, 110), 0.1, save_every=11)
+    assert sol.angular_momentum[:, 0] == pytest.approx(0.03 * sol.t, abs=1e-12)
+
+
+def test_gyros_whose_momenta_are_not_orthogonal_are_refused():
+    with pytest.raises(ValueError, match=r"gyros\[0\]"):
+        S.body((1.0, 2.0, 2.5), gyros=[[(0.1, 0.0, 0.0), (0.06, 0.08, 0.0)]])
