@@ -106,7 +106,7 @@ VALID = {
 RUN, BRACKETS, ZERO = {"attitude": None}, {"brackets": {(0, 1): {2: 1.0}}, "dim": 3}, np.zeros((3, 3))
 OWN = {
     "co.identify": {"t": LONG.t, "x": LONG.x},
-    "co.fit": {"t_span": (0, 2)},
+    "co.fit": {"t_span": (0, 2), "sigma": {"x": 1.0}},
     "co.thermal_states": {"system": co.systems.spin_lattice(), "members": 2, "sweeps": 2},
     "co.spectra.structure_factor": {"solution": WAVES},
     "co.certify": {"steps": 4},

@@ -112,7 +112,7 @@ def test_bytes_of_the_tables_of_a_spin(name, most):
     """All arrays of the Hamiltonian, the invariants, the parts and the loops, each counted once."""
     system = lattice(name)
     loops = co.prepare(system, co.Splitting(order=2), 0.05, watch=False).loops(0.05)
-    parts, found = loops.compiled[0].parts, {}
+    parts, found = decompose(system, "auto").parts, {}
     terms = [term for F in (system.hamiltonian, *system.casimirs.values()) for term in F.terms()]
     for term in terms:
         of_matrix = (term.matrix,) if isinstance(term, RepeatedTerm) else (term.indptr, term.indices, term.values)

@@ -432,7 +432,7 @@ def test_reserved_coordinate_names_are_refused(tmp_path):
         co.integrate(fluid, [fluid.random(seed=1)], (0, 1), STEP),
         co.integrate_ensemble(BODY, X[:2], (0, 1), STEP),
     ]
-    datasets = [sol.to_xarray() for sol in runs]
+    datasets = [sol.to_xarray(grid=False) for sol in runs]
     names = {str(name) for data in datasets for name in (*data.variables, *data.dims)} - {"member"}
     assert {"drift", "change", "work", "attitude0", "observed_q", "event_x", "part", "crossing", "status"} < names
     for name in (*names, "layer", "casimir_", "observed_rate", "event_rate"):

@@ -99,6 +99,8 @@ OTHERS = {
     ("separable_cosh", "algebra"): {"algebra": "sl(2)"},
     ("separable_cosh", "constants"): {"algebra": "A3,7", "constants": {"a": 0.5}},
     ("gravitating_bodies", "order"): {"order": 0},
+    ("body", "wheels"): {"wheels": [[0.1, 0.0, 0.0]]},
+    ("body", "gyros"): {"gyros": [[[0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]]},
     ("sphere_euler", "rotation"): {"N": 4, "rotation": 0.75},
 }  # fmt: skip
 OTHERS |= {(name, "surface"): {"N": 5, "surface": "torus"} for name in ("reduced_mhd", "passive_scalar")}
@@ -254,7 +256,7 @@ FORCES = {
 }
 
 
-@pytest.mark.parametrize("name", [name for name in co.forces.names() if name != "OwnForce"])
+@pytest.mark.parametrize("name", FORCES)
 def test_forced_runs_are_repeated_with_their_work(name, tmp_path):
     force = getattr(co.forces, name)(*FORCES[name])
     fluid = name in ("Viscosity", "Friction", "BetaPlane", "RandomForcing")

@@ -64,7 +64,8 @@ def initial_group_element(attitude: Any, size: int) -> Floats:
         return np.eye(size)
     first = read_finite(group_elements(attitude, size), "attitude")
     if first.shape != (size, size):
-        raise ValueError(f"attitude has shape {first.shape}; give True or a finite {expected_elements(size)}")
+        shape = np.shape(attitude) or first.shape  # a Rotation has none
+        raise ValueError(f"attitude has shape {shape}; give True or a finite {expected_elements(size)}")
     return first
 
 

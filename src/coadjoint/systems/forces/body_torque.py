@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -108,8 +108,10 @@ def cross(a: Any, b: Any) -> Any:
     return result
 
 
-in_body = callable_from_compiled(to_body)
-crossed = callable_from_compiled(cross)
+@cache
+def body_products() -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return `to_body` and `cross` for functions that Numba compiles; it is imported when a torque is used."""
+    return callable_from_compiled(to_body), callable_from_compiled(cross)
 
 
 def read_prescribed(value: Any, what: str, arguments: str = "t", shape: tuple[int, ...] = (3,)) -> Any:

@@ -10,8 +10,7 @@ import numpy as np
 
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
-    crossed,
-    in_body,
+    body_products,
     prescribed,
     read_prescribed,
     read_tensor,
@@ -71,6 +70,7 @@ class GravityGradient(BodyTorque):
             raise ValueError("position of GravityGradient is zero; give that of the body from the centre")
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
+        in_body, crossed = body_products()
         inertia = _inertia(system)
         mu, position, Q = self.mu, prescribed(self.position), _anisotropic(tensor(self.quadrupole))
         round_centre = not Q.any()

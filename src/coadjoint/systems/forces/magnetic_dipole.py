@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.systems.forces.body_torque import BodyTorque, crossed, in_body, prescribed, read_prescribed
+from coadjoint.systems.forces.body_torque import BodyTorque, body_products, prescribed, read_prescribed
 from coadjoint.systems.user_functions import callable_from_compiled
 
 
@@ -58,6 +58,7 @@ class MagneticDipole(BodyTorque):
             )
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
+        in_body, crossed = body_products()
         moment = np.array(self.moment)
         if self.position is None:
             field = prescribed(self.B)

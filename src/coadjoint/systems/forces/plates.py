@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from coadjoint.systems.forces.body_torque import BodyTorque, crossed, in_body, prescribed, read_prescribed
+from coadjoint.systems.forces.body_torque import BodyTorque, body_products, prescribed, read_prescribed
 from coadjoint.validation import read_finite, read_number
 
 UNIT = 1e-6
@@ -106,6 +106,7 @@ class SolarPressure(_OnPlates):
             raise ValueError("specular and diffuse of SolarPressure exceed 1 together; they are shares of the light")
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
+        in_body, crossed = body_products()
         pressure, sun, count = self.pressure, prescribed(self.sun), len(self.areas)
         a, n, c = np.array(self.areas), np.array(self.normals), np.array(self.centres)
         mirror, matt = (np.array(np.broadcast_to(share, count)) for share in (self.specular, self.diffuse))
@@ -170,6 +171,7 @@ class Drag(_OnPlates):
         object.__setattr__(self, "velocity", read_prescribed(self.velocity, "velocity of Drag"))
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
+        in_body, crossed = body_products()
         factor, velocity, count = 0.5 * self.density * self.coefficient, prescribed(self.velocity), len(self.areas)
         a, n, c = np.array(self.areas), np.array(self.normals), np.array(self.centres)
 

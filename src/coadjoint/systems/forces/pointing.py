@@ -11,7 +11,7 @@ import numpy as np
 from coadjoint.systems.bodies.body_states import read_attitudes
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
-    in_body,
+    body_products,
     prescribed,
     read_limits,
     read_prescribed,
@@ -94,6 +94,7 @@ class Pointing(BodyTorque):
         return bool(np.any(self.stiffness)) or callable(self.rate) or any(self.rate)
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
+        in_body, _ = body_products()
         K, C, velocity = tensor(self.stiffness), tensor(self.damping), velocity_of(system)
         wanted = prescribed(np.eye(3) if self.attitude is None else self.attitude)
         rate, limited = prescribed(self.rate), limited_by(self.max_torque)
