@@ -403,8 +403,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
         error, truncation, member, total = measured.worst()
         too_large = truncation > WARNED and total > WARNED
         # Where rounding is most of the error of a step, two half steps differ by rounding too.
-        timed = member_of(prepared.system).hamiltonian.timed
-        rounded = None if timed or (too_large and error < 2.0 * truncation) else measured.rounded_group()
+        rounded = None if too_large and error < 2.0 * truncation else measured.rounded_group()
         if too_large and rounded is not None and not measured.is_beside_larger(rounded):
             rounded = None
     except Exception:

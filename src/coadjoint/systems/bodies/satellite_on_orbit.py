@@ -231,7 +231,7 @@ def _eccentric_anomaly(mean: float, e: float) -> float:
 
     The left side is convex from 0 to pi, and each of the starting values is an upper bound of the solution.
     """
-    reduced = mean - 2.0 * np.pi * np.round(mean / (2.0 * np.pi))
+    reduced = mean - 2.0 * np.pi * np.floor(mean / (2.0 * np.pi) + 0.5)  # in every direction of rounding
     positive = abs(reduced)
     E = min(positive + e, positive / (1.0 - e), np.pi)
     for _ in range(NEWTON_STEPS):
