@@ -26,7 +26,7 @@ MAXIMA: dict[str, int] = {
     "files in cycles, with imports inside functions and for types": 52,  # motions of bodies
     "modules behind integrate": 131,  # torques on the state, of which forces on satellites are made
     "C++ lines": 19158,
-    "test lines": 66230,  # forces on satellites by DOP853, prepared runs in C, orbits, initial attitudes
+    "test lines": 66270,  # forces on satellites by DOP853, prepared runs in C, orbits, initial attitudes
     "test files that import internals": 74,
     "public names": 343,  # nine forces on satellites, satellite_on_orbit and export_c
 }

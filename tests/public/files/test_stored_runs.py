@@ -30,6 +30,7 @@ import coadjoint as co
 from configuration_files import READY_MADE
 from refusals import refused
 from same_runs import check_same, same_bits
+from satellite_forces import CASES
 from served import FLUID, serves, state_of
 
 X = (0.3, -0.2, 0.5)
@@ -256,7 +257,10 @@ FORCES = {
 }
 
 
-@pytest.mark.parametrize("name", FORCES)
+ON_SATELLITES = {name.partition(" ")[0] for name in CASES}  # stored in tests of their own
+
+
+@pytest.mark.parametrize("name", [name for name in co.forces.names() if name not in {"OwnForce", *ON_SATELLITES}])
 def test_forced_runs_are_repeated_with_their_work(name, tmp_path):
     force = getattr(co.forces, name)(*FORCES[name])
     fluid = name in ("Viscosity", "Friction", "BetaPlane", "RandomForcing")

@@ -322,3 +322,24 @@ def test_pulses_begin_with_their_periods_at_any_step():
 def test_gyros_whose_momenta_are_not_orthogonal_are_refused():
     with pytest.raises(ValueError, match=r"gyros\[0\]"):
         S.body((1.0, 2.0, 2.5), gyros=[[(0.1, 0.0, 0.0), (0.06, 0.08, 0.0)]])
+
+
+def test_the_symmetric_part_of_a_quadrupole_without_its_trace_matters():
+    Q = np.array([[0.3, 0.2, 0.0], [-0.1, 0.1, -0.3], [0.0, 0.1, 0.2]])
+    own, other = (
+        S.body(TENSOR).with_forces(F.GravityGradient(1.0, (1.5, 0.3, -0.4), q))
+        for q in (Q, 0.5 * (Q + Q.T) + 0.7 * np.eye(3))
+    )
+    x = own.state(TURNED)
+    assert own.vector_field(x)[:3] == pytest.approx(other.vector_field(x)[:3], abs=1e-14)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_wheel_that_starts_beyond_its_limit_is_driven_back_only(sign):
+    """The body is at rest, so that the law is constant: against the motion of the wheel, and along it."""
+    for torque, expected in ((0.01, 0.1 - 0.01), (-0.01, 0.1)):
+        motors = F.ReactionWheels(F.Torque((sign * torque, 0.0, 0.0)), period=PERIOD, max_momentum=0.05)
+        sat = S.body((1.0, 2.0, 2.5), wheels=[(0.01, 0.0, 0.0)]).with_forces(motors)
+        x0 = sat.state()
+        x0[12] = 0.1 * sign
+        assert co.integrate(sat, x0, (0, 1), STEP).x[-1, 12] == pytest.approx(expected * sign, abs=1e-15)
