@@ -89,6 +89,18 @@ def of_matrix(x, inertia):
     return (X**2 / sums).sum() / 2
 
 
+def on_orbit(x, inertia, mean_motion, eccentricity):
+    L, radial, normal, I = x[:3], x[3:6], x[9:12], matrix(inertia)
+    gradient = radial @ I @ radial - np.trace(I) / 3 * (radial @ radial)
+    return body(L, inertia) - mean_motion * (L @ normal) + 3 * mean_motion**2 * gradient / 2
+
+
+def on_rotating_sphere(W, N, rotation):
+    """The energy is a quadratic function of the rotation: without its constant."""
+    still, ahead, behind = (co.systems.sphere_euler(N, rate).energy(W) for rate in (0.0, 1.0, -1.0))
+    return rotation * (ahead - behind) / 2 + rotation**2 * ((ahead + behind) / 2 - still)
+
+
 def free_bodies(x, inertias, masses, potential, gradient, hessian):
     k = len(masses)
     spins = sum(body(x[12 * i : 12 * i + 3], inertias[i]) for i in range(k))
@@ -98,7 +110,8 @@ def free_bodies(x, inertias, masses, potential, gradient, hessian):
 # The energy of the state by the parameters, and other arguments of the system.
 FORMULAS = {
     "rigid_body": body,
-    "body": lambda x, inertia, attitude: body(x[:3], inertia),
+    "body": lambda x, inertia, attitude, wheels, gyros, held: body(x[:3], inertia),
+    "satellite_on_orbit": on_orbit,
     "bodies": free_bodies,
     "gyrostat": lambda x, inertia, rotors: body(x - rotors, inertia),
     "heavy_top": lambda x, inertia, lever: body(x[:3], inertia) + lever @ x[3:],
@@ -119,9 +132,7 @@ FORMULAS = {
     "spin_lattice": spins,
     "decorated_particles": lumps,
     "matrix_body": of_matrix,
-    "sphere_euler": lambda W, N, rotation: (
-        rotation * (co.systems.sphere_euler(N, 1.0).energy(W) - co.systems.sphere_euler(N).energy(W))
-    ),
+    "sphere_euler": on_rotating_sphere,
 }
 VARIANTS = [
     *((name, {}) for name in co.systems.names()),

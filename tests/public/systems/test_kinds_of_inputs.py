@@ -161,6 +161,8 @@ def test_couplings_of_either_sign_move_as_their_energy_says(name):
         rng = np.random.default_rng(count)
         count += 1
         x = rng.uniform(0.5, 1.0, system.dim) * np.where(rng.random(system.dim) < 0.5, -1.0, 1.0)
+        if "z" in system.casimirs:
+            x[np.argmax(np.abs(system.casimirs["z"].gradient(x)))] = 1.0
         field = system.vector_field(x)
         # Of the differences: the third derivatives times h^2, and u / h.
         assert np.abs(field - by_differences(system, x)).max() <= 2.0**-24 * max(1.0, np.abs(field).max()), key
@@ -173,7 +175,7 @@ def test_couplings_of_either_sign_move_as_their_energy_says(name):
                 assert isinstance(way, co.Splitting)
                 continue
             assert np.abs(end - expected).max() <= 1e-9 * np.abs(expected).max(), (key, changed, way)
-    assert count or all(n > 0 for n in numbers(list(real_parameters(name).values())))
+    assert count or all(n >= 0 for n in numbers(list(real_parameters(name).values())))
 
 
 def orders(items, draws=4):
