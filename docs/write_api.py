@@ -40,12 +40,12 @@ MEMBERS_OF = (
     ),
     (
         "A system",
-        co.LiePoissonSystem,
-        "casimirs dim energy exact integrals jacobian parameters structure_matrix vector_field with_forces",
+        co.System,
+        "energy exact hamiltonian_field jacobian labels parameters power reversible shape structure_matrix unforced "
+        "vector_field with_forces",
     ),
     ("A system of matrices, in addition", co.MatrixSystem, "from_vector in_numbers spectrum stream_of to_vector"),
     ("An algebra of matrices", co.MatrixAlgebra, "basis bracket dim pairing projected shape"),
-    ("A system with forces, in addition", co.ForcedSystem, "labels power reversible"),
     ("A force", co.forces.Force, "check describe_to field flow parameters"),
     (
         "A scheme",
@@ -77,7 +77,6 @@ MEMBERS_OF = (
 ATTRIBUTES_NOT_LISTED = (
     co.MatrixSystem,
     co.MatrixAlgebra,
-    co.ForcedSystem,
     co.methods.Method,
     co.Splitting,
     co.PreparedRun,

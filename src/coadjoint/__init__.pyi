@@ -72,7 +72,6 @@ from .runs.results.solution import Solution as Solution
 from .runs.stepper import stepper as stepper
 from .systems import forces as forces
 from .systems.batch import batch as batch
-from .systems.forced import ForcedSystem as ForcedSystem
 from .systems.hamiltonians.hamiltonian import Hamiltonian as Hamiltonian
 from .systems.hamiltonians.hamiltonian import formula as formula
 from .systems.hamiltonians.quadratic import Quadratic as Quadratic
@@ -82,6 +81,7 @@ from .systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
 from .systems.matrices.matrix_system import MatrixSystem as MatrixSystem
 from .systems.matrices.two_layer_system import TwoLayerSystem as TwoLayerSystem
 from .systems.poisson import PoissonSystem as PoissonSystem
+from .systems.system import System as System
 
 __version__: str
 __all__: list[str]

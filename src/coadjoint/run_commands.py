@@ -242,14 +242,13 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
     from coadjoint.files.configuration.construction import ConfigurationError
     from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
-    from coadjoint.systems.forced import ForcedSystem
     from coadjoint.systems.protocol import is_batch
 
     configuration = load(file)
     if is_batch(configuration.system):
         problem = "sweep.over: a certificate is of one system; sweep over the initial state alone"
         raise ConfigurationError(f"{configuration.path}: {problem}")
-    if isinstance(configuration.system, ForcedSystem):
+    if configuration.system.forces:
         problem = "forces: a certificate is of a system without forces; omit [[forces]]"
         raise ConfigurationError(f"{configuration.path}: {problem}")
     json_target = None if json_path is None else check_target(json_path, TEXTS)

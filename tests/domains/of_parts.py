@@ -190,12 +190,6 @@ OWN_SYSTEMS = {
         second_stream=optional(instance(WEIGHTS)).plus(outside=(LARGE,)).but_called(r"\b(second_)?stream\b"),
         name=title("mine"),
     ),
-    "ForcedSystem": Case(co.ForcedSystem, {
-        "system": instance(BODY, FLUID),
-        "forces": structured(((co.forces.LinearDamping(0.5),), [co.forces.LinearDamping(0.5)] * 2),
-            ((), (1.0,), (co.forces.LinearDamping((0.5, 1.0)),), co.forces.BetaPlane(1.0)),
-            r"\bforces?\b|^rate of LinearDamping"),
-    }),
     "batch": Case(co.batch, {
         "systems": structured(((BODY, BODY), [BODY], iter([BODY, co.systems.rigid_body()])),
             ((), (BODY, 1.0), (BODY, co.systems.heavy_top()), (BODY, co.systems.paper_a37())),

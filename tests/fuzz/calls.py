@@ -47,7 +47,6 @@ OBJECTS = {
     "Certificate": co.certify(BODY, co.Splitting(), X, 0.1, steps=4),
     "Corrector": co.make_corrector(BODY, co.Splitting(), X),
     "Force": co.forces.LinearDamping(0.1),
-    "ForcedSystem": FORCED,
     "Frequencies": co.frequencies(TIMES, np.cos(TIMES), 1),
     "LieAlgebra": SO3,
     "LiePoissonSystem": BODY,
@@ -61,12 +60,15 @@ OBJECTS = {
     "Solution": LONG,
     "Splitting": co.Splitting(),
     "Stepper": co.stepper(BODY, co.Splitting(), 0.1),
+    "System": BODY,
 }
 # Further objects, and functions of which every argument is tried.
 FURTHER = {
     "a modified Hamiltonian": KEPT,
     "a modified field": FIELD,
     "a modified field at points": co.modified_field(BODY, co.GaussLegendre(1), 3, way="numerical"),
+    "a field with forces": FORCED.vector_field,
+    "the power of forces": FORCED.power,
     "a corrector": OBJECTS["Corrector"],
     "a step": OBJECTS["Stepper"],
     "a sum of lines": OBJECTS["Frequencies"],
@@ -140,7 +142,7 @@ OWN = {
 LEFT_OUT = re.compile(
     r"\.(plot|movie)\(|co\.plotting\.|co\.torch|co\.jax|workers|co\.methods\.(Coeff|Oper|Sweep|Work|begin|iterate|regis|"
     r"compile|gauss|.*Method\()|co\.forces\.(Force\(|get)|co\.(analysis|spectra)\.[A-Z]|describe_to|"
-    r"Force\.(flow|check|field)|"
+    r"Force\.(flow|check|field)|hamiltonian_field|co\.System\(|"
     r"MatrixAlgebra\.(br|pair|pro)|MatrixSystem\.(from|to)|co\.systems\.([A-Z]|ready_made)|Stepper\.(both|tangent_by)|"
     r"co\.analysis\.(growth|line_drift|period|slope)\(|ModifiedField\.values|with_forces|direct_sum|\.spectrum\(\)|"
     r"co\.results\.(mark|dataset|rebuild|solution)|Method\.(step|tangent|program|work)|Solution\.check|"

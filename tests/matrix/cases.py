@@ -177,7 +177,7 @@ def case_of(method: str, system: str, options: Options, seed: int) -> tuple[Case
     given = {"watch": str(options["watch"] == "watched"), "threads": "1"}
     given |= {"every": {}, "third": {"save_every": "3"}, "times": {"t_eval": TIMES}}[options["saved"]]
     if options["attitude"] != "none":
-        turned = f"expm(0.4 * {'systems[0]' if batch else 'system'}{'.system' if acting else ''}.representation[0])"
+        turned = f"expm(0.4 * {'systems[0]' if batch else 'system'}{'.unforced' if acting else ''}.representation[0])"
         given["attitude"] = {"coadjoint": "'coadjoint'", "own": "True", "turned": turned}[options["attitude"]]
         lines = ("from scipy.linalg import expm\n" if options["attitude"] == "turned" else "") + lines
     if options["events"] != "none":

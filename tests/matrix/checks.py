@@ -168,7 +168,7 @@ def invariants(case: Case, space: dict[str, Any]) -> Iterator[str]:
     """What is declared to be preserved stays within the rounding of a longer run."""
     one, properties = one_and_properties(case, space)
     if forces_in(case):
-        yield from drift(case, f"{one}one = one.system\n", "method")
+        yield from drift(case, f"{one}one = one.unforced\n", "method")
     yield from drift(case, one, properties)
 
 
@@ -279,7 +279,7 @@ def accuracy(case: Case, space: dict[str, Any]) -> Iterator[str]:
     if not own or len(str(case)) % 4 == 0:  # then without forces, which would need longer
         yield (
             f"{one_and_properties(case, space)[0]}from matrix.references import exact_end\n"
-            f"one, options = getattr(one, 'system', one), options | {{'events': None}}\ntry:\n"
+            f"one, options = one.unforced, options | {{'events': None}}\ntry:\n"
             f"    chosen = {call.format('one, x')}\n"
             "    again = co.integrate(one, x, span, chosen.step, chosen.method, **options)\n"
             "    assert_agree(numbers(again), numbers(chosen))\n"
@@ -300,8 +300,8 @@ def corrected(case: Case, space: dict[str, Any]) -> Iterator[str]:
     plain, method = value_of(case.system), space["method"]
     if forces_in(case):
         yield refusal(call, "forces")
-        call = call.replace("(one,", "(one.system,")
-        one += "one = one.system\n"
+        call = call.replace("(one,", "(one.unforced,")
+        one += "one = one.unforced\n"
     if not isinstance(plain, co.LiePoissonSystem):
         yield refusal(call, "LiePoissonSystem")
         return
@@ -387,7 +387,7 @@ def derivatives(case: Case, space: dict[str, Any]) -> Iterator[str]:
     for text, steps_of in {moved: changes, plain: {}}.items() if compiled_derivatives(case) else [(moved, changes)]:
         directions = ", ".join(["'x0': move", *(f"{name!r}: {step}" for name, step in steps_of.items())])
         yield (
-            f"{lines}{BY_DIFFERENCES[0]}whole = getattr(system, 'system', system)\n"
+            f"{lines}{BY_DIFFERENCES[0]}whole = getattr(system, 'unforced', system)\n"
             f"moved = [{text} for k in (-2, -1, 1, 2)]\n"
             f"_, tangents = ready.jvp(x, few, {{{directions}{inputs}}}{times}{value})\n"
             "found, wanted, allowed = {}, {}, {}\n"

@@ -29,7 +29,7 @@ def exact_end(system: Any, states: np.ndarray, start: float, end: float) -> np.n
 
 def field(system: Any, x: np.ndarray, t: float) -> np.ndarray:
     """Return x'; states of matrices, which rounding may move out of their algebra, are projected on it."""
-    plain = getattr(system, "system", system)
+    plain = system.unforced
     if not hasattr(plain, "in_numbers"):
         return system.vector_field(x, t)
     given = () if plain is system else (t,)
@@ -147,7 +147,7 @@ def rounding_of_group(sol: co.Solution, size: float) -> float:
 
 def preserved(system: Any, properties: co.methods.Properties) -> list[str]:
     """Return the names of the invariants that a scheme declares to preserve."""
-    plain = getattr(system, "system", system)
+    plain = system.unforced
     casimirs = getattr(plain, "in_numbers", plain).casimirs
 
     def kept(casimir: Any) -> bool:

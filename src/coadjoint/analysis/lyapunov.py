@@ -26,7 +26,8 @@ from coadjoint.runs.times import Times, times_between, times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.protocol import is_batch, is_matrix_system, member_of, members_of
-from coadjoint.systems.system_checks import System, check_system, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_system, check_vector_states
 from coadjoint.validation import read_integer, read_number
 
 POINTS = 200  # default number of saved times

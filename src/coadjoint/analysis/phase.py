@@ -10,7 +10,8 @@ import numpy.typing as npt
 from coadjoint.analysis.reference_motion import Motion, field_along, motion_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_finite
 
 MAX_ITERATIONS = 30  # of Newton's method, which needs some five

@@ -12,7 +12,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import as_vector_system, shape_of
+from coadjoint.systems.protocol import as_vector_system
 from coadjoint.validation import read_finite, read_integer
 
 
@@ -111,7 +111,7 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
     if not single:
         raise ValueError(f"x has the shape {np.shape(x)}; give one state")
     y = momenta[0]
-    if shape_of(step.system) != y.shape:
+    if step.system.shape != y.shape:
         step = Stepper(as_vector_system(step.system), step.method, step.h)
     if operations is None:
         ends = (0.0, step.h)

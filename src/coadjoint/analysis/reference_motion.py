@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import check_finite, read_numbers
 
@@ -30,7 +30,7 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
     interpolated.
     """
     if reference is None:
-        if system.algebra is None or getattr(system, "closed_form", None) is None:
+        if system.algebra is None or system.closed_form is None:
             raise TypeError(
                 f"no closed form is known for {system.name}; give a reference: a better run, or a function of t"
             )

@@ -123,9 +123,8 @@ def acts_by_rotations(system: Any) -> bool:
     >>> acts_by_rotations(co.systems.rigid_body()), acts_by_rotations(co.systems.paper_a37())
     (True, False)
     """
-    representation: Any = getattr(system, "representation", None)
     rotations: Any = catalogue.so(3).representation
-    return np.array_equal(representation, rotations)
+    return np.array_equal(system.representation, rotations)
 
 
 def _relative_rotation(

@@ -17,8 +17,7 @@ from coadjoint.runs.results.solution_attributes import member_count
 from coadjoint.runs.short_runs import ENDS_ONLY
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
@@ -95,7 +94,7 @@ class Section:
 
 @suggest_keywords
 def poincare_section(
-    system: System | ForcedSystem | Batch,
+    system: System | Batch,
     x0s: Any,
     event: Event,
     t_span: tuple[float, float],
@@ -113,7 +112,7 @@ def poincare_section(
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+    system : System or Batch
         The system.
     x0s : array_like, shape (members, n) or (n,)
         Initial momenta. A start on the surface is no crossing.

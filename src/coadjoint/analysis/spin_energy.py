@@ -122,7 +122,7 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
     if is_batch(system):
         raise TypeError(f"{system.name} is a batch; call {asking} for each of its systems")
     if forces_of(system):
-        raise TypeError(f"{system.name} has forces; {asking} takes the Hamiltonian part, system.system")
+        raise TypeError(f"{system.name} has forces; {asking} takes the Hamiltonian part, system.unforced")
     if not are_spins(system):
         raise TypeError(f"{system.name} is not made of spins; {asking} needs copies of so(3), as spin_lattice has")
     if system.hamiltonian.timed:

@@ -177,7 +177,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
 
 def _lattice(solution: Solution) -> tuple[str, Any]:
     """Return the lattice and the shape of the system of a run; ValueError if they are not known."""
-    layouts = [dict(getattr(unforced(member), "layout", None) or {}) for member in members_of(solution.system)]
+    layouts = [dict(unforced(member).layout) for member in members_of(solution.system)]
     layout, name = layouts[0], solution.system.name
     lattice = layout.get("lattice")
     if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY:

@@ -19,6 +19,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_finite, read_positive
 
 # Radians of a trial run, and its least number of steps: those of whole radians are too few to find the largest change.
@@ -79,6 +80,7 @@ def suggest_step(
     scheme = read_method(method)
     if not isinstance(system, LiePoissonSystem):
         raise TypeError(f"the system is {short(system)}; suggest_step takes one LiePoissonSystem")
+    check_one_system(system)
     if system.hamiltonian.timed:
         raise ValueError(f"the energy of {system.name} depends on time; `choose` selects a step by the error of x")
     declared = declared_properties(scheme, system)

@@ -40,7 +40,8 @@ from coadjoint.methods.suggested_scheme import candidate_schemes, reference_sche
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import span_of
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_bool, read_list, read_number
 
 # Safety factor of the target error.

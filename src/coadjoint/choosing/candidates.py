@@ -14,7 +14,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.start import momenta_of, representations_of, start_of
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from coadjoint.choosing.pilot import short_run
 from coadjoint.methods.suggested_scheme import reference_scheme
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 # Number of members in a pilot, and of the members from which they are selected.
 SAMPLE_SIZE = 4

@@ -18,7 +18,7 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 REFERENCE = reference_scheme(16)
 # Points of a window at which errors are measured; many divisors, so that runs of any number of steps share some.

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops, loops_of_system
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 ResultT = TypeVar("ResultT")
 

@@ -23,7 +23,8 @@ from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import accumulated_rounding, span_of
 from coadjoint.short_repr import distinct
 from coadjoint.systems.protocol import is_batch
-from coadjoint.systems.system_checks import System, check_system
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_system
 
 # Allowed ratio of the error of the first step to the worst one of the sample; for variable steps, of the number of
 # evaluations to the largest one of the sample.

@@ -13,7 +13,7 @@ from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 SLOPE_TOLERANCE = 0.2  # contribution of the next error term to a slope at the steps used here
 

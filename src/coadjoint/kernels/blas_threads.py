@@ -8,15 +8,13 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-from coadjoint.systems.protocol import shape_of
-
 SINGLE_THREAD_ROWS = 128
 """Up to this number of rows, one BLAS thread is faster than two on a loaded machine, because of synchronization."""
 
 
 def matrix_rows(system: Any) -> int:
     """Return the number of rows of the matrices of a system; 0 if its states are vectors."""
-    shape = shape_of(system)
+    shape = system.shape
     return 0 if len(shape) == 1 else int(shape[-1])
 
 

@@ -17,7 +17,7 @@ from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:

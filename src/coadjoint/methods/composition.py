@@ -14,7 +14,7 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.wrapper import Composed, check_base
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_finite
 
 if TYPE_CHECKING:

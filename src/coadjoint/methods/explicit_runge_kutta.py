@@ -13,7 +13,8 @@ from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number, convert
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_choice
 
 HALF = Fraction(1, 2)  # exact in every number type

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.wrapper import Wrapper, check_base
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
 from coadjoint.systems.protocol import forces_of, is_batch
@@ -133,9 +132,9 @@ class Forced(Wrapper):
 
     def properties(self, system: Any) -> Properties:
         """Return the properties of the base on the Hamiltonian part, without those that the forces break."""
-        if not isinstance(system, ForcedSystem):
+        if not system.forces:
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
-        inner = declared_properties(self.base, system.system)
+        inner = declared_properties(self.base, system.unforced)
         breaking = [label for label, force in forces_of(system) if not force.casimirs]
         every = list(system.labels)
         broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
@@ -145,7 +144,7 @@ class Forced(Wrapper):
 
     def check_attitude(self, system: Any, representation: Any) -> None:
         """Raise the error of the base, which moves the group element, for the Hamiltonian part."""
-        self.base.check_attitude(system.system, representation)
+        self.base.check_attitude(system.unforced, representation)
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
         """Return systems with equal forces, except for constant torques, that the base splits jointly."""
@@ -158,19 +157,19 @@ class Forced(Wrapper):
         from coadjoint.kernels.tables.forces import forced_loop
 
         check_steps(system, 0.0, h)
-        return forced_loop(system, self.base.loop(system.system, h, representation), representation)
+        return forced_loop(system, self.base.loop(system.unforced, h, representation), representation)
 
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy; noise is that of the first member."""
         self.properties(system)
-        if np.ndim(x) > 1 and hasattr(system.system, "from_vector"):
-            return np.asarray(system.system.from_vector(self.step(system, system.system.to_vector(x), t, h)))
+        if np.ndim(x) > 1 and hasattr(system.unforced, "from_vector"):
+            return np.asarray(system.unforced.from_vector(self.step(system, system.unforced.to_vector(x), t, h)))
         half, y = 0.5 * h, np.asarray(x)
         for force in system.forces:
-            y = force.flow(system.system, y, t, half)
-        y = np.asarray(self.base.step(system.system, y, t, h))
+            y = force.flow(system.unforced, y, t, half)
+        y = np.asarray(self.base.step(system.unforced, y, t, h))
         for force in reversed(system.forces):
-            y = force.flow(system.system, y, t + half, half)
+            y = force.flow(system.unforced, y, t + half, half)
         return y
 
     def tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -183,7 +182,7 @@ class Forced(Wrapper):
 
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
         self.properties(system)
-        plain, half, y, P, by = system.system, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
+        plain, half, y, P, by = system.unforced, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
 
         def chain_tangent(force: Force, time: float) -> None:
             nonlocal y, P
@@ -202,4 +201,4 @@ class Forced(Wrapper):
 
     def work(self, system: Any, group: Representation = None) -> Work:
         """Return the work of the base; forces are not counted."""
-        return self.base.work(system.system, group)
+        return self.base.work(system.unforced, group)

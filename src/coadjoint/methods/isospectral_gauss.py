@@ -19,7 +19,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.protocol import is_matrix_system
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix
 from coadjoint.systems.protocol import is_matrix_system
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.protocol import has_quadratic_energy
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_choice
 
 FREEZES = ("structure", "gradient")

@@ -20,7 +20,7 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.wrapper import Wrapper, check_base
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop

@@ -16,7 +16,8 @@ from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterat
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 
 NO_MULTIPLIER = (
     "x . grad H(x) vanishes or changes its sign, and there the multiplier of the energy constraint is undefined; "

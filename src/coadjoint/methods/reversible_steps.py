@@ -20,7 +20,8 @@ from coadjoint.methods.protocol.wrapper import Wrapper, check_base
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:

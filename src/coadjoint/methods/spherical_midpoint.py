@@ -15,7 +15,8 @@ from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 
 if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber

@@ -21,7 +21,8 @@ from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.protocol import has_structure_constants
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_bool, read_choice, read_finite, read_integer, read_list, read_number
 
 if TYPE_CHECKING:

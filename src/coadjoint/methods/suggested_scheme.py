@@ -12,7 +12,8 @@ from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced, unforced_matrix_system
-from coadjoint.systems.system_checks import System, check_one_system
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_one_system
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """Tried in this order."""

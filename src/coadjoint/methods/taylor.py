@@ -40,7 +40,8 @@ from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Re
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.systems.protocol import has_quadratic_energy, has_structure_constants
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_bool, read_integer, read_number
 
 if TYPE_CHECKING:

@@ -182,8 +182,8 @@ def file_of(name: str) -> str:
 
 
 def _describe(solution: Solution) -> str:
-    system = solution.system
-    values = ", ".join(f"{key}={short(value)}" for key, value in (getattr(system, "parameters", None) or {}).items())
+    system: Any = solution.system
+    values = ", ".join(f"{key}={short(value)}" for key, value in (system.parameters or {}).items())
     start, end = solution.t_span
     drift = solution.drift()["energy"]
     sizes = " to ".join(f"{size:.1e}" for size in sorted({np.min(drift.scale), np.max(drift.scale)}))

@@ -23,7 +23,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.gallery_entry import GalleryEntry
-from coadjoint.systems.protocol import forces_of, member_of, shape_of, unforced
+from coadjoint.systems.protocol import forces_of, member_of, unforced
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_choice, read_integer, read_list, read_number
 
@@ -57,7 +57,7 @@ class PlottedRun:
         states = np.ascontiguousarray(solution.x)
         self._type = states.dtype
         states = states.view(np.float64) if np.iscomplexobj(states) else states
-        self.n = int(np.prod(shape_of(member_of(solution.system)))) * (self._type.itemsize // states.dtype.itemsize)
+        self.n = int(np.prod(member_of(solution.system).shape)) * (self._type.itemsize // states.dtype.itemsize)
         states = states.reshape(len(solution.t), -1, self.n)
         self.member_count = states.shape[1]  # of the run
         computed = np.arange(self.member_count)
@@ -285,7 +285,7 @@ class PlottedRun:
         return fields[k], max(float(np.nanmax(np.abs(values), initial=0.0)) for values in fields.values()) or 1.0
 
     def _shaped(self, x: Floats) -> npt.NDArray[Any]:
-        return np.ascontiguousarray(x).view(self._type).reshape(shape_of(self.system))
+        return np.ascontiguousarray(x).view(self._type).reshape(self.system.shape)
 
     def system_of(self, m: int) -> Any:
         """Return the system of a drawn member; those of a batch differ."""

@@ -108,7 +108,7 @@ def _acceleration(drawn: PlottedRun, m: int, x: Floats, t: float, size: float) -
 @ignore_overflow
 def fastest_turn(drawn: PlottedRun) -> float:
     """Return the largest angular speed of the attitude, in radians per unit of time; tiny without an attitude."""
-    rho: Any = getattr(drawn.unforced, "representation", None)
+    rho: Any = drawn.unforced.representation
     fastest = float(np.finfo(np.float64).tiny)
     if drawn.solution.carried != "representation" or rho is None:
         return fastest

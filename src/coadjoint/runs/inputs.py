@@ -21,11 +21,10 @@ from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.hamiltonians.linear_term import check_linear, linear_of, with_linear
 from coadjoint.systems.protocol import forces_of, unforced
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ class Inputs:
     array([0.5 , 0.  , 0.25])
     """
 
-    def __init__(self, system: System | ForcedSystem | Batch, specification: Any) -> None:
+    def __init__(self, system: System | Batch, specification: Any) -> None:
         if isinstance(system, Batch):
             raise TypeError(
                 f"inputs are for one system, and this is {system!r}; prepare one system, whose inputs may have a value "
@@ -114,7 +113,7 @@ class Inputs:
             raise TypeError(f"inputs has the name {short(name)}; it must be a valid Python identifier, such as linear")
         if name in RESERVED_NAMES:
             raise ValueError(f"inputs has the name {name!r}, which is reserved; choose another one")
-        if of_linear_term and name != "linear" and name in (getattr(self._unforced, "parameters", None) or ()):
+        if of_linear_term and name != "linear" and name in (self._unforced.parameters or ()):
             raise ValueError(
                 f"inputs has the name {name!r}, a parameter of {self._unforced.name}, and its values would be "
                 "coefficients of the linear term of H instead; choose another name, such as linear"
@@ -261,7 +260,7 @@ class Inputs:
             return system
         for k, indices in self._torques.items():
             forces[k] = replace(forces[k], torque=values[indices])
-        return ForcedSystem(system, forces)
+        return system.with_forces(*forces)
 
     def system_of(self, values: Floats) -> Any:
         """Return the system of a call, or a batch with one system for each member."""

@@ -17,16 +17,16 @@ from coadjoint.runs.results.solution import Solution, set_elapsed, with_choice
 from coadjoint.runs.start import combined
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.protocol import unforced
 from coadjoint.systems.registry import check_unit_coordinate
-from coadjoint.systems.system_checks import System, check_system
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_system
 
 
 @suggest_keywords
 @long_operation("integrate")
 def integrate(
-    system: System | ForcedSystem | Batch,
+    system: System | Batch,
     x0: Any,
     t_span: tuple[float, float],
     step: float | None = None,
@@ -54,7 +54,7 @@ def integrate(
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+    system : System or Batch
         The system; a `batch` has one for each member.
     x0 : array_like, shape (n,) or (members, n)
         Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch, and every

@@ -41,9 +41,9 @@ from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
-from coadjoint.systems.system_checks import System, check_system
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_bool, read_integer
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ class Preparation:
 
     def __init__(
         self,
-        system: System | ForcedSystem | Batch,
+        system: System | Batch,
         method: Method | str | Mapping[str, Any] | None,
         step: float,
         *,

@@ -12,14 +12,13 @@ from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 
 @suggest_keywords
 @long_operation("prepare")
 def prepare(
-    system: System | ForcedSystem | Batch,
+    system: System | Batch,
     method: Method | str | Mapping[str, Any] | None = None,
     step: float | None = None,
     *,
@@ -39,7 +38,7 @@ def prepare(
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem, ForcedSystem or Batch
+    system : System or Batch
         The system.
     method : Method or None
         The scheme. The default is that of `integrate`.

@@ -25,7 +25,7 @@ from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.protocol import among, is_batch, member_of
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import FLOAT64
 
 if TYPE_CHECKING:

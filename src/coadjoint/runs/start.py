@@ -24,11 +24,11 @@ from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_na
 from coadjoint.systems.protocol import (
     is_batch,
     member_of,
-    shape_of,
     unforced,
     unforced_matrix_system,
 )
-from coadjoint.systems.system_checks import System, check_system
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
 
 Representation = NDArray[np.float64] | str | None
@@ -85,7 +85,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
         return rows.reshape(-1, system.dim), rows.ndim == 1
     momenta = read_numbers(x0, "x0")
-    n, shape = system.dim, shape_of(system)
+    n, shape = system.dim, system.shape
     if len(shape) > 1:
         if momenta.shape[-len(shape) :] != shape or momenta.ndim > len(shape) + 1:
             raise ValueError(f"x0 has the shape {momenta.shape}; it must be {shape} or (members, {str(shape)[1:]}")
@@ -102,7 +102,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
 def vector_size(system: Any) -> int | None:
     """Return the dimension of a system whose states are vectors and that all members share; otherwise None."""
-    is_other = is_batch(system) or len(shape_of(system)) > 1 or unforced_matrix_system(system) is not None
+    is_other = is_batch(system) or len(system.shape) > 1 or unforced_matrix_system(system) is not None
     return None if is_other else int(system.dim)
 
 
@@ -137,7 +137,7 @@ def combined(system: Any, x0: Any) -> tuple[Any, Any]:
     """
     if not is_batch(system) or system.combined:
         return system, x0
-    shape, dims = shape_of(system[0]), getattr(x0, "dims", None)
+    shape, dims = system[0].shape, getattr(x0, "dims", None)
     states, axes = np.asarray(x0 if dims is None else x0.values), system.axes
     lengths = tuple(axis.length for axis in axes.values())
     leading = states.ndim - len(shape)

@@ -23,8 +23,8 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.system_checks import System, check_one_system
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_number
 
 
@@ -33,7 +33,7 @@ class Stepper:
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem or ForcedSystem
+    system : System
         The system.
     method : Method
         The scheme.
@@ -45,7 +45,7 @@ class Stepper:
 
     def __init__(
         self,
-        system: System | ForcedSystem,
+        system: System,
         method: Method | str | Mapping[str, Any],
         h: float,
         inputs: Any = None,
@@ -55,8 +55,7 @@ class Stepper:
         if self.h == 0.0:
             raise ValueError(f"h is {self.h!r}; it must not be zero")
         self._span = (0.0, self.h)
-        if not isinstance(system, ForcedSystem):
-            check_one_system(system)
+        check_one_system(system, forces=True)
         check_supports(system, method)
         self.system: Any = system
         self.method, self._inputs = method, inputs
@@ -325,14 +324,12 @@ class Stepper:
 
 
 @suggest_keywords
-def stepper(
-    system: System | ForcedSystem, method: Method | str | Mapping[str, Any], h: float, *, inputs: Any = None
-) -> Stepper:
+def stepper(system: System, method: Method | str | Mapping[str, Any], h: float, *, inputs: Any = None) -> Stepper:
     """Return one step of a scheme as a function, for maps, certificates and Lyapunov exponents.
 
     Parameters
     ----------
-    system : LiePoissonSystem, PoissonSystem or ForcedSystem
+    system : System
         The system.
     method : Method
         The scheme.

@@ -12,14 +12,10 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.system import System
 from coadjoint.validation import read_list
-
-Member = LiePoissonSystem | PoissonSystem
-KINDS = (LiePoissonSystem, PoissonSystem, ForcedSystem)
-
 
 SUFFIX = "_values"
 """Ending of a variable of a dataset that has the name of an axis, such as ``energy_values`` beside ``energy``."""
@@ -46,10 +42,10 @@ class Batch:
     """
 
     def __init__(
-        self, systems: Iterable[Member | ForcedSystem], axes: Mapping[str, Axis] | None = None, combined: bool = True
+        self, systems: Iterable[System], axes: Mapping[str, Axis] | None = None, combined: bool = True
     ) -> None:
         rule = "give a list of systems, one for each member"
-        if isinstance(systems, (*KINDS, Batch)):
+        if isinstance(systems, System | Batch):
             raise TypeError(f"the systems of a batch are {short(systems)}; {rule}")
         self.systems: tuple[Any, ...] = read_list(systems, "systems", rule)
         if not self.systems:
@@ -59,15 +55,14 @@ class Batch:
         firsts = np.unique(self.owners, return_index=True)[1].tolist()
         self.distinct: tuple[Any, ...] = tuple(self.systems[m] for m in firsts)
         for m, system in zip(firsts, self.distinct, strict=True):
-            unforced = system.system if isinstance(system, ForcedSystem) else system
-            if not isinstance(system, KINDS) or not isinstance(unforced, (LiePoissonSystem, PoissonSystem)):
+            if not isinstance(system, LiePoissonSystem | PoissonSystem):
                 raise TypeError(
                     f"member {m} of the batch is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem"
                 )
             difference = _difference(self.systems[0], system)
             if difference:
                 raise ValueError(f"member {m} of the batch {difference}; members may differ only in their constants")
-        self.dim, self.sign = self.systems[0].dim, self.systems[0].sign
+        self.dim, self.shape, self.sign = self.systems[0].dim, self.systems[0].shape, self.systems[0].sign
         self.axes, self.combined = dict(axes or {}), combined
         lengths = [axis.length for axis in self.axes.values()]
         if self.axes and prod(lengths) != len(self.systems):
@@ -87,10 +82,10 @@ class Batch:
     def __len__(self) -> int:
         return len(self.systems)
 
-    def __getitem__(self, member: int) -> Member:
+    def __getitem__(self, member: int) -> System:
         return self.systems[member]
 
-    def __iter__(self) -> Iterator[Member]:
+    def __iter__(self) -> Iterator[System]:
         return iter(self.systems)
 
     def __repr__(self) -> str:
@@ -104,12 +99,11 @@ def selected(batch: Batch, members: NDArray[np.int64], first: int = 0) -> Batch:
     # In the order of their first members.
     order = np.argsort(firsts)
     chosen = [batch.systems[m] for m in members[firsts[order]].tolist()]
-    part.distinct = tuple(
-        system.numbered_from(first) if isinstance(system, ForcedSystem) else system for system in chosen
-    )
+    part.distinct = tuple(system.numbered_from(first) for system in chosen)
     part.owners = np.argsort(order)[places]
     part.systems = tuple(part.distinct[owner] for owner in part.owners.tolist())
-    part.dim, part.sign, part.axes, part.combined = batch.dim, batch.sign, {}, True
+    part.dim, part.shape, part.sign = batch.dim, batch.shape, batch.sign
+    part.axes, part.combined = {}, True
     return part
 
 
@@ -128,14 +122,11 @@ def _difference(first: Any, other: Any) -> str:
         return f"has dimension {other.dim} and member 0 has {first.dim}"
     if other.sign != first.sign:
         return f"has sign={other.sign:+d} and member 0 has {first.sign:+d}"
-    if isinstance(first, ForcedSystem):
-        inner = _difference(first.system, other.system)
-        if inner or first.labels != other.labels:
-            return inner or f"has the forces {', '.join(other.labels)} and member 0 has {', '.join(first.labels)}"
-        preserved_casimirs = [[force.casimirs for force in system.forces] for system in (first, other)]
-        if preserved_casimirs[0] != preserved_casimirs[1]:
-            return "has forces that keep other Casimirs than those of member 0"
-        return ""
+    if first.labels != other.labels:
+        own, others = (", ".join(one.labels) or "no forces" for one in (other, first))
+        return f"has {own}, and member 0 has {others}"
+    if [force.casimirs for force in first.forces] != [force.casimirs for force in other.forces]:
+        return "has forces that keep other Casimirs than those of member 0"
     if first.algebra is not None and other.algebra is not first.algebra:
         difference = _bracket_difference(first.algebra, other.algebra)
         if difference:
@@ -163,7 +154,7 @@ def _bracket_difference(first: Any, other: Any) -> str:
 
 
 @suggest_keywords
-def batch(systems: Iterable[Member | ForcedSystem] | Callable[..., Member | ForcedSystem], **axes: Any) -> Batch:
+def batch(systems: Iterable[System] | Callable[..., System], **axes: Any) -> Batch:
     """Combine systems of equal structure and different constants into one ensemble, for `integrate` and `prepare`.
 
     Choose it for scans over parameters: inertias, coupling constants, constants of the algebra. The result of every
@@ -176,7 +167,7 @@ def batch(systems: Iterable[Member | ForcedSystem] | Callable[..., Member | Forc
 
     Parameters
     ----------
-    systems : iterable of LiePoissonSystem, of PoissonSystem, or of ForcedSystem; or callable
+    systems : iterable of LiePoissonSystem, or of PoissonSystem; or callable
         One for each member. They must have the same type, dimension and sign, the same nonzero brackets, and Casimirs
         of the same names. Structure constants, Hamiltonians (also functions), Casimirs and representations may differ,
         and so may the parameters of forces of the same types. With axes, a function of one value of each axis, passed

@@ -70,7 +70,7 @@ def description(name: str) -> dict[str, Any]:
         "dimension": system.dim,
         "rank": _rank(system),
         "casimirs": {key: _formula(value, system) for key, value in system.casimirs.items()},
-        "integrals": {key: _formula(value, system) for key, value in getattr(system, "integrals", {}).items()},
+        "integrals": {key: _formula(value, system) for key, value in system.integrals.items()},
         "exact": system.closed_form is not None,
         "attitude": _attitude(system),
         "coordinates": list(coordinate_names(system)),
@@ -192,7 +192,7 @@ def system_table(system: Any, **more: str) -> str:
         "sign": f"{system.sign:+d}",
         "Casimirs": ", ".join([*listed, *rest]) or "none is known",
     }
-    parameters = getattr(base, "parameters", None)
+    parameters = base.parameters
     if parameters:
         rows["parameters"] = ", ".join(f"{name} = {short(value)}" for name, value in parameters.items())
     return html_table(system.name, {**rows, **more})

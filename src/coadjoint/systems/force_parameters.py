@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.parameter_differences import (
     DISTANCE,
@@ -22,6 +21,7 @@ from coadjoint.systems.parameter_differences import (
     moved_entry,
     sizes_of_entries,
 )
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def with_value(force: Any, field: str, value: Floats) -> Force:
     return replace(force, **{field: value if value.ndim else float(value)})
 
 
-def force_parameters(system: ForcedSystem) -> dict[str, ForceParameter]:
+def force_parameters(system: System) -> dict[str, ForceParameter]:
     """Return the parameters of the forces by name, the label of the force and that of its parameter.
 
     They are real numbers and arrays of them, of which every entry may change a little in both directions.
@@ -65,7 +65,7 @@ def force_parameters(system: ForcedSystem) -> dict[str, ForceParameter]:
     return {name: one for name, one in force_numbers(system).items() if _may_change(one, system)}
 
 
-def force_numbers(system: ForcedSystem) -> dict[str, ForceParameter]:
+def force_numbers(system: System) -> dict[str, ForceParameter]:
     """Return the real numbers and arrays of them of the forces, also those that cannot change."""
     return {
         f"{label}.{field}": ForceParameter(position, field, value)
@@ -83,12 +83,12 @@ def _numbers_of(force: Force) -> Iterator[tuple[str, Floats]]:
             yield field, value
 
 
-def with_force_values(system: ForcedSystem, plain: Any, values: Mapping[str, Floats]) -> ForcedSystem:
+def with_force_values(system: System, plain: Any, values: Mapping[str, Floats]) -> System:
     """Return another Hamiltonian part with the same forces, of which these parameters have other values."""
     forces, known = list(system.forces), force_numbers(system)
     for name, value in values.items():
         forces[known[name].position] = with_value(forces[known[name].position], known[name].field, value)
-    return ForcedSystem(plain, forces)
+    return plain.with_forces(*forces)
 
 
 def real_numbers(given: Any) -> Floats | None:
@@ -100,7 +100,7 @@ def real_numbers(given: Any) -> Floats | None:
     return array.astype(np.float64) if array.dtype.kind == "f" and array.size else None
 
 
-def check_may_change(system: ForcedSystem, name: str) -> None:
+def check_may_change(system: System, name: str) -> None:
     """Raise ValueError for a value that cannot change in both directions, such as zero, where roots have no slope."""
     one = force_numbers(system)[name]
     if not _may_change(one, system):
@@ -109,7 +109,7 @@ def check_may_change(system: ForcedSystem, name: str) -> None:
         )
 
 
-def _may_change(one: ForceParameter, system: ForcedSystem) -> bool:
+def _may_change(one: ForceParameter, system: System) -> bool:
     """Return whether the force is defined at the nodes of some differences that are farthest from the value."""
     force, farthest = system.forces[one.position], NODES[-1] * DISTANCE * RADIUS * sizes_of_entries(one.value)
     for scale in NEARER ** np.arange(MOST_DISTANCES):
@@ -117,7 +117,7 @@ def _may_change(one: ForceParameter, system: ForcedSystem) -> bool:
             for index in islice(np.ndindex(one.value.shape), MAX_TRIED):
                 for by in (scale * farthest[index], -scale * farthest[index]):
                     moved = moved_entry(one.value, index, float(by), one.symmetric)
-                    with_value(force, one.field, moved).check(system.system)
+                    with_value(force, one.field, moved).check(system.unforced)
         except (TypeError, ValueError):
             continue
         return True

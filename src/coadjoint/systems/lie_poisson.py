@@ -17,14 +17,14 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
-from coadjoint.systems.evaluation import read_point, scatter
-from coadjoint.systems.forced import System
+from coadjoint.systems.evaluation import scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
 from coadjoint.systems.product_sums import ProductSums
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
+from coadjoint.systems.system import System
 from coadjoint.systems.vanishing_products import Products, field_products
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
@@ -152,7 +152,7 @@ class LiePoissonSystem(System):
         set_field(self, "_layout", read_layout(layout))
 
     @property
-    def dim(self) -> int:
+    def dim(self) -> int:  # type: ignore[override]
         return self.algebra.dim
 
     @property
@@ -207,22 +207,15 @@ class LiePoissonSystem(System):
         rows, factors, states, constants = self._brackets
         return scatter(rows, np.abs(constants * x[states] * u[factors]), self.dim)
 
-    def _field(self, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
-        gradient = self.hamiltonian.gradient(x, t)
+    def hamiltonian_field(self, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
         own = None if x.dtype == object else field_products(self)
         if own is None:
-            return self._product(x, gradient)
+            return super().hamiltonian_field(x, t)
         rows, states, columns, constants = self._products_of_field
-        whole = np.concatenate([gradient, own.partial_components(x, t)])
-        return scatter(rows, constants * x[states] * whole[columns], self.dim)
+        whole = np.concatenate([self.hamiltonian.gradient(x, t), own.partial_components(x, t)])
+        return self.sign * scatter(rows, constants * x[states] * whole[columns], self.dim)
 
-    def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
-        return self.algebra.structure_matrix(read_point(x, self.dim))
-
-    def _product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return self.algebra.coadjoint(u)
-
-    def __repr__(self) -> str:
+    def _text(self) -> str:
         algebra = self.algebra.name or f"an algebra of dimension {self.dim}"
         return f"<{self.name}: {self.hamiltonian!r} on {algebra}, sign={self.sign:+d}{self._convention()}>"
 

@@ -17,7 +17,6 @@ from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 from coadjoint.systems.energy_steps import derivative_by_steps
 from coadjoint.systems.force_parameters import force_numbers, force_parameters, real_numbers, with_force_values
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -69,7 +68,7 @@ def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parame
 def _find_parameters(system: Any, values: Mapping[str, Floats] | None = None) -> dict[str, Parameter]:
     """Return the parameters of a system, or those with other values, which are some of them."""
     given = values or {}
-    if isinstance(system, ForcedSystem):
+    if system.forces:
         numbers = force_parameters(system) if values is None else force_numbers(system)
         rest = {name: value for name, value in given.items() if name not in numbers}
         of_forces = {
@@ -78,10 +77,10 @@ def _find_parameters(system: Any, values: Mapping[str, Floats] | None = None) ->
             )
             for name, one in numbers.items()
         }
-        return {**(_find_parameters(system.system, rest) if rest else parameters_of(system.system)), **of_forces}
+        return {**(_find_parameters(system.unforced, rest) if rest else parameters_of(system.unforced)), **of_forces}
     if is_matrix_system(system):
         return _of_matrix_builder(system, given)
-    if not getattr(system, "hamiltonian", None) or not system.hamiltonian.terms():
+    if not system.hamiltonian.terms():
         return {}
     declared = _declaration(system, given)
     if declared is not None:
@@ -120,10 +119,10 @@ def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
     M counts with its symmetric part, as in the energy. Raises the errors of the builder or the Hamiltonian for values
     that these refuse.
     """
-    if isinstance(system, ForcedSystem):
+    if system.forces:
         of_forces = {name: value for name, value in values.items() if name in force_numbers(system)}
         rest = {name: value for name, value in values.items() if name not in of_forces}
-        return with_force_values(system, with_parameters(system.system, rest) if rest else system.system, of_forces)
+        return with_force_values(system, with_parameters(system.unforced, rest) if rest else system.unforced, of_forces)
     builder = _builder_of(system, values)
     if builder is not None:
         found = builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})

@@ -16,9 +16,9 @@ from coadjoint.short_repr import short
 from coadjoint.systems.arguments import read_closed_form, read_name, read_parameters, read_sign
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
 from coadjoint.systems.evaluation import read_point
-from coadjoint.systems.forced import System
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.recorded_invariants import read_casimirs
+from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
 from coadjoint.validation import read_integer, read_numbers
 
@@ -90,9 +90,6 @@ class PoissonSystem(System):
     _parameters: dict[str, Any] | None
     _exact: Callable[..., Any] | None
 
-    algebra = None
-    representation = None
-
     def __init__(
         self,
         structure_matrix: Callable[..., Any],
@@ -160,7 +157,7 @@ class PoissonSystem(System):
         return np.abs(self.structure_matrix(x)) @ np.abs(u)
 
     @property
-    def dim(self) -> int:
+    def dim(self) -> int:  # type: ignore[override]
         return self._dim
 
     @property
@@ -171,10 +168,10 @@ class PoissonSystem(System):
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         return np.asarray(self.structure_function(read_point(x, self.dim)))
 
-    def _product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         if self.derivative_function is None:
             raise TypeError(f"the derivative of J is unknown for {self.name}; give derivative=")
         return np.einsum("ijk,j->ik", np.asarray(self.derivative_function(x)), u)
 
-    def __repr__(self) -> str:
+    def _text(self) -> str:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"

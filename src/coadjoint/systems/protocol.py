@@ -1,4 +1,4 @@
-"""Protocol of systems: the interface of one system, and queries about any system, with forces or in a batch.
+"""Queries about any system, with forces or in a batch.
 
 Only these functions and the writers of records distinguish the classes of systems; other code calls them:
 
@@ -6,7 +6,7 @@ Only these functions and the writers of records distinguish the classes of syste
 |---|---|
 | the system of a member, or all of them | `member_of`, `members_of`, `among` |
 | the Hamiltonian part and the forces | `unforced`, `forces_of` |
-| the shape of a state, rows of numbers as states, and the inverse | `shape_of`, `states_of`, `rows_of` |
+| rows of numbers as states, and the inverse | `states_of`, `rows_of` |
 | names of the components of a state | `coordinates_of` |
 | matrices with streams, traces and spectra | `is_matrix_system`, `unforced_matrix_system` |
 | the same with vectors as states | `as_vector_system` |
@@ -15,12 +15,10 @@ Only these functions and the writers of records distinguish the classes of syste
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
@@ -28,49 +26,6 @@ if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
     from coadjoint.systems.lie_poisson import LiePoissonSystem
-
-
-@runtime_checkable
-class GeneralSystem(Protocol):
-    """The minimal interface that runs require of a system, also a user-defined one.
-
-    `shape` is the shape of a matrix state; without it the state is a vector of `dim` numbers. Compiled loops need an
-    `algebra` with its structure constants as `triples`; without them only schemes stepped in Python are available.
-    """
-
-    @property
-    def dim(self) -> int:
-        """Number of coordinates."""
-
-    @property
-    def name(self) -> str:
-        """Name in messages."""
-
-    @property
-    def sign(self) -> int:
-        """Sign of the right-hand side."""
-
-    @property
-    def algebra(self) -> Any:
-        """Lie algebra on whose dual the state lies, or None."""
-
-    @property
-    def representation(self) -> Any:
-        """Matrices for the group element, or None."""
-
-    @property
-    def hamiltonian(self) -> Any:
-        """The energy, a `HamiltonianLike` of vectors."""
-
-    @property
-    def casimirs(self) -> Mapping[str, Any]:
-        """Invariants recorded besides the energy, by name."""
-
-    def vector_field(self, x: Any, t: float = 0.0) -> Any:
-        """Return the vector field x'."""
-
-    def energy(self, x: Any, t: float = 0.0) -> Any:
-        """Return H(x, t)."""
 
 
 def is_batch(system: Any) -> TypeIs[Batch]:
@@ -92,24 +47,18 @@ def among(system: Any, first: int, last: int) -> Any:
     """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
     if is_batch(system):
         return system.among(first, last)
-    return system.numbered_from(first) if isinstance(system, ForcedSystem) else system
+    return system.numbered_from(first)
 
 
 def unforced(system: Any) -> Any:
-    """Return the Hamiltonian part of a system with forces, of a batch that of its first member; others unchanged."""
-    first = member_of(system)
-    return first.system if isinstance(first, ForcedSystem) else first
+    """Return the Hamiltonian part of a system, of a batch that of its first member; None for an unknown system."""
+    return None if system is None else member_of(system).unforced
 
 
 def forces_of(system: Any) -> tuple[tuple[str, Force], ...]:
     """Return the forces of a system with their labels, of a batch those of its first member; empty without forces."""
     first = member_of(system)
-    return tuple(zip(first.labels, first.forces, strict=True)) if isinstance(first, ForcedSystem) else ()
-
-
-def shape_of(system: Any) -> tuple[int, ...]:
-    """Return the shape of a state."""
-    return tuple(getattr(system, "shape", (system.dim,)))
+    return () if system is None else tuple(zip(first.labels, first.forces, strict=True))
 
 
 def states_of(system: Any, rows: Any) -> Any:
@@ -122,17 +71,17 @@ def states_of(system: Any, rows: Any) -> Any:
     >>> states_of(sphere_euler(N=3), np.zeros((5, 18))).shape
     (5, 3, 3)
     """
-    if rows.shape[-1:] == shape_of(system):  # vectors
+    if rows.shape[-1:] == system.shape:  # vectors
         return rows
     plain = unforced(system)
     if is_matrix_system(plain):
         return plain.states(rows)
-    return rows.reshape(*rows.shape[:-1], *shape_of(plain))
+    return rows.reshape(*rows.shape[:-1], *system.shape)
 
 
 def rows_of(system: Any, states: Any) -> Any:
     """Return states (..., *shape) as rows of numbers (..., dim): the inverse of `states_of`."""
-    shape = shape_of(system)
+    shape = system.shape
     if len(shape) < 2:
         return states
     plain = unforced(system)
@@ -166,7 +115,7 @@ def as_vector_system(system: Any) -> Any:
     Examples
     --------
     >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
-    >>> shape_of(as_vector_system(sphere_euler(N=3)))
+    >>> as_vector_system(sphere_euler(N=3)).shape
     (18,)
     """
     return system.in_numbers if is_matrix_system(system) else system

@@ -6,32 +6,28 @@ from typing import Any
 
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.protocol import GeneralSystem, is_matrix_system
-
-System = LiePoissonSystem | PoissonSystem
+from coadjoint.systems.protocol import is_matrix_system
+from coadjoint.systems.system import System
 
 
 def check_system(system: Any) -> None:
-    """Raise TypeError unless given a `LiePoissonSystem`, a `PoissonSystem`, a `Batch` of them or a `GeneralSystem`."""
-    if not isinstance(system, LiePoissonSystem | PoissonSystem | Batch | ForcedSystem | GeneralSystem):
+    """Raise TypeError unless given a `System` or a `Batch`."""
+    if not isinstance(system, System | Batch):
         raise TypeError(
-            f"system is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem, such as "
+            f"system is {short(system)}; it must be a LiePoissonSystem or another System, such as "
             "co.systems.rigid_body()"
         )
 
 
-def check_one_system(system: Any) -> None:
-    """Raise TypeError for a batch, a system with forces, or an object that is not a system."""
+def check_one_system(system: Any, forces: bool = False) -> None:
+    """Raise TypeError for a batch, an object that is not a system, and a system with forces unless they are allowed."""
     check_system(system)
-    if isinstance(system, ForcedSystem):
-        raise TypeError(
-            f"{system.name} has forces, which only runs and steppers support; take its Hamiltonian part, system.system"
-        )
     if isinstance(system, Batch):
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")
+    if system.forces and not forces:
+        raise TypeError(
+            f"{system.name} has forces, which only runs and steppers support; take its Hamiltonian part, .unforced"
+        )
 
 
 def check_vector_states(system: Any, advice: str = "use IsospectralGauss") -> None:

@@ -154,7 +154,7 @@ def stacks_with_forces(
             groups.setdefault(key, []).append(m)
     stacks = []
     for members in groups.values():
-        for stack in split_jointly([systems[m].system for m in members]):
+        for stack in split_jointly([systems[m].unforced for m in members]):
             numbers = np.array(members)[stack.numbers]
             torques = [_torque_numbers(systems[m]) for m in numbers.tolist()]
             stacks.append(stack._replace(systems=systems, numbers=numbers, torques=np.array(torques).T))

@@ -155,7 +155,7 @@ def test_complex_rotation_that_decays():
 def test_free_spin_in_a_heat_bath():
     """Rotational diffusion: exp(-2 alpha kT t) for each component."""
     spin = co.systems.spin_lattice([], 1).with_forces(co.forces.HeatBath(0.5, temperature=0.4, seed=3))
-    x0 = co.thermal_states(spin.system, 0.4, 40, sweeps=1, seed=1).x
+    x0 = co.thermal_states(spin.unforced, 0.4, 40, sweeps=1, seed=1).x
     sol = co.integrate(spin, x0, (0, 200), 0.1)
     found = autocorrelation(sol)
     assert np.allclose(found.values[:30], np.exp(-0.4 * found.t[:30])[:, None], rtol=0, atol=0.06)

@@ -102,7 +102,7 @@ def test_dataset_matches_the_solution(name):
         assert swept, "parameters in which members differ are coordinates"
         for label in swept:
             index = int(str(label).rpartition("_")[2])
-            wanted = [getattr(each, "system", each).parameters["inertia"][index] for each in sol.system]
+            wanted = [each.unforced.parameters["inertia"][index] for each in sol.system]
             np.testing.assert_array_equal(data[label], wanted)
     if "part" in data.dims:
         np.testing.assert_array_equal(data["x"].isel(part=0), sol.x.real)

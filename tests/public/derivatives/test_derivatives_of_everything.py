@@ -255,7 +255,7 @@ MATRICES = {  # of the user, and with forces
 
 def drawing(system):
     """Return a function that draws a state of a system of matrices."""
-    base = getattr(system, "system", system)
+    base = system.unforced
 
     def draw(rng):
         return base.from_vector(base.to_vector(base.algebra.projected(base.from_vector(rng.standard_normal(base.dim)))))
@@ -272,7 +272,7 @@ def test_derivatives_of_matrices(name):
     x0, span = 0.5 * draw(np.random.default_rng(2)), (0.5, 0.5 + steps * H)
     points = {} if "forces" in name else {"t_eval": 0.5 + np.sign(steps) * H * np.array([0.0, 0.25, 1.75])}
     gradient = assert_derivatives(build, method, x0, span, H, draw=draw, error=error, **points)
-    algebra = getattr(build({}), "system", build({})).algebra
+    algebra = build({}).unforced.algebra
     outside = gradient["x0"] - algebra.projected(gradient["x0"])
     assert np.abs(outside).max() <= 2.0**10 * UNIT_ROUNDOFF * np.abs(gradient["x0"]).max()
 

@@ -50,7 +50,7 @@ STEPS = 70  # of every 64, those of earlier calls included, some are shared, wha
 
 def run(system, x0, threads, method=METHODS["plain"], step=0.01, steps=STEPS, **options):
     given = {"watch": False, "save_every": 23} | options
-    end = 1.0 + steps * step if isinstance(system, co.ForcedSystem) else 1.0 - steps * step
+    end = 1.0 + steps * step if system.forces else 1.0 - steps * step
     return co.integrate(system, x0, (1.0, end), step, method, threads=threads, **given)
 
 
@@ -151,7 +151,7 @@ def test_every_scheme_on_large_states_has_the_same_bits_and_energies(name):
         shared = run(system, x0, threads, method, **options)
         np.testing.assert_array_equal(shared.x, alone.x)
         np.testing.assert_array_equal(shared.energy, alone.energy)
-        changes = [sol.change() if isinstance(system, co.ForcedSystem) else sol.drift() for sol in (shared, alone)]
+        changes = [sol.change() if system.forces else sol.drift() for sol in (shared, alone)]
         assert str(changes[0]) == str(changes[1])
         assert shared.stats.iterations == alone.stats.iterations
 
@@ -293,7 +293,7 @@ FLUIDS = {
 def test_fluids_have_the_same_bits(name):
     make, method = FLUIDS[name]
     system = make()
-    fluid = system.system if isinstance(system, co.ForcedSystem) else system
+    fluid = system.unforced
     W = fluid.random(seed=3, degrees=(2, 9))
     # The first four steps with another number of threads are two of each kind.
     alone, *others = [

@@ -90,7 +90,7 @@ def is_matrix(system):
 
 def start(system):
     """Return an initial state of a system, or one for each system of a batch."""
-    if isinstance(system, co.LiePoissonSystem | co.MatrixSystem | co.ForcedSystem | co.PoissonSystem):
+    if isinstance(system, co.System):
         x = state_of(system) if is_matrix(system) else np.cos(np.arange(1.0, system.dim + 1.0))
         if not is_matrix(system) and "z" in system.casimirs:  # positions and momenta are canonical where it is 1
             x[np.argmax(abs(system.casimirs["z"].gradient(0 * x)))] = 1.0
@@ -119,14 +119,14 @@ def described(system):
     """Return everything of a system on which its motion, energy and invariants depend."""
     if not (hasattr(system, "hamiltonian") or is_matrix(system)):
         return [described(one) for one in system]
-    if hasattr(system, "forces"):
-        return described(system.system), system.forces
+    if system.forces:
+        return described(system.unforced), system.forces
     x = start(system)
     found = [type(system), system.dim, system.name, system.parameters, system.energy(x)]
-    found += [system.vector_field(x).tolist(), list(system.casimirs), list(getattr(system, "integrals", {}))]
+    found += [system.vector_field(x).tolist(), list(system.casimirs), list(system.integrals)]
     if is_matrix(system):
         return [*found, system.algebra, system.energy_sign, system.powers]
-    for invariant in (system.hamiltonian, *system.casimirs.values(), *getattr(system, "integrals", {}).values()):
+    for invariant in (system.hamiltonian, *system.casimirs.values(), *system.integrals.values()):
         value = getattr(invariant, "value", invariant)
         found += [type(invariant), repr(invariant), value(x), invariant.gradient(x).tolist()]
         if isinstance(invariant, co.Quadratic | co.Polynomial) and system.dim == 3:

@@ -172,7 +172,12 @@ def test_named_states_forces_and_constants_are_swept(files, swept):
     over = '"algebra.parameters.a" = [0.5, 1.0]\n"hamiltonian.M[1]" = [2, 3]\n"forces[0].rate" = [0.1, 0.2]'
     sol = swept(over, text=SPIRAL + 'forces = [{name = "LinearDamping", rate = 0.1}]\n')
     assert [system.forces[0].rate for system in sol.system] == [0.1, 0.2] * 4
-    assert [system.system.hamiltonian.value(np.array([0.0, 1.0, 0.0])) for system in sol.system] == [1, 1, 1.5, 1.5] * 2
+    assert [system.unforced.hamiltonian.value(np.array([0.0, 1.0, 0.0])) for system in sol.system] == [
+        1,
+        1,
+        1.5,
+        1.5,
+    ] * 2
 
 
 def test_swept_keys_are_coordinates_of_datasets_and_archives(files, swept):

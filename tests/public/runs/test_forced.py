@@ -199,7 +199,7 @@ def test_balances_of_multivalued_casimirs():
     assert sol.balance(relative=False)[name] < 1e-12
     # A force that turns x1 and x2 by 3 t, over the jump of the angle many times: log C loses 2 * 0.7 * 3 t.
     turning = co.forces.OwnForce(turned_by_three, name="turning")
-    sol = co.integrate(spiral.system.with_forces(turning), (0.6, 0.1, 0.4), (0, 6), 2**-6, co.Splitting())
+    sol = co.integrate(spiral.unforced.with_forces(turning), (0.6, 0.1, 0.4), (0, 6), 2**-6, co.Splitting())
     assert abs(abs(sol.work["turning"][name][-1]) - 2 * 0.7 * 3 * 6) < 1e-12
     assert sol.balance(relative=False)[name] < 1e-12
 
@@ -270,13 +270,13 @@ ENSEMBLE = ([X0, X0], (0, 2), 0.125)
         (lambda: DAMPED.exact(X0, 1.0), TypeError, ("closed form", FORCED)),
         (lambda: co.integrate(DAMPED, X0, (0, 1), 0.125, co.methods.Forced(co.Splitting())), TypeError, ("runs",)),
         (lambda: co.methods.Forced(co.Splitting()).properties(BODY), TypeError, ("rigid_body", "no forces")),
-        (lambda: co.modified_hamiltonian(DAMPED, co.Splitting()), TypeError, ("LiePoissonSystem",)),
+        (lambda: co.modified_hamiltonian(DAMPED, co.Splitting()), TypeError, ("has forces",)),
         (
             lambda: co.batch([DAMPED, BODY.with_forces(co.forces.Torque((0.0, 0.0, 1.0)))]),
             ValueError,
             ("Torque", "LinearDamping"),
         ),
-        (lambda: co.batch([DAMPED, BODY]), ValueError, ("LiePoissonSystem", "ForcedSystem")),
+        (lambda: co.batch([DAMPED, BODY]), ValueError, ("no forces", "LinearDamping")),
         (lambda: co.integrate(HOT, X0, (1, 0), 0.125), ValueError, ("HeatBath", "backward")),
         (lambda: HOT.vector_field(X0), TypeError, ("noise",)),
         (lambda: PLANE.with_forces(co.forces.DoubleBracketDamping(0.1)), ValueError, ("structure constants",)),

@@ -34,7 +34,7 @@ def test_torque_inputs_beside_functions():
     sl = co.LiePoissonSystem(co.algebras.sl(2), whole).with_forces(wave, co.forces.Torque((0.1, 0.0, 0.0)))
     x, N = np.array([0.4, -0.3, 0.5]), np.array([0.2, 0.7, -0.1])
     sol = co.prepare(sl, co.GaussLegendre(2), STEP, inputs={"N": "Torque 2"}).run(x, SPANS[0], N=N)
-    changed = sl.system.with_forces(wave, co.forces.Torque(N))
+    changed = sl.unforced.with_forces(wave, co.forces.Torque(N))
     assert np.array_equal(sol.x, co.integrate(changed, x, SPANS[0], STEP, co.GaussLegendre(2)).x)
     with refused(TypeError, "Hamiltonian", "linear term"):
         co.prepare(sl, co.GaussLegendre(2), STEP, inputs={"N": "Torque 2", "field": (0,)})

@@ -14,18 +14,11 @@ RNG = np.random.default_rng(20)
 KNOWN = co.systems.rigid_body(inertia=(1, 2, 3))
 
 
-class OwnBody:
-    """A class with the interface of `GeneralSystem` alone."""
+class OwnBody(co.System):
+    """What a system needs, and nothing more."""
 
-    name, sign, representation = "own body", -1, None
+    name, sign, dim = "own body", -1, 3
     algebra, hamiltonian, casimirs = KNOWN.algebra, KNOWN.hamiltonian, KNOWN.casimirs
-    dim = 3
-
-    def vector_field(self, x, t=0.0):
-        return KNOWN.vector_field(x, t)
-
-    def energy(self, x, t=0.0):
-        return KNOWN.energy(x, t)
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2), co.Taylor(8)], ids=str)
@@ -52,10 +45,10 @@ class SkewMatrices:
         return A @ B - B @ A
 
 
-class MatrixBody:
+class MatrixBody(co.System):
     """X' = [X, A(X)], A(X)_ij = w_ij X_ij, for a skew matrix X."""
 
-    sign, representation = 1, None
+    sign = 1
 
     def __init__(self, weights):
         N = len(weights)
@@ -64,7 +57,7 @@ class MatrixBody:
         self.hamiltonian = co.Quadratic(weights.ravel())
         self.casimirs = {"|X|^2": co.Quadratic(2.0 * np.ones(N * N))}
 
-    def vector_field(self, x, t=0.0):
+    def hamiltonian_field(self, x, t=0.0):
         X = np.reshape(x, self.shape)
         return self.algebra.bracket(X, self.weights * X).ravel()
 
@@ -172,7 +165,7 @@ def test_matrices_with_forces():
     """Viscosity that differs by entry, and forcing, for states without structure constants; orbits need these."""
     system, X = body(4), skew(4)
     drag = np.abs(skew(4)).ravel()
-    forced = co.ForcedSystem(system, (co.forces.LinearDamping(drag), co.forces.Torque(0.1 * skew(4).ravel())))
+    forced = system.with_forces(co.forces.LinearDamping(drag), co.forces.Torque(0.1 * skew(4).ravel()))
 
     exact = solve_ivp(lambda t, x: forced.vector_field(x), (0, 1), X.ravel(), rtol=1e-11, atol=1e-12).y[:, -1]
     coarse, fine = (co.integrate(forced, X, (0, 1), h, Isospectral()) for h in (2**-6, 2**-7))
@@ -180,7 +173,7 @@ def test_matrices_with_forces():
     assert coarse.x.shape == (65, 4, 4) and 3.0 < errors[0] / errors[1] < 5.0
     assert fine.balance(relative=False)["|X|^2"] < 1e-12 < 1e-2 < abs(fine.work["LinearDamping"]["|X|^2"][-1])
     with refused(ValueError, "structure constants", "a body of 4 x 4"):
-        co.ForcedSystem(system, (co.forces.DoubleBracketDamping(0.1),))
+        system.with_forces(co.forces.DoubleBracketDamping(0.1))
 
 
 def test_the_compiled_loops_refuse_it_by_name():

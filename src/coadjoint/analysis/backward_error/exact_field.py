@@ -21,7 +21,7 @@ from coadjoint.analysis.backward_error.step_series import ExactSystem
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_number
 
 

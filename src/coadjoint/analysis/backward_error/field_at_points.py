@@ -15,7 +15,7 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.methods.formal.formal_numbers import vector
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import sample_points
 
 DISPLACEMENT_BITS = 53  # steps move by about 2^-53 of the state

@@ -20,7 +20,8 @@ from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import require_packages
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System, check_vector_states
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import read_choice, read_integer
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_finite, read_number
 
 Floats = npt.NDArray[np.float64]

@@ -33,7 +33,8 @@ from coadjoint.program.modified_energy.modified_series import coordinates_of
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_integer, supports_arithmetic
 
 
@@ -301,4 +302,5 @@ def check_system_and_scheme(system: System, method: Any) -> tuple[LiePoissonSyst
     scheme = read_method(method)
     if not isinstance(system, LiePoissonSystem):
         raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
+    check_one_system(system)
     return system, scheme

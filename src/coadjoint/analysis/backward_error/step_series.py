@@ -20,7 +20,7 @@ from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 from coadjoint.systems.protocol import has_structure_constants
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
 MAX_MONOMIALS = 10**5  # of a field; products of larger ones take minutes

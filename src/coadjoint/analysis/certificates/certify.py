@@ -25,7 +25,8 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.registry import description_of, read_method
 from coadjoint.runs.start import momenta_of
 from coadjoint.systems.protocol import as_vector_system
-from coadjoint.systems.system_checks import System, check_one_system
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_integer, read_number
 
 MAX_STEPS = 10**7
@@ -153,7 +154,7 @@ def _describe(subject: Subject) -> dict[str, Any]:
             "dim": system.dim,
             "sign": system.sign,
             "hamiltonian": repr(system.hamiltonian),
-            "parameters": getattr(system, "parameters", None),
+            "parameters": system.parameters,
         },
         "scheme": {"shown": str(subject.method), "description": _description(subject.method)},
         "step": subject.h,

@@ -13,7 +13,7 @@ from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import StepMethod
 from coadjoint.short_repr import short
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_bool, read_integer
 
 NO_PROPERTIES = Properties(poisson=False, energy=False, casimirs="none", attitude="none")

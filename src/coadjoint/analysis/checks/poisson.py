@@ -40,7 +40,7 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
     claimed = properties is not None and properties.poisson
     declared = "nothing" if properties is None else "kept" if claimed else "not kept"
     key, what, n = "poisson", "Poisson bracket", subject.system.dim
-    if not hasattr(subject.system, "structure_matrix"):
+    if not subject.system.has_structure_matrix:
         return Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason="no structure matrix is known")
     if subject.expensive and n <= (MAX_DENSE_DIM if subject.system.algebra is None else MAX_DIRECTIONAL_DIM):
         return _directional_row(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.long_operations import note_progress
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coordinates import CoordinateGroups
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ def _motion(system: System, start: bytes, shape: tuple[int, int], t: float) -> M
 
 
 def _closed_form(system: System, x: Floats, t: float) -> Floats | None:
-    if getattr(system, "closed_form", None) is None:
+    if system.closed_form is None:
         return None
     try:
         return np.array([system.exact(y, t) for y in x], dtype=np.float64)

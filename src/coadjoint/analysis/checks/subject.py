@@ -19,7 +19,7 @@ from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tang
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.protocol import is_matrix_system
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

@@ -53,8 +53,7 @@ from coadjoint.runs.start import combined
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_integer, read_numbers
 
 if TYPE_CHECKING:
@@ -139,7 +138,7 @@ def warn_without_tls(client: Any) -> None:
 
 @suggest_keywords
 def integrate_ensemble(
-    system: System | ForcedSystem | Batch,
+    system: System | Batch,
     x0: Any,
     t_span: tuple[float, float],
     step: float,

@@ -23,12 +23,11 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_choice
 
 
@@ -116,14 +115,14 @@ def section(name: str, key: str) -> Iterator[None]:
     raise ConfigurationError(f"{name}: {in_one_line(key, 80)}: {in_one_line(problem, MAX_LENGTH)}") from cause
 
 
-def system_of_file(name: str, file: File) -> System | ForcedSystem:
+def system_of_file(name: str, file: File) -> System:
     """Return the system of the validated tables of a file, with its forces; ConfigurationError with the key."""
     system, forces = _hamiltonian_part(name, file), []
     for k, description in enumerate(file.forces):
         with section(name, f"forces[{k}]"):
             forces.append(described.from_description(description))
     with section(name, "forces"):
-        return ForcedSystem(system, forces) if forces else system
+        return system.with_forces(*forces) if forces else system
 
 
 def _hamiltonian_part(name: str, file: File) -> System:

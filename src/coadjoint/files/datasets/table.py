@@ -8,7 +8,7 @@ import numpy as np
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.protocol import is_matrix_system, member_of, shape_of, unforced
+from coadjoint.systems.protocol import is_matrix_system, member_of, unforced
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +23,7 @@ def table_of(solution: Solution) -> pd.DataFrame:
 
     system: Any = unforced(member_of(solution.system, 0))
     k, members = len(solution.t), None if solution.failed is None else len(solution.failed)
-    shape = shape_of(system)
+    shape = system.shape
     count = int(np.prod(shape))
     states = solution.x.reshape(k, -1, count)
     columns: dict[str, Any] = {name: states[..., i] for i, name in enumerate(_names(system, shape, count))}

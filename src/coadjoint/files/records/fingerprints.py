@@ -10,7 +10,6 @@ from coadjoint.files.records.entries import EXACT, INTEGRAL
 from coadjoint.files.records.records import record_of
 from coadjoint.kernels.functions.contents import contents_of
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
@@ -57,16 +56,16 @@ def system_contents(system: Any) -> Any:
     """Return everything that defines a system, for `fingerprint_of`."""
     if isinstance(system, Batch):
         return [system_contents(member) for member in system.distinct]
-    if isinstance(system, ForcedSystem):
+    if system.forces:
         forces = [[type(force).__name__, force, dict(force.parameters())] for force in system.forces]
-        return [system_contents(system.system), forces]
-    if getattr(system, "parameters", None) is not None:
+        return [system_contents(system.unforced), forces]
+    if system.parameters is not None:
         return [system.name, dict(system.parameters)]
     if isinstance(system, MatrixSystem):
-        streams = (system.stream, getattr(system, "second_stream", None))
+        streams = (system.stream, system.second_stream)
         functions = [getattr(stream, "function", stream) for stream in streams]
         return [record_of(cast(Any, system)), functions, system.energy_function]
     contents = [system.name, system.sign, list(system.hamiltonian.terms()), dict(system.casimirs)]
     if isinstance(system, LiePoissonSystem):
         return [record_of(system), *contents]
-    return [*contents, getattr(system, "structure_function", system)]
+    return [*contents, system.structure_function or system]

@@ -18,20 +18,19 @@ from coadjoint.files.records.stored_axes import axes_of_record
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 BYTES_PER_MEMBER = 100  # of a batch; a reference and its start
 
 
-def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | ForcedSystem | Batch:
+def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | Batch:
     """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants.
 
     ValueError: the motion depends on functions, which were not stored; or the record is damaged.
@@ -61,7 +60,7 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
         return Batch(members, axes)
 
 
-def _system_of(record: Entry, dim: int | None) -> System | ForcedSystem:
+def _system_of(record: Entry, dim: int | None) -> System:
     if "forces" not in record:
         return _unforced_system_of(record, dim)
     record.reject_unknown("name", "forces", "system", "not_stored")
@@ -73,7 +72,7 @@ def _system_of(record: Entry, dim: int | None) -> System | ForcedSystem:
             forces.append(described.from_description(parameters))
     system = _unforced_system_of(record["system"], dim)
     with as_value_errors(record["forces"]):
-        return ForcedSystem(system, forces)
+        return system.with_forces(*forces)
 
 
 def _unforced_system_of(record: Entry, dim: int | None) -> Any:

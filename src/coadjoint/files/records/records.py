@@ -17,7 +17,6 @@ from coadjoint.files.records.matrix_records import matrix_record
 from coadjoint.files.records.reconstruction import system_of
 from coadjoint.files.records.stored_axes import axes_record
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, formula_of
@@ -29,7 +28,7 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.protocol import forces_of
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 __all__ = ["record_of", "safe_name", "system_of"]
 
@@ -55,10 +54,10 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     """
     if isinstance(system, Batch):
         return _batch_record(system)
-    if isinstance(system, ForcedSystem):
+    if system.forces:
         return _forced_record(system)
     ready_made = importlib.import_module("coadjoint.systems").names()
-    parameters = getattr(system, "parameters", None)
+    parameters = system.parameters
     if parameters is not None and system.name in ready_made:
         functions = [f"{system.name}: {key}" for key, value in parameters.items() if callable(value)]
         if functions:
@@ -67,7 +66,7 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     if isinstance(system, MatrixSystem):
         return matrix_record(system)
     if not isinstance(system, LiePoissonSystem):
-        function = getattr(system, "structure_function", None)
+        function = system.structure_function
         source = f"class {type(system).__qualname__}" if function is None else _function_name(function)
         return {"name": system.name, "not_stored": [f"structure matrix: {source}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
@@ -145,9 +144,9 @@ def _batch_record(batch: Batch) -> dict[str, Any]:
     return {**record, "not_stored": missing} if missing else record
 
 
-def _forced_record(system: ForcedSystem) -> dict[str, Any]:
+def _forced_record(system: System) -> dict[str, Any]:
     """Return the Hamiltonian part, and the forces by name and parameters."""
-    inner, forces, missing = record_of(system.system), [], []
+    inner, forces, missing = record_of(system.unforced), [], []
     for label, force in forces_of(system):
         described_force = _force_record(force)
         if described_force is None:

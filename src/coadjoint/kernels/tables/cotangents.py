@@ -24,7 +24,7 @@ from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.table import Program, dual_action
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

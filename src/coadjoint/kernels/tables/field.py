@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.program.sources import Coefficients, Sources, sources_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.protocol import has_compiled_bracket, has_structure_constants
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.systems.vanishing_products import FieldProducts, Products, field_products
 
 
@@ -96,7 +96,13 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     if system.algebra is None and not called:
         n = system.dim
         compiled = CompiledFunction(
-            system.structure_function, n, n * n, scalar=False, flat=True, timed=False, what="the structure matrix"
+            cast(Any, system.structure_function),
+            n,
+            n * n,
+            scalar=False,
+            flat=True,
+            timed=False,
+            what="the structure matrix",
         )
         structure, keepalive = np.array([compiled.address], dtype=np.int64), (*keepalive, compiled)
     field = Field(

@@ -89,7 +89,7 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
 
     For a system of matrices these are the Casimirs of degree two.
     """
-    accounts, hamiltonian_part = [], system.system
+    accounts, hamiltonian_part = [], system.unforced
     tracked_casimirs = (
         hamiltonian_part.quadratic_casimirs if is_matrix_system(hamiltonian_part) else hamiltonian_part.casimirs
     )
@@ -215,11 +215,11 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     keepalive: list[Any] = []
     for label, force in forces_of(system):
         count = sum(account.force == label for account in accounts)
-        reader = _ForceTableBuilder(system.system, first, count)
-        tables.append(force.describe_to(reader, system.system))
+        reader = _ForceTableBuilder(system.unforced, first, count)
+        tables.append(force.describe_to(reader, system.unforced))
         first += count
         keepalive += reader.keepalive
-    hamiltonian_part = system.system
+    hamiltonian_part = system.unforced
     casimirs_conserved = is_matrix_system(hamiltonian_part) or all(force.casimirs for force in system.forces)
     watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
     loop_integers, loop_keepalive = inner_loop_integers(inner, hamiltonian_part, representation)

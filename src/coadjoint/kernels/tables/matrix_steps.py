@@ -43,8 +43,7 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
     constant and the tables of the maps.
     """
     kinds = codes("StreamKind")
-    stream, second = system.stream, getattr(system, "second_stream", None)
-    linear, function = getattr(system, "linear", None), None
+    stream, second, linear, function = system.stream, system.second_stream, system.linear, None
     if isinstance(stream, FunctionStream):
         function = MatrixFunction(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]

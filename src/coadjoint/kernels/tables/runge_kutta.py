@@ -12,7 +12,7 @@ from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, sources_of_field, substeps
 from coadjoint.program.sources import Coefficients, Multiples, Sources
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 
 class RungeKuttaTables(NamedTuple):

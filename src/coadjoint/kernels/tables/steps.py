@@ -27,7 +27,7 @@ from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.sources import Coefficients, Multiples, Sources
 from coadjoint.systems.protocol import has_compiled_bracket
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 
 class StepTables(NamedTuple):

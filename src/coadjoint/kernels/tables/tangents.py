@@ -15,7 +15,7 @@ from coadjoint.kernels.tables.compiled import addresses_of
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 STRETCH_ENTRIES = 3
 """Numbers that store a product of lengths, (high + low) 2^exponent."""
@@ -89,7 +89,7 @@ def check_differentiable(system: System) -> None:
             f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} does not have; "
             "give hessian="
         )
-    if system.algebra is None and getattr(system, "derivative_function", None) is None:
+    if system.algebra is None and system.derivative_function is None:
         raise TypeError(
             f"tangent vectors need the derivative of J, which is unknown for {system.name}; give derivative="
         )

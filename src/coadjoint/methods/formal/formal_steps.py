@@ -14,7 +14,7 @@ from coadjoint.algebra.exact.numbers import rational
 from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, is_short, vector
 from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 
 class FormalStages(ABC):

@@ -14,7 +14,7 @@ from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 
 class OnLevelSet(NamedTuple):

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.methods.protocol.cost_model import Operations
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 LANES = 8
 # Sums of up to UNROLLED_VECTORS vectors of rows are unrolled, if no products are stored behind the coordinates. Others

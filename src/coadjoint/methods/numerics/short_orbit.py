@@ -11,7 +11,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

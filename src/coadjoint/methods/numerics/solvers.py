@@ -12,7 +12,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.numbers import Number, roundoff
 from coadjoint.short_repr import record_repr
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 MAX_ITERATIONS = 200  # for 53 bits; proportional to the number of bits
 ROUGHEST = 2**-8  # of the size of the stages: larger corrections are not tested for round-off
@@ -86,7 +86,8 @@ class Step(NamedTuple):
     def structure_derivatives(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
         """Return the derivatives of h scale_j sign J(Z) u_j at Z_j, shape (s, n, n), such as h scale_j sign D_u."""
         parts = zip(momenta, gradients, self.lengths, strict=True)
-        return np.stack([structure_derivative(self.system, Z, u) * length for Z, u, length in parts])
+        J, sign = self.system.product_derivative, self.system.sign
+        return np.stack([sign * J(Z, u) * length for Z, u, length in parts])
 
     def solve_stages(self, blocks: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
         """Return the solution of Y_i = sum_j mix_ij W_j Y_j + right_i; right has shape (s, n) or (s, n, lanes)."""
@@ -163,15 +164,6 @@ def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: 
     coefficients = tableau(number)
     times = [time + length * c for c in coefficients.node]
     return Step(system, coefficients, point, times, [length * b for b in coefficients.scale])
-
-
-def structure_derivative(system: System, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
-    """Return the derivative of sign * J(x) u with respect to x, shape (n, n): on a Lie algebra sign * D_u."""
-    if system.algebra is not None:
-        return np.asarray(system.sign * system.algebra.coadjoint(u))
-    if system.derivative_function is None:
-        raise TypeError(f"the derivative of J is unknown for {system.name}; give derivative=")
-    return np.asarray(system.sign * np.einsum("ijk,j->ik", np.asarray(system.derivative_function(x)), u))
 
 
 def linear_solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.substep_method import SubstepMethod
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop

@@ -14,7 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
 from coadjoint.program.table import Program
 from coadjoint.systems.protocol import has_quadratic_energy, has_structure_constants
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 # Weights of the cost model, to be adjusted when the compiled loops change. The unit is a flow that rotates one pair of
 # coordinates by a linear angle (five multiplications, a sine with its cosine), about 11 ns on one core. An iteration of

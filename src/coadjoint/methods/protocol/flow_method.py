@@ -28,7 +28,7 @@ from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
 from coadjoint.systems.protocol import has_structure_constants
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop

@@ -16,7 +16,7 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.short_repr import short
 from coadjoint.systems.protocol import has_compiled_bracket
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop

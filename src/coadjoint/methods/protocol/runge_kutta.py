@@ -17,7 +17,7 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.numbers import Number
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:

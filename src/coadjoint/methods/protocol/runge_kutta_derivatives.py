@@ -12,7 +12,7 @@ from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 if TYPE_CHECKING:
     from coadjoint.methods.protocol.substep_method import SubstepMethod
-    from coadjoint.systems.system_checks import System
+    from coadjoint.systems.system import System
 
 FORWARD, BACKWARD = "runge_kutta_directions", "runge_kutta_cotangents"
 

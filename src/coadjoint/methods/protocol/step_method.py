@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.wrapper import Composed
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop

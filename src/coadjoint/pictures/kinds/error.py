@@ -22,7 +22,7 @@ def error(drawn: PlottedRun) -> Paint:
     For a motion that stays on its orbit it is the phase error. Batches are not supported.
     """
     system = drawn.system
-    if getattr(system, "closed_form", None) is None or is_batch(drawn.solution.system):
+    if system.closed_form is None or is_batch(drawn.solution.system):
         raise CannotShow(f"no closed form is known for {drawn.solution.system.name}")
     indices = spread(len(drawn.t), MAX_TIMES)
     t = drawn.t[indices]

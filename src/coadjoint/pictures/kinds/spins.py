@@ -56,7 +56,7 @@ def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
     n = drawn.n
     if n % 3:
         raise CannotShow(f"the state has {n} coordinates, which are not spins of three components")
-    layout = getattr(drawn.unforced, "layout", None) or drawn.unforced.parameters or {}
+    layout = drawn.unforced.layout or drawn.unforced.parameters or {}
     lattice = layout.get("lattice")
     positions = site_positions(lattice, layout.get("shape"), n // 3)
     if len(positions) != n // 3:

@@ -20,7 +20,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.protocol import coordinates_of, is_matrix_system, unforced
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_choice, read_integer
 

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.forced import FlowOfForce, flow_of_force
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
 from coadjoint.systems.forces.orbit_flow import OrbitFlow
 from coadjoint.systems.parameter_differences import NearbySystems, differences
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ class Half(NamedTuple):
 class _Member(NamedTuple):
     """The system of a member, and the entries with nearby systems of the same noise."""
 
-    system: ForcedSystem
+    system: System
     entries: Sequence[FlowEntry]
 
     def parts(self, j: int) -> dict[str, Any]:
@@ -65,13 +65,13 @@ class _Member(NamedTuple):
         fields = force.scalings()
         if not all(isinstance(one, EnergyDerivative) or one in fields for one in self.parts(j).values()):
             return None
-        return force.orbit_flow(self.system.system, x, *half.span)
+        return force.orbit_flow(self.system.unforced, x, *half.span)
 
     def changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
 
-        def after(system: ForcedSystem) -> Floats:
-            return np.asarray(system.forces[j].flow(system.system, x, *half.span), dtype=np.float64)
+        def after(system: System) -> Floats:
+            return np.asarray(system.forces[j].flow(system.unforced, x, *half.span), dtype=np.float64)
 
         numbers = [n for n, entry in enumerate(self.entries) if wanted[n] and j in entry.forces]
         return list(zip(numbers, differences([self.entries[n].nearby for n in numbers], after), strict=True))
@@ -80,7 +80,7 @@ class _Member(NamedTuple):
 class ForceFlows:
     """Half flows of the members `first` to `last` - 1 of a system with forces; noise is that of their numbers."""
 
-    def __init__(self, system: ForcedSystem, entries: Sequence[FlowEntry], first: int, last: int) -> None:
+    def __init__(self, system: System, entries: Sequence[FlowEntry], first: int, last: int) -> None:
         self._members = [
             _Member(numbered(system), [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries])
             for numbered in (methodcaller("numbered_from", m) for m in range(first, last))
@@ -92,7 +92,7 @@ class ForceFlows:
         for member, state in zip(self._members, x, strict=True):
             for j, force in half.order(member.system.forces):
                 flow = member.orbit_flow(j, force, state, half)
-                state = force.flow(member.system.system, state, *half.span) if flow is None else flow.end
+                state = force.flow(member.system.unforced, state, *half.span) if flow is None else flow.end
             after.append(np.asarray(state, dtype=np.float64))
         return np.array(after)
 
@@ -102,7 +102,7 @@ class ForceFlows:
         states, tangents = [], []
         for member, state, rows in zip(self._members, x, dx, strict=True):
             for j, force in half.order(member.system.forces):
-                flow = flow_of_force(force, member.system.system, state, *half.span)
+                flow = flow_of_force(force, member.system.unforced, state, *half.span)
                 rows = flow.tangents(rows)
                 for number, change in member.changes(directed, j, state, half):
                     rows = rows + directions[:, number, None] * change
@@ -118,7 +118,7 @@ class ForceFlows:
             flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
             for j, force in half.order(member.system.forces):
                 known = member.orbit_flow(j, force, state, half)
-                flow = flow_of_force(force, member.system.system, state, *half.span) if known is None else known
+                flow = flow_of_force(force, member.system.unforced, state, *half.span) if known is None else known
                 flows.append((j, state, flow))
                 state = flow.end
             for j, start, flow in reversed(flows):

@@ -17,7 +17,7 @@ from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.force_flows import FlowEntry, ForceFlows, Half
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.systems.forced import ForcedSystem
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ class ForcedSteps:
 
     def __init__(
         self,
-        system: ForcedSystem,
+        system: System,
         inner: DerivativeTables,
         structure: Any,
         parts: PartialSteps,

@@ -18,7 +18,7 @@ from coadjoint.runs.derivatives.results import Tangents, overflow
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.energy_gradients import gradients_at
-from coadjoint.systems.protocol import is_batch, rows_of, shape_of, states_of, unforced_matrix_system
+from coadjoint.systems.protocol import is_batch, rows_of, states_of, unforced_matrix_system
 from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ class Directions:
 
     def __init__(self, run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]) -> None:
         members, n, d = trajectory.members, trajectory.n, trajectory.side
-        single, shape = trajectory.start.single, shape_of(trajectory.start.system)
+        single, shape = trajectory.start.single, trajectory.start.system.shape
         shapes: dict[str, tuple[int, ...]] = {"x0": shape if single else (members, *shape)}
         if d:
             shapes["attitude0"] = (d, d) if single else (members, d, d)
@@ -77,7 +77,7 @@ class Directions:
         if matrices is None:
             x0 = rows_of(run.system, rows("x0"))
         else:  # these must be in the algebra
-            x0 = matrices.read(rows("x0").reshape(-1, *shape_of(run.system)), "the direction x0")
+            x0 = matrices.read(rows("x0").reshape(-1, *run.system.shape), "the direction x0")
         x0 = np.asarray(x0).reshape(self.count, members, n)
         self.x0 = np.ascontiguousarray(np.moveaxis(x0, 0, 1))
         groups = rows("attitude0").reshape(self.count, members, d, d) if d else np.zeros((self.count, members, 0, 0))

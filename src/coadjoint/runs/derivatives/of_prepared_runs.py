@@ -23,7 +23,7 @@ from coadjoint.runs.derivatives.run_tables import differ_in_columns
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import forces_of, is_batch, shape_of
+from coadjoint.systems.protocol import forces_of, is_batch
 from coadjoint.validation import read_choice, to_array
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
         pieces = [len(members) for members, _ in _in_columns(prepared)]
         several = pieces != [len(prepared.system)] or cast(Loops, prepared.loops(prepared.step)).order is not None
     if given.events or prepared.method.own_steps:
-        several = several or np.ndim(given.x0) > len(shape_of(prepared.system))
+        several = several or np.ndim(given.x0) > len(prepared.system.shape)
     if several and prepared.takes_inputs:
         raise TypeError(
             "members are differentiated one by one if they have systems, steps or events of their own, and then "
@@ -137,7 +137,7 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
         raise TypeError(f"directions is {short(directions)}; give a mapping from names to arrays")
     leading: dict[str, Any] = {}
     for name, value in directions.items():
-        shape = (count, *shape_of(prepared.system)) if name == "x0" else None
+        shape = (count, *prepared.system.shape) if name == "x0" else None
         if name in parameters and is_batch(prepared.system):
             shape = parameters[name].shape
         if shape is None and name != "attitude0":

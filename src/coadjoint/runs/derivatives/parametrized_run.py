@@ -16,7 +16,6 @@ from coadjoint.runs.output_times import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
-from coadjoint.systems.protocol import shape_of
 
 Floats = NDArray[np.float64]
 Shape = tuple[int, ...]
@@ -35,7 +34,7 @@ class ParametrizedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
         if prepared.takes_inputs:
             raise TypeError(f"{caller} was given a run prepared with inputs; prepare without inputs=")
-        if len(shape_of(prepared.system)) > 1:
+        if len(prepared.system.shape) > 1:
             raise TypeError(
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
                 "prepared.jvp and prepared.vjp"

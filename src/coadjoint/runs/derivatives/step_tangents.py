@@ -14,7 +14,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, tables_with_inputs
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.inputs import Inputs
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

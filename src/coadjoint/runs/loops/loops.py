@@ -25,7 +25,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.protocol import unforced_matrix_system
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
@@ -429,7 +429,7 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
     for k in np.flatnonzero(owner < 0).tolist():
         add(k)
     loops, watches = zip(*built, strict=True)
-    random = any(force.random for system in distinct for force in getattr(system, "forces", ()))
+    random = any(force.random for system in distinct for force in system.forces)
     rows = batch.owners
     fields = batch.dim, ["energy", *names], loops, watches, corrections, owner[rows], random
     return Loops(*fields, columns=columns, numbers=number[rows], corrected=rows)

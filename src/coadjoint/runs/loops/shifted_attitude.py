@@ -16,7 +16,7 @@ from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.runs.start import Representation, Start
 from coadjoint.runs.times import Times
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.validation import SMALL_SIZE
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.results.observables import Observed
     from coadjoint.runs.run import Run
     from coadjoint.systems.batch import Batch
-    from coadjoint.systems.system_checks import System
+    from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.protocol import unforced_matrix_system
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_number
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from coadjoint.runs.events import RecordedEvents
     from coadjoint.runs.results.solution import Solution
     from coadjoint.systems.batch import Batch
-    from coadjoint.systems.system_checks import System
+    from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

@@ -110,8 +110,8 @@ def fluid_of(system: Any) -> FluidSystem | None:
     """
     if isinstance(system, FluidSystem):
         return system
-    surface = (getattr(system, "parameters", None) or {}).get("surface", "")
-    has_two_fields = len(getattr(system, "shape", ())) == 3 and surface in SURFACES
+    surface = (system.parameters or {}).get("surface", "")
+    has_two_fields = len(system.shape) == 3 and surface in SURFACES
     return ideal_fluid(system.algebra.N, surface) if has_two_fields else None
 
 

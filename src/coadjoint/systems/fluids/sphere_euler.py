@@ -237,12 +237,14 @@ class SphereEuler(FluidSystem):
     def absolute(self, W: Any) -> Matrix:
         return np.asarray(self.matrices(W) + self.planetary)
 
-    def exact(self, x0: Any, t: Any) -> Matrix:
+    def exact(self, x0: Any, t: Any, attitude: Any = False) -> Matrix:
         """Return the exact motion (N, N) or (k, N, N) of a state at one time or several (k,).
 
         It is known for zonal flows, and for states of degree 1, about any axis, plus one further degree, such as those
         of `rossby_haurwitz`; other states raise ValueError.
         """
+        if self.forces or attitude is not False:
+            return super().exact(x0, t, attitude)
         return sphere_states.exact_motion(self.matrices(x0), t, self.rotation)
 
     def angular_momentum(self, W: Any) -> Floats:

@@ -84,7 +84,7 @@ class OwnForce(Force):
         return self.backward
 
     def check(self, system: Any) -> None:
-        shape, failure = tuple(getattr(system, "shape", (system.dim,))), ""
+        shape, failure = system.shape, ""
         kinds = "fiuc" if getattr(system, "complex", False) else "fiu"
         for x in sample_states(system):
             try:

@@ -154,9 +154,7 @@ class DoubleBracketDamping(Force):
         )
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
-        """Return the derivative of the midpoint rule, by that of its equation; None without that of the field."""
-        if getattr(system, "jacobian", None) is None:
-            return None
+        """Return the derivative of the midpoint rule, by that of its equation."""
         middle, v = self._midpoint(system, x, t, tau)
         of_direction = tau * self.alpha * _product_of(self.metric, system.jacobian(middle, t + 0.5 * tau))
         _, by_x, by_v = exponential_with_tangent(system, 0.5 * v, x)

@@ -17,7 +17,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.separable import Separable
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
-from coadjoint.systems.system_checks import System
+from coadjoint.systems.system import System
 
 Floats = npt.NDArray[np.float64]
 SystemT = TypeVar("SystemT", bound=System)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,10 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
 from coadjoint.systems.arguments import read_closed_form, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
-from coadjoint.systems.forced import ForcedSystem
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, check_stream, read_energy, traces_of, values_of
 from coadjoint.systems.matrices.streams import FunctionStream, Stream
+from coadjoint.systems.system import System, forces_text
 from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
 
 Matrix = npt.NDArray[Any]
@@ -33,7 +33,7 @@ DEGENERACY_TOLERANCE = 1e-9
 
 
 @suggest_keywords
-class MatrixSystem:
+class MatrixSystem(System):
     """A system whose state is a matrix W in a Lie algebra of matrices, ``W' = [P, W]`` with P = stream(W) + linear.
 
     Choose it for algebras too large for structure constants: the quantized sphere and torus, bodies of many dimensions.
@@ -87,7 +87,7 @@ class MatrixSystem:
     """
 
     sign = 1
-    representation = None
+    shape: tuple[int, ...] = ()
     second_stream: Stream | None = None
     energy_unit: float = 1.0
     """Energy of ``<P, W>/2 = 1``."""
@@ -117,9 +117,9 @@ class MatrixSystem:
         self.energy_function = read_energy(energy, self.timed)
         self.energy_sign = read_sign(energy_sign, "energy_sign")
         self.name = read_title(name, "name")
-        self.parameters, self._exact = read_parameters(parameters), read_closed_form(exact)
+        self._parameters, self._exact = read_parameters(parameters), read_closed_form(exact)
         self.powers = read_integer(powers, "powers", 0, MAX_POWERS)
-        self.shape: tuple[int, ...] = algebra.shape
+        self.shape = algebra.shape
         self.matrix_shape: tuple[int, ...] = algebra.shape  # also of states given as vectors
         self.dim = (1 + self.complex) * algebra.N**2
         self.linear = None if linear is None else algebra.read(linear, "linear")
@@ -135,18 +135,16 @@ class MatrixSystem:
         self.hamiltonian = MatrixEnergy(self)
         check_stream(self)
 
-    def _repr_html_(self) -> str:
-        return html_table(
-            self.name,
-            {
-                "states": f"{' x '.join(map(str, self.shape))}, of {self.dim} real numbers",
-                "algebra": str(self.algebra),
-                "Casimirs": f"{len(self.casimirs)}, traces of powers",
-            },
-        )
-
-    def __repr__(self) -> str:
+    def _text(self) -> str:
         return f"<{self.name} on {self.algebra}>"
+
+    def _repr_html_(self) -> str:
+        rows = {
+            "states": f"{' x '.join(map(str, self.shape))}, of {self.dim} real numbers",
+            "algebra": str(self.algebra),
+            "Casimirs": f"{len(self.casimirs)}, traces of powers",
+        }
+        return html_table(self.name, {**rows, **({"forces": forces_text(self.forces)} if self.forces else {})})
 
     @property
     def energy_factor(self) -> float:
@@ -154,19 +152,9 @@ class MatrixSystem:
         return self.energy_sign * self.energy_unit
 
     @property
-    def integrals(self) -> dict[str, Any]:
-        """Name to further constants of motion; empty for a general matrix system."""
-        return {}
-
-    @property
     def linear_stream(self) -> bool:
         """Whether the stream is known to be linear, which holds if no function is given for the energy."""
         return self.energy_function is None
-
-    @property
-    def closed_form(self) -> Callable[..., Any] | None:
-        """The solution in closed form, or None."""
-        return self._exact
 
     @cached_property
     def casimirs(self) -> dict[str, Any]:
@@ -181,6 +169,7 @@ class MatrixSystem:
         """
         view = copy.copy(self)
         view.shape = (self.dim,)
+        view._unforced = self.unforced.in_numbers if self.forces else None
         view.__dict__["in_numbers"] = view
         return view
 
@@ -198,18 +187,27 @@ class MatrixSystem:
         """Names of the quadratic Casimirs for which runs record the work of forces: tr W^2 if there is one block."""
         return tuple(name for name in ("tr W^2", "Re tr W^2") if name in self.casimirs)
 
-    def with_forces(self, *forces: Force) -> ForcedSystem:
-        """Return the system with forces; see `LiePoissonSystem.with_forces`."""
-        return ForcedSystem(self, forces)
+    def with_forces(self, *forces: Force) -> Self:
+        if not self.linear_stream:
+            # the kernels compute the energy of matrices from their stream
+            raise ValueError(f"the energy of {self.name} is a user function; forces need a system without energy=")
+        return super().with_forces(*forces)
 
     def bracket(self, Y: Matrix, X: Matrix) -> Matrix:
         """Return the commutator of states (..., N, N)."""
         return self.algebra.bracket(Y, X)
 
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
-        """Return W' for matrices (..., N, N) or vectors, in the same form."""
+        """Return W' for matrices (..., N, N) or vectors, in the same form; with forces for one matrix."""
+        if not self.forces:
+            return self.hamiltonian_field(x, t)
+        if self.is_in_numbers(x):
+            return super().vector_field(x, t)
+        return self.from_vector(super().vector_field(self.read(x, "x"), t))
+
+    def hamiltonian_field(self, x: Any, t: float = 0.0) -> Matrix:
         W = self.matrices(x)
-        commutator = self.algebra.bracket(self.stream_of(W, t), W)
+        commutator = self.bracket(self.stream_of(W, t), W)
         return self.to_vector(commutator) if self.is_in_numbers(x) else commutator
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
@@ -228,9 +226,19 @@ class MatrixSystem:
     def structure_matrix(self, x: Any) -> Floats:
         """Return J, (n, n), of a state as a vector: x' = J(x) grad H(x) on the algebra, zero on its complement."""
         check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
+        return self._product(x, np.eye(self.dim)).T
+
+    def _product(self, x: Any, u: Floats) -> Floats:
+        """Return J(x) u for one vector u or several (k, n)."""
+        return self.to_vector(self.bracket(self._of_gradient(u), self.matrices(x))) / self.energy_factor
+
+    def product_derivative(self, x: Any, u: Floats) -> Floats:
         units = self.algebra.projected(self.from_vector(np.eye(self.dim)))
-        columns = self.algebra.bracket(self.algebra.dual(units), self.matrices(x))
-        return self.to_vector(columns).T / self.energy_factor
+        return self.to_vector(self.bracket(self._of_gradient(u), units)).T / self.energy_factor
+
+    def _of_gradient(self, u: Floats) -> Matrix:
+        """Return the element of the algebra for a gradient of the numbers of a state."""
+        return self.algebra.dual(self.algebra.projected(self.from_vector(u)))
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the traces of powers of matrices (..., N, N), or of vectors.
@@ -261,8 +269,10 @@ class MatrixSystem:
         order = np.lexsort((eigenvalues.imag, np.round(eigenvalues.real / size)), axis=-1)
         return np.take_along_axis(eigenvalues, order, axis=-1)
 
-    def exact(self, x0: Any, t: Any) -> Matrix:
-        """Return the closed-form solution; raise TypeError if none is known."""
+    def exact(self, x0: Any, t: Any, attitude: Any = False) -> Matrix:
+        """Return the closed-form solution; raise TypeError if none is known, or for an attitude, which it never has."""
+        if attitude is not False:
+            raise TypeError(f"attitude is {short(attitude)}; the closed form of {self.name} has none")
         return np.asarray(require_closed_form(self._exact, self.name)(x0, t))
 
     def to_vector(self, W: Any) -> Floats:

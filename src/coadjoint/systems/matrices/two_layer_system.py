@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
@@ -146,12 +145,6 @@ class TwoLayerSystem(MatrixSystem):
         J = np.zeros_like(P) if self.second_stream is None else self.second_stream(X[..., 0, :, :])
         return np.stack([P, J], axis=-3)
 
-    def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
-        """Return x' for a state (2, N, N) or a vector, in the same form."""
-        X = self.matrices(x)
-        commutator = self.bracket(self.stream_of(X), X)
-        return self.to_vector(commutator) if np.shape(x)[-1] == self.dim else commutator
-
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of states (..., 2, N, N)."""
         X = self.matrices(x)
@@ -163,10 +156,8 @@ class TwoLayerSystem(MatrixSystem):
         """Return the eigenvalues of -i Theta, real and ascending, of states (..., 2, N, N)."""
         return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
 
-    def structure_matrix(self, x: Any) -> Floats:
-        check_available_memory(8 * 8 * self.dim**2, f"the structure matrix of {self.name}, of {self.dim} numbers,")
-        gradients = self.algebra.projected(self.from_vector(np.eye(self.dim)))[..., ::-1, :, :]
-        return self.to_vector(self.bracket(gradients, self.matrices(x))).T / self.energy_factor
+    def _of_gradient(self, u: Floats) -> Matrix:
+        return self.algebra.projected(self.from_vector(u))[..., ::-1, :, :]
 
     def generic_rank(self) -> int:
         """Return the rank of J at a generic state; each Casimir of the algebra gives two of the layers."""

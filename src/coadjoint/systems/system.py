@@ -1,0 +1,398 @@
+"""Base class of systems: J(x), the Hamiltonian, and forces in addition to it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from itertools import accumulate
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.short_repr import short
+from coadjoint.systems.closed_forms.closed_form import require_closed_form
+from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
+from coadjoint.systems.forces.base import Force
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
+from coadjoint.validation import read_number, read_numbers, truncate_title
+
+MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
+
+
+class System:
+    """The equations ``x' = sign * J(x) grad H(x, t)``, with forces in addition, if there are any.
+
+    The base class of `LiePoissonSystem`, `PoissonSystem` and `MatrixSystem`. Derive a class from it for a bracket that
+    these do not have. It sets `name`, `sign`, `hamiltonian`, `dim` and `casimirs`. Without an `algebra` that has
+    structure constants it defines `structure_matrix`, or `hamiltonian_field` if J is not a matrix in memory. States are
+    vectors, or arrays of the shape `shape`.
+
+    Attributes
+    ----------
+    name : str
+        Name in messages, files and pictures.
+    sign : {1, -1}
+        Sign of the right-hand side.
+    hamiltonian : Hamiltonian
+        The energy, of vectors of `dim` numbers.
+    dim : int
+        Number n of coordinates.
+    shape : tuple of int
+        Shape of a state; (n,) by default.
+    algebra, representation
+        The Lie algebra on whose dual the state lies, and matrices for its group element; None by default.
+    casimirs, integrals : mapping
+        Invariants that runs record, and further constants of motion, by name; none by default.
+    layout : mapping
+        Lattice and shape of sites, for pictures; empty by default.
+    forces : tuple of Force
+        Damping, torques and noise, given by `with_forces`; mostly empty.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> class Oscillator(co.System):
+    ...     name, sign, dim, hamiltonian = "oscillator", 1, 2, co.Quadratic([1.0, 1.0])
+    ...     def structure_matrix(self, x):
+    ...         return np.array([[0.0, 1.0], [-1.0, 0.0]])
+    >>> Oscillator().vector_field([1.0, 0.0])
+    array([ 0., -1.])
+    >>> Oscillator().with_forces(co.forces.LinearDamping(0.1)).vector_field([1.0, 0.0])
+    array([-0.1, -1. ])
+    """
+
+    name: str
+    sign: int
+    hamiltonian: HamiltonianLike
+    dim: int
+    casimirs: Any = MappingProxyType({})
+    integrals: Any = MappingProxyType({})
+    layout: Any = MappingProxyType({})
+    algebra: Any = None
+    representation: Any = None
+    forces: tuple[Force, ...] = ()
+    structure_function: Callable[..., Any] | None = None
+    derivative_function: Callable[..., Any] | None = None
+    _unforced: System | None = None
+    _parameters: dict[str, Any] | None = None
+    _exact: Callable[..., Any] | None = None
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of a state."""
+        return (self.dim,)
+
+    @property
+    def unforced(self) -> Any:
+        """The Hamiltonian part: this system without its forces."""
+        return self if self._unforced is None else self._unforced
+
+    @property
+    def parameters(self) -> dict[str, Any] | None:
+        """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
+        return None if self._parameters is None else dict(self._parameters)
+
+    @property
+    def closed_form(self) -> Callable[..., Any] | None:
+        """The given function ``exact(x0, t, attitude)``, or None."""
+        return self._exact
+
+    def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
+        """Return the structure matrix J(x), dense.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+        """
+        return np.asarray(self._constants().structure_matrix(read_point(x, self.dim)))
+
+    @property
+    def has_structure_matrix(self) -> bool:
+        """Whether `structure_matrix` is known: by structure constants, or because a class defines it."""
+        defined = type(self).structure_matrix is not System.structure_matrix
+        return defined or getattr(self.algebra, "triples", None) is not None
+
+    def _constants(self) -> Any:
+        """Return the algebra, whose structure constants are in memory."""
+        if getattr(self.algebra, "triples", None) is None:
+            raise TypeError(f"J(x) of {self.name} is unknown: {type(self).__name__} defines no structure_matrix")
+        return self.algebra
+
+    def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return J(x) u."""
+        return self.structure_matrix(x) @ u
+
+    def product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the derivative of J(x) u by x, at constant u; raise TypeError if it is unknown."""
+        return np.asarray(self._constants().coadjoint(u))
+
+    def hamiltonian_field(self, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
+        """Return ``sign * J(x) grad H(x, t)`` at one state, without the forces.
+
+        Parameters
+        ----------
+        x : (n,) array
+            The state.
+        t : number
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+        """
+        return self.sign * self._product(x, self.hamiltonian.gradient(x, t))
+
+    @vectorized_over_states
+    @ignore_overflow
+    def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
+        """Return x': ``sign * J(x) grad H(x, t)``, and all forces.
+
+        Parameters
+        ----------
+        x : (n,) or (..., n)
+            One state or several, of floats, complex numbers or Python objects (fractions, multiprecision numbers).
+        t : float or (k,)
+            The time, or one for each entry of the first axis of several states.
+
+        Returns
+        -------
+        ndarray, shape (n,) or (..., n)
+            Bit-identical to separate calls for each state.
+
+        Raises
+        ------
+        TypeError
+            A force is random.
+        """
+        if not self.forces:
+            return self.hamiltonian_field(read_point(x, self.dim), t)
+        y, t = read_point(read_numbers(x, "x"), self.dim), read_number(t, "t")
+        field = self.unforced.vector_field(y, t)
+        return np.asarray(sum((force.field(self.unforced, y, t) for force in self.forces), start=field))
+
+    @vectorized_over_states
+    @ignore_overflow
+    def energy(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        """Return H(x, t).
+
+        Parameters
+        ----------
+        x : (n,) or (..., n)
+            One state or several.
+        t : float or (k,)
+            The time, or one for each entry of the first axis of several states.
+
+        Returns
+        -------
+        float, or a number of the type of x, or ndarray of the shape (...)
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
+        >>> body.energy([[1.0, 0.0, 0.0], [1.0, 2.0, 4.0]])
+        array([0.25, 2.75])
+        """
+        return self.hamiltonian.value(read_point(x, self.dim), t)
+
+    @ignore_overflow
+    def jacobian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the derivative of the vector field, dense; of systems without forces.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        ndarray, shape (n, n)
+
+        Raises
+        ------
+        TypeError
+            The Hamiltonian has no second derivatives, the derivative of J was not given, or there are forces.
+        """
+        if self.forces:
+            raise TypeError(f"the Jacobian of {self.name} is not known; take that of the Hamiltonian part, unforced")
+        y = read_point(x, self.dim)
+        bracket_part = self.product_derivative(y, self.hamiltonian.gradient(y, t))
+        return self.sign * (bracket_part + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
+
+    def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
+        """Return the closed-form solution, if known.
+
+        Parameters
+        ----------
+        x0 : (n,)
+            The state at time zero.
+        t : float or (k,)
+            One time, or several.
+        attitude : bool or (d, d)
+            Also return the group element; an array, or a rotation as in `integrate`, is its initial value.
+
+        Returns
+        -------
+        ndarray, shape (n,) or (k, n)
+            With `attitude` the pair of this and the group elements, shape (d, d) or (k, d, d).
+
+        Raises
+        ------
+        TypeError
+            No closed form is known.
+        """
+        return require_closed_form(self._exact, self.name)(x0, t, attitude)
+
+    def with_forces(self, *forces: Force) -> Self:
+        """Return the system with damping, torques or noise, after the forces that it has.
+
+        A run uses a symmetric splitting: half flows of the forces in their order, a step of the scheme for the
+        Hamiltonian part, half flows in reverse order. `Method.properties` lists the properties lost by the forces, and
+        `Solution.balance` compares the changes of energy and Casimirs with the work of the forces.
+
+        Parameters
+        ----------
+        *forces : Force
+            One or more of ``co.forces``, in the order in which their flows are applied.
+
+        Returns
+        -------
+        System
+            Of the same class, with `forces`, and without a closed form; its `unforced` is the Hamiltonian part.
+
+        Raises
+        ------
+        TypeError, ValueError
+            No forces, an entry that is not a force, or a force that cannot act on the system.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
+        >>> body.vector_field([0.0, 0.0, 1.0])
+        array([ 0. ,  0. , -0.1])
+        """
+        if not forces:
+            raise TypeError("with_forces was given no force; give one or more, such as co.forces.LinearDamping(0.1)")
+        for force in forces:
+            if not isinstance(force, Force):
+                raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
+        plain, forces = _with_held_numbers(self.unforced, (*self.forces, *forces))
+        for force in forces:
+            force.check(plain)
+        streams = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
+        if len(set(streams)) < len(streams):
+            raise ValueError("two forces have the same seed and stream, and so the same noise; give each its own seed")
+        forced = copy.copy(plain)
+        vars(forced).pop("in_numbers", None)
+        labels = ", ".join(_labels(forces))
+        fields = {"forces": forces, "_unforced": plain, "name": truncate_title(f"{plain.name} with {labels}")}
+        for field, value in {**fields, "_parameters": None, "_exact": None}.items():
+            object.__setattr__(forced, field, value)
+        return forced
+
+    def numbered_from(self, first: int) -> Self:
+        """Return the system for members whose numbers begin at `first`; noise depends on these numbers."""
+        if not first or not any(force.random for force in self.forces):
+            return self
+        forces: list[Any] = list(self.forces)
+        renumbered = [replace(force, stream=force.stream + first) if force.random else force for force in forces]
+        return self.unforced.with_forces(*renumbered)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the forces, numbered from the second of a type on."""
+        return _labels(self.forces)
+
+    @property
+    def reversible(self) -> bool:
+        """Whether all forces can run backward in time."""
+        return all(force.reversible for force in self.forces)
+
+    @ignore_overflow
+    def power(self, x: npt.ArrayLike, t: float = 0.0) -> dict[str, float]:
+        """Return the rate at which each force changes the energy at a state.
+
+        Parameters
+        ----------
+        x : (n,)
+            The state.
+        t : float
+            The time.
+
+        Returns
+        -------
+        dict
+            Label of a force to ``grad H . force``; negative if the force dissipates energy. Empty without forces.
+
+        Raises
+        ------
+        TypeError
+            A force is random.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(2, 4, 4)).with_forces(co.forces.LinearDamping(0.5))
+        >>> body.power([0.0, 0.0, 2.0])
+        {'LinearDamping': -0.5}
+        """
+        y, t = read_point(read_numbers(x, "x"), self.dim), read_number(t, "t")
+        gradient = self.hamiltonian.gradient(y, t)
+        pairs = zip(self.labels, self.forces, strict=True)
+        return {label: float(gradient @ force.field(self.unforced, y, t)) for label, force in pairs}
+
+    def __repr__(self) -> str:
+        if not self.forces:
+            return self._text()
+        return f"<{self.unforced.name} with forces, dimension {self.dim}: {forces_text(self.forces)}>"
+
+    def _text(self) -> str:
+        return f"<{self.name}: {self.hamiltonian!r}>"
+
+    def _repr_html_(self) -> str:
+        from coadjoint.systems.description import system_table
+
+        return system_table(self, **({"forces": forces_text(self.forces)} if self.forces else {}))
+
+
+def _labels(forces: Sequence[Force]) -> tuple[str, ...]:
+    labels: list[str] = []
+    for k, force in enumerate(forces):
+        earlier = sum(other.label == force.label for other in forces[:k])
+        labels.append(f"{force.label} {earlier + 1}" if earlier else force.label)
+    return tuple(labels)
+
+
+def _with_held_numbers(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
+    """Return a system with room in its state for the numbers that forces hold, and the forces with their places."""
+    counts = [force.held_numbers(system) for force in forces]
+    if not any(counts):
+        return system, tuple(forces)
+    starts = [0, *accumulate(counts)]
+    placed = [
+        replace(force, first=first) if count else force
+        for force, count, first in zip(forces, counts, starts, strict=False)
+    ]
+    return system.with_held(starts[-1]), tuple(placed)
+
+
+def forces_text(forces: Sequence[Force]) -> str:
+    """Return the forces with their parameters; of many the names, and of more their number."""
+    text = ", ".join(map(str, forces))
+    if len(text) > MAX_FORCES_TEXT:
+        text = ", ".join(force.label for force in forces)
+    if len(text) > MAX_FORCES_TEXT:
+        return ", ".join(short(force.label) for force in forces[:2]) + f", and {len(forces) - 2} more"
+    return text
