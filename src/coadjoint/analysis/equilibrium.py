@@ -13,11 +13,12 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import check_one_system
-from coadjoint.validation import read_choice, read_finite
+from coadjoint.validation import read_choice
 
 Floats = NDArray[np.float64]
 
@@ -156,14 +157,15 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
     check_one_system(system)
     if not has_structure_constants(system) or not hasattr(system.algebra, "generic_rank"):
         raise TypeError(f"{system.name} has no structure constants; equilibrium needs a LiePoissonSystem")
-    x = read_finite(x0, "x0")
-    if x.shape != (system.dim,):
-        raise ValueError(f"x0 has shape {x.shape}; {system.name} needs ({system.dim},)")
+    momenta, single = momenta_of(system, x0)
+    if not single:
+        raise ValueError(f"x0 has the shape {np.shape(x0)}; {system.name} needs ({system.dim},)")
+    x = momenta[0]
     check_available_memory(64 * system.dim**2, f"the linearization of {system.name}, of dimension {system.dim},")
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no equilibria")
     system.hamiltonian.hessian(x, 0.0)  # raises TypeError without second derivatives
-    return np.asarray(x, dtype=np.float64)
+    return x
 
 
 def _check_regular(system: Any, x: Floats) -> None:
