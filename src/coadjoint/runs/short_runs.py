@@ -119,7 +119,7 @@ class FinalStateRun:
         self._loops, self._numbers = loops, np.zeros(layout.size)
         saved, state = layout.saved_in(self._numbers), layout.state_in(self._numbers)
         # Accounts follow the coordinates, and start at zero.
-        dim = self._shape[0]
+        dim = prepared.system.dim
         self._clear = state["momenta"].fill if loops.accounts else None
         self._momentum, self._end = state["momenta"][0, :dim], saved["x"][1, 0, :dim]
         self._evaluations = state["evaluations"]
