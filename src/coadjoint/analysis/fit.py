@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.measured_quantities import Quantities
 from coadjoint.analysis.undetermined import check_determined
 from coadjoint.errors import IntegrationError, unknown_name
@@ -17,10 +18,14 @@ from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.observables import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import read_attitude
 from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameters import parameter_of
+from coadjoint.systems.protocol import member_of, unforced
+from coadjoint.systems.registry import unit_coordinate
 from coadjoint.validation import are_finite, read_integer, read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -87,6 +92,7 @@ def fit(
     sigma: Mapping[str, Any],
     t_eval: Any = None,
     attitude: Any = None,
+    observe: Mapping[str, Any] | None = None,
 ) -> Fit:
     """Fit the initial state, the initial attitude and parameters of a run to measurements, by least squares.
 
@@ -103,16 +109,21 @@ def fit(
     t_span, save_every, t_eval
         As in `PreparedRun.run`; the measurements are those of the saved times.
     measured : mapping
-        "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), the
-        "angular_velocity" or "angular_momentum" of a body in its own frame as solutions have it, such as gyroscopes
-        measure, and quantities of ``prepare(observe=...)`` by name, (k,) or (k, members).
+        "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), or rotations of
+        SciPy, the "angular_velocity" or "angular_momentum" of a body in its own frame, such as gyroscopes measure, and
+        "positions" and "velocities", as solutions have them, quantities of ``prepare(observe=...)``, (k,) or (k,
+        members), and those of `observe`, (k, ...) or (k, members, ...), by name.
     unknown : mapping
         The names to fit, "x0", "attitude0" or names of ``ready.parameters``: True for all entries, or the numbers of
         the unknown ones (of an array of several axes, in C order). Entries of "x0" and "attitude0" are those of all
-        members. An entry of a symmetric matrix, such as `M` of a `Quadratic`, and its mirror image are one unknown.
+        members; a coordinate that must be 1 is none of them. An entry of a symmetric matrix, such as `M` of a
+        `Quadratic`, and its mirror image are one unknown.
     sigma : mapping
         Standard deviations of the measured values by name: a number, or an array that broadcasts to their shape. Of
         attitudes, for rotations, it is that of each component of the rotation vector of the error, in radians.
+    observe : mapping, optional
+        Measured functions of one state by name, f(x) or f(x, t): each returns a number or an array of one shape, such
+        as the components of a vector that a sensor measures. They are called in Python.
 
     Returns
     -------
@@ -162,6 +173,14 @@ def fit(
     >>> found.values["inertia"].round(6).tolist()
     [1.0, 2.0, 2.5]
 
+    The first two components of a vector, here of the momentum:
+
+    >>> observe, sigma = {"plane": lambda x: x[:2]}, {"plane": (0.01, 0.02)}
+    >>> planes = {"plane": measured["x"][:, :2]}
+    >>> found = co.fit(guess, x0, (0, 10), planes, {"inertia": (0, 2)}, sigma=sigma, observe=observe)
+    >>> found.values["inertia"].round(6).tolist(), found.degrees_of_freedom
+    ([1.0, 2.0, 2.5], 400)
+
     Several trajectories, as `identify` takes them:
 
     >>> starts = [(1.0, 0.2, 0.5), (0.1, 1.0, 0.4)]
@@ -174,8 +193,10 @@ def fit(
     if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
         raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
     problem = _Problem.of(ready, x0, attitude, ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit"), unknown)
-    problem = problem.measuring(ready, measured)
-    weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready))
+    measured = {name: _without_rotations(name, value) for name, value in measured.items()}
+    observe = _read_observe(ready, {} if observe is None else observe)
+    problem = problem.measuring(ready, measured, observe)
+    weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready, observe))
     targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
 
     numbers = sum(target.size for target in targets.values())
@@ -225,6 +246,22 @@ def fit(
     return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
 
 
+def _without_rotations(name: str, value: Any) -> Any:
+    """Return rotations of SciPy as matrices, and other values unchanged."""
+    return value.as_matrix() if name == "attitude" and hasattr(value, "as_matrix") else value
+
+
+def _read_observe(ready: PreparedRun, observe: Any) -> dict[str, Any]:
+    """Validate the functions of states that a fit observes."""
+    found, known = check_observe(observe), {*OUTPUTS, *Quantities.names_of(ready, {})}
+    for name, function in found.items():
+        if name in known:
+            raise ValueError(f"observe has {short(name)}, which is measured without a function; give another name")
+        if not callable(function) or isinstance(function, Polynomial | Quadratic):
+            raise TypeError(f"observe[{short(name)}] is {short(function)}; give polynomials to prepare(observe=...)")
+    return found
+
+
 def _redundancy(name: str, weights: Floats) -> int:
     """Return how many entries of measured values are one number: three, of a rotation in three dimensions."""
     return 3 if name == "attitude" and weights.shape[-1] == 3 else 1
@@ -255,13 +292,14 @@ class _Problem(NamedTuple):
     unknowns: tuple[tuple[str, int], ...]
     quantities: Quantities | None = None
 
-    def measuring(self, ready: PreparedRun, measured: Mapping[str, Any]) -> _Problem:
+    def measuring(self, ready: PreparedRun, measured: Mapping[str, Any], observe: Mapping[str, Any]) -> _Problem:
         """Return the problem with the measured functions of the states among its outputs."""
-        known = Quantities.names_of(ready)
+        known = Quantities.names_of(ready, observe)
         names = [name for name in measured if name in known]
         if not names:
             return self
-        return self._replace(quantities=Quantities(ready, names, self.run.saved_times, self.values["x0"]))
+        quantities = Quantities(ready, names, self.run.saved_times, self.values["x0"], observe)
+        return self._replace(quantities=quantities)
 
     @classmethod
     def of(cls, ready: PreparedRun, x0: Any, attitude: Any, run: ParametrizedRun, unknown: Any) -> _Problem:
@@ -285,6 +323,7 @@ class _Problem(NamedTuple):
                 generators = ready.representation
         chosen: dict[str, NDArray[np.int64]] = {}
         symmetric: set[str] = set()
+        fixed = unit_coordinate(unforced(member_of(ready.system)))
         for name, entries in unknown.items():
             if name not in values:
                 raise unknown_name("unknown of this run", name, values)
@@ -298,6 +337,10 @@ class _Problem(NamedTuple):
                 raise ValueError(f"unknown gives {given.size} numbers of entries of {name}, which has {count}")
             numbers = given.ravel().tolist()
             chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
+            if name == "x0" and fixed is not None:
+                if entries is not True and np.any(chosen[name] % n == fixed):
+                    raise ValueError(f"x0[{fixed}] of {ready.system.name} must be 1, and is not unknown; omit {fixed}")
+                chosen[name] = chosen[name][chosen[name] % n != fixed]
             if name in ready.parameters and parameter_of(ready.system, name).symmetric:
                 symmetric.add(name)
                 chosen[name] = np.unique(np.minimum(chosen[name], _mirror(chosen[name], len(values[name]))))

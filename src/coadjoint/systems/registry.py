@@ -132,6 +132,12 @@ def has_unit_coordinate(system: Any) -> bool:
     return system.name in _UNITS
 
 
+def unit_coordinate(system: Any) -> int | None:
+    """Return the number of the coordinate that must be 1 in every state of this ready-made system; None without one."""
+    casimir = system.casimirs.get(_UNITS[system.name]) if has_unit_coordinate(system) else None
+    return None if casimir is None else int(np.argmax(np.abs(casimir.gradient(np.zeros(system.dim)))))
+
+
 def check_unit_coordinate(system: Any, states: npt.NDArray[np.float64]) -> None:
     """Raise ValueError if a coordinate of states (..., n) must be 1 in this ready-made system, and is not.
 
@@ -142,10 +148,9 @@ def check_unit_coordinate(system: Any, states: npt.NDArray[np.float64]) -> None:
     Traceback (most recent call last):
     ValueError: x0[..., 9] is 0, and z of satellite must be 1; ...
     """
-    casimir = system.casimirs.get(_UNITS[system.name]) if has_unit_coordinate(system) else None
-    if casimir is None:
+    coordinate = unit_coordinate(system)
+    if coordinate is None:
         return
-    coordinate = int(np.argmax(np.abs(casimir.gradient(np.zeros(system.dim)))))
     wrong = ~(np.abs(states[..., coordinate] - 1.0) <= UNIT_TOLERANCE)
     if wrong.any():
         raise ValueError(

@@ -63,7 +63,7 @@ REFUSED = {
     "a misspelled table": (ready("[initial]", "[intial]"), "intial", ("'initial'",), True),
     "an unknown key": (ready(STEP, f"{STEP}\nqqq = 1"), "run.qqq", ("known here: accuracy, save_every",), True),
     "a central coordinate of 2": (
-        '[system]\nname = "satellite"\n[initial]\nx = [0, 0, 1, 0, 1, 0, 1, 0, 0, 2]\n[run]\nt_span = [0, 1]\nstep = 0.1\n',
+        FLUID.split("\n")[1] + "\nsystem.name = 'satellite'\ninitial.x = [0, 0, 1, 0, 1, 0, 1, 0, 0, 2]",
         "initial.x",
         ("z of satellite must be 1",),
     ),
