@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,6 +17,7 @@ from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import check_observe
@@ -31,6 +33,7 @@ from coadjoint.validation import are_finite, read_integer, read_numbers, to_arra
 Floats = NDArray[np.float64]
 OUTPUTS = ("x", "attitude")
 CONTRADICTION = 2.9e-7  # probability of a sum of squares above which a warning is given: that of five deviations
+MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momenta
 FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
@@ -143,7 +146,8 @@ def fit(
     -----
     UserWarning
         The sum of squares of the residuals is so large that `sigma` or the model is wrong: its probability is less than
-        that of five standard deviations.
+        that of five standard deviations. Or the "x" of a body with three coordinates are its angular velocities: their
+        likelihood as these is so much larger, for errors of any size.
 
     Notes
     -----
@@ -188,62 +192,150 @@ def fit(
     >>> co.fit(guess, starts, (0, 10), measured, {"inertia": (0, 2), "x0": True}, sigma={"x": 0.01})
     <fit of inertia, x0: 8 unknowns, sum of squares of the residuals ...>
     """
-    from scipy.optimize import least_squares
-
     if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
         raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
-    problem = _Problem.of(ready, x0, attitude, ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit"), unknown)
+    run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit")
+    problem = _Problem.of(ready, x0, attitude, run, unknown)
     measured = {name: _without_rotations(name, value) for name, value in measured.items()}
     observe = _read_observe(ready, {} if observe is None else observe)
     problem = problem.measuring(ready, measured, observe)
     weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready, observe))
-    targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
-
-    numbers = sum(target.size for target in targets.values())
-    needed = COPIES * 8 * numbers * len(problem.unknowns)
-    check_available_memory(
-        needed, f"a fit of {len(problem.unknowns)} unknowns to {numbers} numbers", "fit fewer of them"
-    )
-
-    def residuals_of(outputs: Mapping[str, Floats]) -> Floats:
-        return np.concatenate([(weights[name] * (outputs[name] - targets[name])).ravel() for name in weights])
-
-    def residuals(z: Floats) -> Floats:
-        try:
-            return residuals_of(problem.outputs(z))
-        except (IntegrationError, ValueError):
-            if not z.any():
-                raise
-            return np.full(numbers, np.inf)  # the trial step is shortened
-
-    def jacobian(z: Floats) -> Floats:
-        tangents = problem.tangents(z)
-        columns = [(weights[name] * tangents[name]).reshape(len(z), -1) for name in weights]
-        return np.concatenate(columns, axis=1).T
-
-    start = np.zeros(len(problem.unknowns))
-    first = jacobian(start)
+    squares = _Squares(problem, weights, {name: read_numbers(measured[name], f"measured {name}") for name in weights})
+    numbers, count = squares.numbers, len(problem.unknowns)
+    needed = COPIES * 8 * numbers * count
+    check_available_memory(needed, f"a fit of {count} unknowns to {numbers} numbers", "fit fewer of them")
+    first = squares.jacobian(np.zeros(count))
     check_determined(first, problem)
-    # The first step may change each unknown by this many standard deviations.
-    scale = FIRST_STEP / np.linalg.norm(first, axis=0)
-    end = least_squares(residuals, start, jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12)
+    end = squares.minimum(first)
     if end.status <= 0:
         raise ValueError(f"the minimum was not found in {end.nfev} evaluations; give closer guesses")
     # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
-    J = jacobian(np.zeros(len(start)))
+    squares = squares._replace(problem=problem)
+    J = squares.jacobian(np.zeros(count))
     check_determined(J, problem)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
     parameters = {name: value for name, value in moved.items() if name not in ("x0", "attitude0")}
-    run = problem.run.prepared_at(parameters)
-    solution = run.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
-    final = -residuals_of(problem.outputs())
-    freedom = sum(weights[name].size // _redundancy(name, weights[name]) for name in weights) - len(start)
-    _warn_of_contradiction(float(final @ final), freedom)
+    fitted = problem.run.prepared_at(parameters)
+    solution = fitted.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
+    final, freedom = -squares.residuals_of(problem.outputs()), squares.degrees_of_freedom
+    if _Names(ready, attitude, run, unknown, squares, observe).are_rates(moved["x0"]):
+        warn_caller(
+            'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
+            'them "angular_velocity"',
+            UserWarning,
+        )
+    else:
+        _warn_of_contradiction(float(final @ final), freedom)
     return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
+
+
+class _Squares(NamedTuple):
+    """The sum of squares of a problem, of factors of the residuals and measured values by name."""
+
+    problem: _Problem
+    weights: dict[str, Floats]
+    targets: dict[str, Floats]
+
+    @property
+    def numbers(self) -> int:
+        """Number of measured numbers."""
+        return sum(target.size for target in self.targets.values())
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """The measured numbers, three for each rotation, less the unknowns."""
+        measured = sum(weights.size // _redundancy(name, weights) for name, weights in self.weights.items())
+        return measured - len(self.problem.unknowns)
+
+    def residuals_of(self, outputs: Mapping[str, Floats]) -> Floats:
+        """Return the residuals of outputs, fitted minus measured."""
+        parts = [(weights * (outputs[name] - self.targets[name])).ravel() for name, weights in self.weights.items()]
+        return np.concatenate(parts)
+
+    def residuals(self, z: Floats) -> Floats:
+        """Return the residuals after changes z of the unknowns."""
+        try:
+            return self.residuals_of(self.problem.outputs(z))
+        except (IntegrationError, ValueError):
+            if not z.any():
+                raise
+            return np.full(self.numbers, np.inf)  # the trial step is shortened
+
+    def jacobian(self, z: Floats) -> Floats:
+        """Return their derivative."""
+        tangents = self.problem.tangents(z)
+        columns = [(weights * tangents[name]).reshape(len(z), -1) for name, weights in self.weights.items()]
+        return np.concatenate(columns, axis=1).T
+
+    def minimum(self, first: Floats, **limits: Any) -> Any:
+        """Return the result of `scipy.optimize.least_squares` from the guess, whose Jacobian is `first`."""
+        from scipy.optimize import least_squares
+
+        # The first step may change each unknown by this many standard deviations.
+        lengths = np.linalg.norm(first, axis=0)
+        scale = FIRST_STEP / np.where(lengths > 0.0, lengths, 1.0)
+        start = np.zeros(len(self.problem.unknowns))
+        return least_squares(
+            self.residuals, start, self.jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12, **limits
+        )
+
+
+class _Names(NamedTuple):
+    """Fits of measured momenta of a body under other names, whose first state is unknown."""
+
+    ready: PreparedRun
+    attitude: Any
+    run: ParametrizedRun
+    unknown: Mapping[str, Any]
+    squares: _Squares
+    observe: Mapping[str, Any]
+
+    def variance(self, name: str, x0: Floats) -> float:
+        """Return the mean square of the residuals for a name of "x"; NaN without a fit.
+
+        Residuals of half of the digits are none.
+        """
+        given, of_x = self.squares, self.squares.weights["x"] * self.squares.targets["x"]
+        targets, weights = (
+            {name if key == "x" else key: one for key, one in values.items()}
+            for values in (given.targets, given.weights)
+        )
+        try:
+            problem = _Problem.of(self.ready, x0, self.attitude, self.run, {**self.unknown, "x0": True})
+            squares = _Squares(problem.measuring(self.ready, targets, self.observe), weights, targets)
+            end = squares.minimum(squares.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return math.nan
+        if squares.degrees_of_freedom <= 0:
+            return math.nan
+        return 2.0 * float(end.cost) / squares.degrees_of_freedom + UNIT_ROUNDOFF * float(np.mean(of_x**2))
+
+    def are_rates(self, x0: Floats) -> bool:
+        """Test whether the momenta of a body are its angular velocities, whatever sigma is, from the fitted x0.
+
+        For normal errors of any size a ratio of likelihoods in favour of the wrong name is above 1 / p with a
+        probability of at most p.
+        """
+        known, n, targets = Quantities.names_of(self.ready, self.observe), self.ready.system.dim, self.squares.targets
+        if "x" not in targets or n != 3 or "angular_velocity" in targets or "angular_velocity" not in known:
+            return False
+        units = np.concatenate([np.zeros((1, n)), np.eye(n)])
+        rates = Quantities(self.ready, ["angular_velocity"], np.zeros(1), x0, {})
+        at = rates.values(units, self.squares.problem.values)["angular_velocity"]
+        first = targets["x"][0]
+        as_rates = self.variance(
+            "angular_velocity", np.linalg.solve((at[1:] - at[0]).T, (first - at[0])[..., None])[..., 0]
+        )
+        enough = as_rates * math.exp(-2.0 * math.log(CONTRADICTION) / targets["x"].size)
+        residuals = self.squares.residuals_of(self.squares.problem.outputs())
+        freedom = self.squares.degrees_of_freedom
+        if not (freedom > 0 and float(residuals @ residuals) / freedom > enough):
+            return False
+        return self.variance("x", x0) > enough
 
 
 def _without_rotations(name: str, value: Any) -> Any:

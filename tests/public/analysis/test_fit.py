@@ -394,21 +394,34 @@ def test_residuals_that_contradict_sigma_are_reported(factor):
 
 
 @pytest.mark.filterwarnings("ignore:.*no body has")
-def test_rates_given_as_momenta_are_reported():
-    """Of the moments 1, 1.8 and 2.4: the fit has other moments, and residuals far above sigma."""
-    body = co.systems.rigid_body((1.0, 1.8, 2.4))
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("sigma", [0.002, 0.5])
+@pytest.mark.parametrize("name", ["angular_velocity", "x"])
+def test_rates_given_as_momenta_are_reported(name, sigma, known):
+    """Whatever sigma is: of the moments 1, 1.8 and 2.4 they are fitted by others. Momenta are not reported."""
+    body, rng = co.systems.rigid_body((1.0, 1.8, 2.4)), np.random.default_rng(5)
     sol = co.integrate(body, (1.0, 0.6, 0.3), (0, 10), 0.05, SCHEME, save_every=4)
-    ready = co.prepare(body, SCHEME, 0.05)
+    measured = getattr(sol, name) + 0.002 * rng.standard_normal(sol.x.shape)
+    start, unknown = (sol.x[0], {}) if known else (measured[0], {"x0": True})
+    with warnings.catch_warnings(record=True) as noticed:
+        warnings.simplefilter("always")
+        co.fit(
+            co.prepare(body, SCHEME, 0.05), start, (0, 10), {"x": measured}, {"inertia": (1, 2), **unknown}, 4,
+            sigma={"x": sigma},
+        )  # fmt: skip
+    told = [str(one.message) for one in noticed if "angular velocities" in str(one.message)]
+    assert len(told) == (name == "angular_velocity") and all('name them "angular_velocity"' in one for one in told)
+
+
+def test_momenta_from_a_wrong_first_state_are_not_taken_for_rates():
+    """Its errors are large, and angular velocities from another first state would have smaller ones."""
+    body = co.systems.rigid_body((1.0, 1.2, 1.3))
+    sol = co.integrate(body, (1.0, 0.6, 0.3), (0, 10), 0.05, SCHEME, save_every=4)
     with pytest.warns(UserWarning, match="contradict sigma"):
         co.fit(
-            ready,
-            sol.angular_velocity[0],
-            (0, 10),
-            {"x": sol.angular_velocity},
-            {"inertia": (1, 2)},
-            4,
+            co.prepare(body, SCHEME, 0.05), (1.1, 0.5, 0.4), (0, 10), {"x": sol.x}, {"inertia": (1, 2)}, 4,
             sigma={"x": 0.002},
-        )
+        )  # fmt: skip
 
 
 def test_scalar_parameters_are_fitted():
