@@ -142,7 +142,7 @@ def _studied(system: Any, start: Floats, direction: float) -> Equilibrium:
     note_progress("frequencies")
     tangents = tangents_of(system, x)
     linearized = np.asarray(system.jacobian(x), dtype=np.float64)
-    eigenvalues = np.linalg.eigvals(tangents.basis.T @ linearized @ tangents.basis)
+    eigenvalues = np.linalg.eigvals(tangents.restricted(linearized, tangents.basis))
     largest = float(np.max(np.abs(eigenvalues)))
     growth = float(np.max(eigenvalues.real))
     growth = growth if growth > GROWTH * largest else 0.0

@@ -58,11 +58,11 @@ class Quantities:
         """Return the values at states (points, n) or (points, members, n), by name."""
         found: dict[str, Floats] = {}
         if self._observed is not None:
-            rows = self._observed.along(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
-            found = {name: value.reshape(x.shape[:-1]) for name, value in rows.items()}
+            along = self._observed.along(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
+            found = {name: value.reshape(x.shape[:-1]) for name, value in along.items()}
         for name, function in self._functions.items():
-            rows, times = x.reshape(len(x), -1, x.shape[-1]), self._t.tolist()
-            series = [[_value(function, name, row, t) for row in states] for t, states in zip(times, rows, strict=True)]
+            rows = zip(self._t.tolist(), x.reshape(len(x), -1, x.shape[-1]), strict=True)
+            series = [[_value(function, name, row, t) for row in states] for t, states in rows]
             try:
                 found[name] = np.array(series).reshape(*x.shape[:-1], *self._shapes[name])
             except ValueError:
