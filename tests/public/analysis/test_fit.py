@@ -369,7 +369,7 @@ def test_coordinates_that_must_be_one_are_not_fitted():
         ({"f": lambda x: "a"}, TypeError, "observe['f']"),
         ({"f": lambda x: x[: 2 if x[0] == X0[0] else 3]}, ValueError, "observe['f']"),
         ({"f": lambda x: x[:1]}, ValueError, "(41, 1)"),
-        ({"f": co.Polynomial({(1, 0, 0): 1.0})}, TypeError, "prepare(observe=...)"),
+        ({"f": co.Polynomial({(1, 0, 0): 1.0})}, ValueError, "(41,)"),
         ({"angular_velocity": lambda x: x}, ValueError, "angular_velocity"),
         ({"f": 3.0}, TypeError, "observe['f']"),
     ],
