@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -301,7 +302,9 @@ class _Names(NamedTuple):
         try:
             problem = FitProblem.of(self.ready, x0, self.attitude, self.run, {**self.unknown, "x0": True})
             squares = _Squares(problem.measuring(self.ready, targets, self.observe), weights, targets)
-            end = squares.minimum(squares.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
+            with warnings.catch_warnings():  # of trial steps, which the user did not ask for
+                warnings.simplefilter("ignore")
+                end = squares.minimum(squares.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
             return math.nan
         if squares.degrees_of_freedom <= 0:
