@@ -27,8 +27,8 @@ VERSION = 2
 SCHEMES = (
     ("splitting2", "co.Splitting(order=2)", "Splitting, order 2"),
     ("splitting4", "co.Splitting(order=4)", "Splitting, order 4"),
-    ("rk4", "co.ExplicitRungeKutta()", "Runge-Kutta 4"),
-    ("gauss", "co.GaussLegendre(stages=2)", "Gauss-Legendre, 2 stages"),
+    ("rk4", "co.ExplicitRungeKutta()", "Runge-Kutta, order 4"),
+    ("gauss", "co.GaussLegendre(stages=2)", "Gauss-Legendre, order 4"),
     ("taylor", "co.Taylor()", "Taylor, order 16"),
 )
 # Fields with the brackets of the algebra.

@@ -106,7 +106,7 @@ test("data of long runs are evenly thinned, and end with the last state", () => 
   const one = app("heavy_top", { schemes: ["splitting4", "rk4"] }), steps = 24000;
   while (one.steps < steps) one.take(Math.min(400, steps - one.steps));
   const found = dataOf(one);
-  assert.deepEqual(Object.keys(found), ["Splitting, order 4", "Runge-Kutta 4"]);
+  assert.deepEqual(Object.keys(found), ["Splitting, order 4", "Runge-Kutta, order 4"]);
   for (const [k, rows] of Object.values(found).entries()) {
     const { step } = one.choice, every = rows[1][0], { x, rotation } = one.tracks[k];
     assert.ok(rows.length <= 10001 && rows.length > 5000);
@@ -121,7 +121,7 @@ test("data of a run that fails end before the step that failed", () => {
   while (one.steps < 300) one.take(10);
   const { failure } = one.tracks[1], failed = Number(failure.match(/Step (\d+)/)![1]);
   assert.match(failure, /overflowed.*smaller/);
-  const rows = dataOf(one)["Runge-Kutta 4"];
+  const rows = dataOf(one)["Runge-Kutta, order 4"];
   assert.ok(rows.length === failed && rows.flat().every(Number.isFinite));
 });
 

@@ -72,10 +72,11 @@ class LargeStepWarning(UserWarning):
 
 
 class RoundingWarning(UserWarning):
-    """Warning that rounding changes a small group of coordinates by about 2 per cent of its size, or more, in a run.
+    """Warning that rounding changes a group of coordinates by about 2 per cent of its size, or more, in a run.
 
-    It comes of larger numbers that nearly cancel in each step, such as the torque of a central force. Shorter steps do
-    not help. See `Solution.error_estimate` with ``by_group=True``.
+    It comes of larger numbers that nearly cancel in each step, such as the torque of a central force, or of steps that
+    turn the group by so many radians that float64 has no digits of the angle. Shorter steps do not help. See
+    `Solution.error_estimate` with ``by_group=True``.
 
     Examples
     --------

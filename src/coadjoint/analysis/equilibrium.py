@@ -13,11 +13,12 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import check_one_system
-from coadjoint.validation import read_choice, read_finite
+from coadjoint.validation import read_choice
 
 Floats = NDArray[np.float64]
 
@@ -141,7 +142,7 @@ def _studied(system: Any, start: Floats, direction: float) -> Equilibrium:
     note_progress("frequencies")
     tangents = tangents_of(system, x)
     linearized = np.asarray(system.jacobian(x), dtype=np.float64)
-    eigenvalues = np.linalg.eigvals(tangents.basis.T @ linearized @ tangents.basis)
+    eigenvalues = np.linalg.eigvals(tangents.restricted(linearized, tangents.basis))
     largest = float(np.max(np.abs(eigenvalues)))
     growth = float(np.max(eigenvalues.real))
     growth = growth if growth > GROWTH * largest else 0.0
@@ -156,14 +157,15 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
     check_one_system(system)
     if not has_structure_constants(system) or not hasattr(system.algebra, "generic_rank"):
         raise TypeError(f"{system.name} has no structure constants; equilibrium needs a LiePoissonSystem")
-    x = read_finite(x0, "x0")
-    if x.shape != (system.dim,):
-        raise ValueError(f"x0 has shape {x.shape}; {system.name} needs ({system.dim},)")
+    momenta, single = momenta_of(system, x0)
+    if not single:
+        raise ValueError(f"x0 has the shape {np.shape(x0)}; {system.name} needs ({system.dim},)")
+    x = momenta[0]
     check_available_memory(64 * system.dim**2, f"the linearization of {system.name}, of dimension {system.dim},")
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no equilibria")
     system.hamiltonian.hessian(x, 0.0)  # raises TypeError without second derivatives
-    return np.asarray(x, dtype=np.float64)
+    return x
 
 
 def _check_regular(system: Any, x: Floats) -> None:
@@ -243,18 +245,37 @@ def _searched(
 def _newton_step(system: Any, orbit: Orbit, x: Floats, field: Floats, direction: float) -> Floats:
     """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
     tangents = tangents_of(system, x)
-    values, vectors = np.linalg.eigh(second_variation(system, x, system.hamiltonian, tangents))
-    if direction:
-        values = direction * np.abs(values)
-    zero = np.abs(values) <= SINGULAR * np.max(np.abs(values), initial=0.0)
-    gradient = vectors.T @ (tangents.basis.T @ field)
-    components = np.where(zero, 0.0, gradient / np.where(zero, 1.0, values))
-    v = tangents.basis @ (vectors @ components)
+    gradient = tangents.basis.T @ field
+    components = _solved(second_variation(system, x, system.hamiltonian, tangents), gradient, direction)
+    v = tangents.basis @ components
     size = orbit.norm(v)
     length = min(1.0, MAX_ANGLE / size) if size > 0.0 else 1.0
     if not direction:
         return orbit.moved(x, length * v)
     return _searched(system, orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
+
+
+def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
+    """Return the inverse of the absolute matrix with the sign of the direction, or of the matrix, times a gradient.
+
+    Eigenvalues that are zero have none. If a factorization shows that all have the sign and none is zero, they are not
+    computed, in a tenth of the time.
+    """
+    from scipy.linalg import LinAlgError, cho_factor, solve
+
+    if direction:
+        smallest = SINGULAR * np.linalg.norm(matrix, 1)
+        try:
+            cho_factor(direction * matrix - smallest * np.eye(len(matrix)), overwrite_a=True)
+            return direction * np.asarray(solve(direction * matrix, gradient, assume_a="pos"))
+        except LinAlgError:
+            pass
+    values, vectors = np.linalg.eigh(matrix)
+    if direction:
+        values = direction * np.abs(values)
+    zero = np.abs(values) <= SINGULAR * np.max(np.abs(values), initial=0.0)
+    components = np.where(zero, 0.0, vectors.T @ gradient / np.where(zero, 1.0, values))
+    return np.asarray(vectors @ components)
 
 
 def _is_definite(system: Any, orbit: Orbit, x: Floats, tangents: Tangents) -> bool:

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+import math
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem
 from coadjoint.analysis.measured_quantities import Quantities
 from coadjoint.analysis.undetermined import check_determined
 from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.observables import check_observe
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.start import read_attitude
 from coadjoint.short_repr import short
-from coadjoint.systems.parameters import parameter_of
-from coadjoint.validation import are_finite, read_integer, read_numbers, to_array
+from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
-OUTPUTS = ("x", "attitude")
 CONTRADICTION = 2.9e-7  # probability of a sum of squares above which a warning is given: that of five deviations
+MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momenta
 FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
@@ -87,6 +90,7 @@ def fit(
     sigma: Mapping[str, Any],
     t_eval: Any = None,
     attitude: Any = None,
+    observe: Mapping[str, Any] | None = None,
 ) -> Fit:
     """Fit the initial state, the initial attitude and parameters of a run to measurements, by least squares.
 
@@ -103,16 +107,21 @@ def fit(
     t_span, save_every, t_eval
         As in `PreparedRun.run`; the measurements are those of the saved times.
     measured : mapping
-        "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), the
-        "angular_velocity" or "angular_momentum" of a body in its own frame as solutions have it, such as gyroscopes
-        measure, and quantities of ``prepare(observe=...)`` by name, (k,) or (k, members).
+        "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), or rotations of
+        SciPy, the "angular_velocity" or "angular_momentum" of a body in its own frame, such as gyroscopes measure, and
+        "positions" and "velocities", as solutions have them, quantities of ``prepare(observe=...)``, (k,) or (k,
+        members), and those of `observe`, (k, ...) or (k, members, ...), by name.
     unknown : mapping
         The names to fit, "x0", "attitude0" or names of ``ready.parameters``: True for all entries, or the numbers of
         the unknown ones (of an array of several axes, in C order). Entries of "x0" and "attitude0" are those of all
-        members. An entry of a symmetric matrix, such as `M` of a `Quadratic`, and its mirror image are one unknown.
+        members; a coordinate that must be 1 is none of them. An entry of a symmetric matrix, such as `M` of a
+        `Quadratic`, and its mirror image are one unknown.
     sigma : mapping
         Standard deviations of the measured values by name: a number, or an array that broadcasts to their shape. Of
         attitudes, for rotations, it is that of each component of the rotation vector of the error, in radians.
+    observe : mapping, optional
+        Measured functions of one state by name, f(x) or f(x, t): each returns a number or an array of one shape, such
+        as the components of a vector that a sensor measures. They are called in Python.
 
     Returns
     -------
@@ -132,7 +141,8 @@ def fit(
     -----
     UserWarning
         The sum of squares of the residuals is so large that `sigma` or the model is wrong: its probability is less than
-        that of five standard deviations.
+        that of five standard deviations. Or the "x" of a body with three coordinates are its angular velocities: their
+        likelihood as these is so much larger, for errors of any size.
 
     Notes
     -----
@@ -162,6 +172,14 @@ def fit(
     >>> found.values["inertia"].round(6).tolist()
     [1.0, 2.0, 2.5]
 
+    The first two components of a vector, here of the momentum:
+
+    >>> observe, sigma = {"plane": lambda x: x[:2]}, {"plane": (0.01, 0.02)}
+    >>> planes = {"plane": measured["x"][:, :2]}
+    >>> found = co.fit(guess, x0, (0, 10), planes, {"inertia": (0, 2)}, sigma=sigma, observe=observe)
+    >>> found.values["inertia"].round(6).tolist(), found.degrees_of_freedom
+    ([1.0, 2.0, 2.5], 400)
+
     Several trajectories, as `identify` takes them:
 
     >>> starts = [(1.0, 0.2, 0.5), (0.1, 1.0, 0.4)]
@@ -169,60 +187,166 @@ def fit(
     >>> co.fit(guess, starts, (0, 10), measured, {"inertia": (0, 2), "x0": True}, sigma={"x": 0.01})
     <fit of inertia, x0: 8 unknowns, sum of squares of the residuals ...>
     """
-    from scipy.optimize import least_squares
-
     if not isinstance(measured, Mapping) or not measured or not isinstance(sigma, Mapping):
         raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
-    problem = _Problem.of(ready, x0, attitude, ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit"), unknown)
-    problem = problem.measuring(ready, measured)
-    weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready))
-    targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
-
-    numbers = sum(target.size for target in targets.values())
-    needed = COPIES * 8 * numbers * len(problem.unknowns)
-    check_available_memory(
-        needed, f"a fit of {len(problem.unknowns)} unknowns to {numbers} numbers", "fit fewer of them"
-    )
-
-    def residuals_of(outputs: Mapping[str, Floats]) -> Floats:
-        return np.concatenate([(weights[name] * (outputs[name] - targets[name])).ravel() for name in weights])
-
-    def residuals(z: Floats) -> Floats:
-        try:
-            return residuals_of(problem.outputs(z))
-        except (IntegrationError, ValueError):
-            if not z.any():
-                raise
-            return np.full(numbers, np.inf)  # the trial step is shortened
-
-    def jacobian(z: Floats) -> Floats:
-        tangents = problem.tangents(z)
-        columns = [(weights[name] * tangents[name]).reshape(len(z), -1) for name in weights]
-        return np.concatenate(columns, axis=1).T
-
-    start = np.zeros(len(problem.unknowns))
-    first = jacobian(start)
+    run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit")
+    problem = FitProblem.of(ready, x0, attitude, run, unknown)
+    measured = {name: _without_rotations(name, value) for name, value in measured.items()}
+    observe = _read_observe(ready, {} if observe is None else observe)
+    problem = problem.measuring(ready, measured, observe)
+    weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready, observe))
+    squares = _Squares(problem, weights, {name: read_numbers(measured[name], f"measured {name}") for name in weights})
+    numbers, count = squares.numbers, len(problem.unknowns)
+    needed = COPIES * 8 * numbers * count
+    check_available_memory(needed, f"a fit of {count} unknowns to {numbers} numbers", "fit fewer of them")
+    first = squares.jacobian(np.zeros(count))
     check_determined(first, problem)
-    # The first step may change each unknown by this many standard deviations.
-    scale = FIRST_STEP / np.linalg.norm(first, axis=0)
-    end = least_squares(residuals, start, jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12)
+    end = squares.minimum(first)
     if end.status <= 0:
         raise ValueError(f"the minimum was not found in {end.nfev} evaluations; give closer guesses")
     # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
-    J = jacobian(np.zeros(len(start)))
+    squares = squares._replace(problem=problem)
+    J = squares.jacobian(np.zeros(count))
     check_determined(J, problem)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
     parameters = {name: value for name, value in moved.items() if name not in ("x0", "attitude0")}
-    run = problem.run.prepared_at(parameters)
-    solution = run.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
-    final = -residuals_of(problem.outputs())
-    freedom = sum(weights[name].size // _redundancy(name, weights[name]) for name in weights) - len(start)
-    _warn_of_contradiction(float(final @ final), freedom)
+    fitted = problem.run.prepared_at(parameters)
+    solution = fitted.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
+    final, freedom = -squares.residuals_of(problem.outputs()), squares.degrees_of_freedom
+    if _Names(ready, attitude, run, unknown, squares, observe).are_rates(moved["x0"]):
+        warn_caller(
+            'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
+            'them "angular_velocity"',
+            UserWarning,
+        )
+    else:
+        _warn_of_contradiction(float(final @ final), freedom)
     return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
+
+
+class _Squares(NamedTuple):
+    """The sum of squares of a problem, of factors of the residuals and measured values by name."""
+
+    problem: FitProblem
+    weights: dict[str, Floats]
+    targets: dict[str, Floats]
+
+    @property
+    def numbers(self) -> int:
+        """Number of measured numbers."""
+        return sum(target.size for target in self.targets.values())
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """The measured numbers, three for each rotation, less the unknowns."""
+        measured = sum(weights.size // _redundancy(name, weights) for name, weights in self.weights.items())
+        return measured - len(self.problem.unknowns)
+
+    def residuals_of(self, outputs: Mapping[str, Floats]) -> Floats:
+        """Return the residuals of outputs, fitted minus measured."""
+        parts = [(weights * (outputs[name] - self.targets[name])).ravel() for name, weights in self.weights.items()]
+        return np.concatenate(parts)
+
+    def residuals(self, z: Floats) -> Floats:
+        """Return the residuals after changes z of the unknowns."""
+        try:
+            return self.residuals_of(self.problem.outputs(z))
+        except (IntegrationError, ValueError):
+            if not z.any():
+                raise
+            return np.full(self.numbers, np.inf)  # the trial step is shortened
+
+    def jacobian(self, z: Floats) -> Floats:
+        """Return their derivative."""
+        tangents = self.problem.tangents(z)
+        columns = [(weights * tangents[name]).reshape(len(z), -1) for name, weights in self.weights.items()]
+        return np.concatenate(columns, axis=1).T
+
+    def minimum(self, first: Floats, **limits: Any) -> Any:
+        """Return the result of `scipy.optimize.least_squares` from the guess, whose Jacobian is `first`."""
+        from scipy.optimize import least_squares
+
+        # The first step may change each unknown by this many standard deviations.
+        lengths = np.linalg.norm(first, axis=0)
+        scale = FIRST_STEP / np.where(lengths > 0.0, lengths, 1.0)
+        start = np.zeros(len(self.problem.unknowns))
+        return least_squares(
+            self.residuals, start, self.jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12, **limits
+        )
+
+
+class _Names(NamedTuple):
+    """Fits of measured momenta of a body under other names, whose first state is unknown."""
+
+    ready: PreparedRun
+    attitude: Any
+    run: ParametrizedRun
+    unknown: Mapping[str, Any]
+    squares: _Squares
+    observe: Mapping[str, Any]
+
+    def variance(self, name: str, x0: Floats) -> float:
+        """Return the mean square of the residuals for a name of "x"; NaN without a fit.
+
+        Residuals of half of the digits are none.
+        """
+        given, of_x = self.squares, self.squares.weights["x"] * self.squares.targets["x"]
+        targets, weights = (
+            {name if key == "x" else key: one for key, one in values.items()}
+            for values in (given.targets, given.weights)
+        )
+        try:
+            problem = FitProblem.of(self.ready, x0, self.attitude, self.run, {**self.unknown, "x0": True})
+            squares = _Squares(problem.measuring(self.ready, targets, self.observe), weights, targets)
+            with warnings.catch_warnings():  # of trial steps, which the user did not ask for
+                warnings.simplefilter("ignore")
+                end = squares.minimum(squares.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            return math.nan
+        if squares.degrees_of_freedom <= 0:
+            return math.nan
+        return 2.0 * float(end.cost) / squares.degrees_of_freedom + UNIT_ROUNDOFF * float(np.mean(of_x**2))
+
+    def are_rates(self, x0: Floats) -> bool:
+        """Test whether the momenta of a body are its angular velocities, whatever sigma is, from the fitted x0.
+
+        For normal errors of any size a ratio of likelihoods in favour of the wrong name is above 1 / p with a
+        probability of at most p.
+        """
+        known, n, targets = Quantities.names_of(self.ready, self.observe), self.ready.system.dim, self.squares.targets
+        if "x" not in targets or n != 3 or "angular_velocity" in targets or "angular_velocity" not in known:
+            return False
+        units = np.concatenate([np.zeros((1, n)), np.eye(n)])
+        rates = Quantities(self.ready, ["angular_velocity"], np.zeros(1), x0, {})
+        at = rates.values(units, self.squares.problem.values)["angular_velocity"]
+        first = targets["x"][0]
+        as_rates = self.variance(
+            "angular_velocity", np.linalg.solve((at[1:] - at[0]).T, (first - at[0])[..., None])[..., 0]
+        )
+        enough = as_rates * math.exp(-2.0 * math.log(CONTRADICTION) / targets["x"].size)
+        residuals = self.squares.residuals_of(self.squares.problem.outputs())
+        freedom = self.squares.degrees_of_freedom
+        if not (freedom > 0 and float(residuals @ residuals) / freedom > enough):
+            return False
+        return self.variance("x", x0) > enough
+
+
+def _without_rotations(name: str, value: Any) -> Any:
+    """Return rotations of SciPy as matrices, and other values unchanged."""
+    return value.as_matrix() if name == "attitude" and hasattr(value, "as_matrix") else value
+
+
+def _read_observe(ready: PreparedRun, observe: Any) -> dict[str, Any]:
+    """Validate the functions of states that a fit observes."""
+    found, known = check_observe(observe), {*OUTPUTS, *Quantities.names_of(ready, {})}
+    for name in found:
+        if name in known:
+            raise ValueError(f"observe has {short(name)}, which is measured without a function; give another name")
+    return found
 
 
 def _redundancy(name: str, weights: Floats) -> int:
@@ -241,153 +365,6 @@ def _warn_of_contradiction(squares: float, freedom: int) -> None:
             "that they are named for, or the model is wrong, and the covariance holds for none of these",
             UserWarning,
         )
-
-
-class _Problem(NamedTuple):
-    """A run with unknown entries of its values, as a function of their changes z."""
-
-    system: Any
-    run: ParametrizedRun
-    values: dict[str, Floats]
-    chosen: dict[str, NDArray[np.int64]]
-    symmetric: frozenset[str]
-    generators: Floats
-    unknowns: tuple[tuple[str, int], ...]
-    quantities: Quantities | None = None
-
-    def measuring(self, ready: PreparedRun, measured: Mapping[str, Any]) -> _Problem:
-        """Return the problem with the measured functions of the states among its outputs."""
-        known = Quantities.names_of(ready)
-        names = [name for name in measured if name in known]
-        if not names:
-            return self
-        return self._replace(quantities=Quantities(ready, names, self.run.saved_times, self.values["x0"]))
-
-    @classmethod
-    def of(cls, ready: PreparedRun, x0: Any, attitude: Any, run: ParametrizedRun, unknown: Any) -> _Problem:
-        """Validate the guesses and the names of the unknowns."""
-        state, n = read_numbers(x0, "x0"), ready.system.dim
-        if state.ndim not in (1, 2) or state.shape[-1] != n or not state.size:
-            raise ValueError(f"x0 has the shape {state.shape}; it must be ({n},) or (members, {n})")
-        if not isinstance(unknown, Mapping) or not unknown:
-            raise TypeError(f"unknown is {short(unknown)}; give a mapping from names to True or numbers of entries")
-        values: dict[str, Floats] = {"x0": state, **ready.parameters}
-        generators = np.zeros((0, 0, 0))
-        if ready.representation is not None:
-            initial = ready.initial_attitude if attitude is None else attitude
-            side = run.output_shapes(state.shape)[1][-1]
-            start = np.eye(side) if isinstance(initial, bool | str) else read_attitude(initial, ready.system)
-            shape = (*state.shape[:-1], side, side)
-            if start.shape not in (shape, shape[-2:]):
-                raise ValueError(f"attitude has the shape {start.shape}; it must be {shape}")
-            values["attitude0"] = np.broadcast_to(start, shape).copy()
-            if not isinstance(ready.representation, str):
-                generators = ready.representation
-        chosen: dict[str, NDArray[np.int64]] = {}
-        symmetric: set[str] = set()
-        for name, entries in unknown.items():
-            if name not in values:
-                raise unknown_name("unknown of this run", name, values)
-            if name == "attitude0" and not len(generators):
-                raise TypeError("attitude0 cannot be fitted in this representation; give matrices of the basis")
-            members = state.size // n
-            count = members * len(generators) if name == "attitude0" else values[name].size
-            what = f"a number of an unknown entry of {name}"
-            given = np.arange(count) if entries is True else to_array(entries, f"unknown of {name}")
-            if given.size > count:
-                raise ValueError(f"unknown gives {given.size} numbers of entries of {name}, which has {count}")
-            numbers = given.ravel().tolist()
-            chosen[name] = np.array([read_integer(k, what, 0, count - 1) for k in numbers], dtype=np.int64)
-            if name in ready.parameters and parameter_of(ready.system, name).symmetric:
-                symmetric.add(name)
-                chosen[name] = np.unique(np.minimum(chosen[name], _mirror(chosen[name], len(values[name]))))
-        unknowns = tuple((name, int(k)) for name, numbers in chosen.items() for k in numbers)
-        return cls(ready.system, run, values, chosen, frozenset(symmetric), generators, unknowns)
-
-    def moved(self, z: Floats) -> dict[str, Floats]:
-        """Return all values after the changes z of the unknowns."""
-        from scipy.linalg import expm
-
-        values, first = dict(self.values), 0
-        for name, numbers in self.chosen.items():
-            change = z[first : first + len(numbers)]
-            first += len(numbers)
-            if name == "attitude0":
-                rotations = expm(self._exponents(numbers, change)).reshape(values[name].shape)
-                values[name] = rotations @ values[name] if change.any() else values[name]
-            else:
-                values[name] = self._moved_entries(name, change, values[name].copy())
-        return values
-
-    def split(self, z: Floats, names: Container[str]) -> tuple[dict[str, Floats], Floats]:
-        """Return changes z of the unknowns as directions of the values of these names, and the other changes."""
-        moved, rest, first = {}, np.zeros(0), 0
-        for name, numbers in self.chosen.items():
-            change = z[first : first + len(numbers)]
-            first += len(numbers)
-            if name in names:
-                moved[name] = self._moved_entries(name, change, np.zeros(self.values[name].shape))
-            else:
-                rest = np.concatenate([rest, change])
-        return moved, rest
-
-    def _moved_entries(self, name: str, change: Floats, value: Floats) -> Floats:
-        """Add changes of unknown entries in place, and of mirror images in a symmetric matrix; return the array."""
-        numbers, entries = self.chosen[name], value.ravel()
-        entries[numbers] += change
-        if name in self.symmetric:
-            entries[_mirror(numbers, len(value))] = entries[numbers]
-        return value
-
-    def entry(self, name: str, number: int) -> str:
-        """Describe an unknown entry by its indices in the array of this name, and by its number."""
-        value = self.values[name]
-        if name == "attitude0" or value.ndim < 2:
-            return f"{name}[{number}]"
-        index = ", ".join(str(k) for k in np.unravel_index(number, value.shape))
-        return f"{name}[{index}] (number {number})"
-
-    def _exponents(self, numbers: NDArray[np.int64], change: Floats) -> Floats:
-        """Return the elements of the algebra (members, d, d) by which initial attitudes change."""
-        coordinates = np.zeros((self.values["x0"].size // self.values["x0"].shape[-1], len(self.generators)))
-        coordinates.ravel()[numbers] = change
-        return np.tensordot(coordinates, self.generators, 1)
-
-    def outputs(self, z: Floats | None = None) -> dict[str, Floats]:
-        """Return states, attitudes and measured quantities at the saved times."""
-        values = self.values if z is None else self.moved(z)
-        found = dict(zip(OUTPUTS, self.run.solve(values, False), strict=False))
-        return found if self.quantities is None else found | self.quantities.values(found["x"], values)
-
-    def tangents(self, z: Floats) -> dict[str, Floats]:
-        """Return their derivatives by z, with a first axis of unknowns."""
-        from scipy.linalg import expm_frechet
-
-        moved, directions, first = self.moved(z), {}, 0
-        for name, numbers in self.chosen.items():
-            direction = np.zeros((len(z), *moved[name].shape))
-            if name == "attitude0":
-                exponents = self._exponents(numbers, z[first : first + len(numbers)])
-                starts, by_member = self.values[name].reshape(exponents.shape), direction.reshape(-1, *exponents.shape)
-                for k, (m, j) in enumerate(zip(*divmod(numbers, len(self.generators)), strict=True)):
-                    change = expm_frechet(exponents[m], self.generators[j], compute_expm=False)
-                    by_member[first + k, m] = change @ starts[m]
-            else:
-                for k, unit in enumerate(np.eye(len(numbers)), first):
-                    self._moved_entries(name, unit, direction[k, ...])
-            first += len(numbers)
-            directions[name] = direction
-        found = dict(zip(OUTPUTS, self.run.tangents(moved, directions), strict=False))
-        if self.quantities is None:
-            return found
-        x = self.run.solve(moved, False)[0]
-        return found | self.quantities.tangents(x, found["x"], moved, directions)
-
-
-def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
-    """Return the numbers of the mirror images of entries of a square matrix."""
-    i, j = np.divmod(numbers, size)
-    return j * size + i
 
 
 def _weights(

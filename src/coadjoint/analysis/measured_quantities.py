@@ -1,4 +1,4 @@
-"""Quantities of fits that are functions of the states: angular velocities, momenta and what a prepared run observes."""
+"""Quantities of fits that are functions of the states: the motion of bodies, and what is observed."""
 
 from __future__ import annotations
 
@@ -11,41 +11,62 @@ from numpy.typing import NDArray
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.body_motion import reader_of
 from coadjoint.runs.results.observables import Observed
+from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.parameters import parameters_of, with_parameters
 from coadjoint.systems.protocol import is_batch, member_of, unforced
+from coadjoint.systems.user_functions import takes_time
+from coadjoint.validation import read_numbers
 
 Floats = NDArray[np.float64]
 
-MOTIONS = ("angular_velocity", "angular_momentum")
+# Measured values by the names of functions of bodies.
+MOTIONS = {
+    "angular_velocity": "angular_velocity",
+    "angular_momentum": "angular_momentum",
+    "attitude": "attitudes",
+    "positions": "positions",
+    "velocities": "velocities",
+}
 DISTANCE = 2.0**-17  # relative step of central differences, whose errors h^2 and u/h are both near 1e-11
 
 
 class Quantities:
     """Functions of the states by name, with derivatives: exact tangents of states, and differences of the functions."""
 
-    def __init__(self, ready: PreparedRun, names: Iterable[str], t: Floats, x0: Floats) -> None:
+    def __init__(
+        self, ready: PreparedRun, names: Iterable[str], t: Floats, x0: Floats, observe: Mapping[str, Any]
+    ) -> None:
         self._system, self._t, wanted = ready.system, t, [*names]
         observed = {name: ready.observe[name] for name in wanted if name in ready.observe}
         state = np.atleast_2d(x0)[0]
         self._observed = Observed(member_of(ready.system), observed, state) if observed else None
-        self._motions = [name for name in wanted if name not in observed]
+        self._functions = {name: _function_of(observe[name], name) for name in wanted if name in observe}
+        self._shapes = {name: np.shape(_value(f, name, state, float(t[0]))) for name, f in self._functions.items()}
+        self._motions = [name for name in wanted if name not in observed and name not in observe]
         self._groups = CoordinateGroups(member_of(ready.system))
 
     @staticmethod
-    def names_of(ready: PreparedRun) -> tuple[str, ...]:
-        """Return the names that measurements of a run may have beside "x" and "attitude"."""
-        if is_batch(ready.system):
-            return (*ready.observe,)
-        motions = [name for name in MOTIONS if reader_of(unforced(ready.system), name) is not None]
-        return (*ready.observe, *(name for name in motions if name not in ready.observe))
+    def names_of(ready: PreparedRun, observe: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the names that measurements of a run may have beside "x" and the "attitude" of group elements."""
+        names = [*ready.observe, *observe]
+        if not is_batch(ready.system):
+            names += [name for name in MOTIONS if name not in names and _has(ready, name)]
+        return tuple(names)
 
     def values(self, x: Floats, parameters: Mapping[str, Floats]) -> dict[str, Floats]:
         """Return the values at states (points, n) or (points, members, n), by name."""
         found: dict[str, Floats] = {}
         if self._observed is not None:
-            rows = self._observed.along(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
-            found = {name: value.reshape(x.shape[:-1]) for name, value in rows.items()}
+            along = self._observed.along(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
+            found = {name: value.reshape(x.shape[:-1]) for name, value in along.items()}
+        for name, function in self._functions.items():
+            rows = zip(self._t.tolist(), x.reshape(len(x), -1, x.shape[-1]), strict=True)
+            series = [[_value(function, name, row, t) for row in states] for t, states in rows]
+            try:
+                found[name] = np.array(series).reshape(*x.shape[:-1], *self._shapes[name])
+            except ValueError:
+                raise ValueError(f"observe[{short(name)}] returns arrays of several shapes; return one shape") from None
         if self._motions:
             changed = {name: value for name, value in parameters.items() if name in parameters_of(self._system)}
             system = unforced(with_parameters(self._system, changed) if changed else self._system)
@@ -89,7 +110,25 @@ class Quantities:
         return {name: (ahead[name] - behind[name]) / (2.0 * length) for name in self._motions}
 
 
+def _has(ready: PreparedRun, name: str) -> bool:
+    """Return whether a function of the states of a body has this name; of attitudes, if they are part of the states."""
+    system = unforced(ready.system)
+    if name == "attitude" and not (getattr(system, "has_attitude", False) and ready.representation is None):
+        return False
+    return reader_of(system, MOTIONS[name]) is not None
+
+
 def _reader(system: Any, name: str) -> Callable[[Any], Floats]:
-    found = reader_of(system, name)
+    found = reader_of(system, MOTIONS[name])
     assert found is not None
     return found
+
+
+def _function_of(function: Any, name: str) -> Callable[[Floats, float], Any]:
+    """Return a function of (x) or (x, t) as one of (x, t)."""
+    return function if takes_time(function, f"observe[{short(name)}]") else lambda x, t: function(x)
+
+
+def _value(function: Callable[[Floats, float], Any], name: str, x: Floats, t: float) -> Floats:
+    """Return real numbers at a copy of a state."""
+    return read_numbers(function(x.copy(), t), f"what observe[{short(name)}] returns at t = {t:g}")

@@ -112,11 +112,23 @@ def units_of(system: Any, x: Floats) -> Floats:
 
 
 class Tangents(NamedTuple):
-    """The tangent space of an orbit: P = sign J(x), an orthonormal basis (n, r), and P in it with its inverse."""
+    """The tangent space of an orbit: P = sign J(x), an orthonormal basis (n, r), and its blocks on direct summands.
+
+    A block is the coordinates of a summand and the columns of its basis.
+    """
 
     P: Floats
     basis: Floats
-    inverse: Floats
+    blocks: list[tuple[NDArray[np.int64], slice]]
+
+    def restricted(self, matrix: Floats, factor: Floats) -> Floats:
+        """Return factor^T matrix factor, for a factor (n, r) with the blocks of the basis."""
+        columns, result = np.empty_like(factor), np.empty((factor.shape[1],) * 2)
+        for rows, places in self.blocks:
+            columns[:, places] = matrix[:, rows] @ factor[rows, places]
+        for rows, places in self.blocks:
+            result[places] = factor[rows, places].T @ columns[rows]
+        return result
 
 
 def tangents_of(system: Any, x: Floats) -> Tangents:
@@ -125,21 +137,24 @@ def tangents_of(system: Any, x: Floats) -> Tangents:
     found = [(rows, *np.linalg.svd(P[np.ix_(rows, rows)])[:2]) for rows, _ in summands(system.algebra.triples, len(P))]
     smallest = RANK_TOLERANCE * max(sizes[0] for _, _, sizes in found)
     kept = [(rows, left[:, sizes > smallest]) for rows, left, sizes in found]
-    rank = sum(left.shape[1] for _, left in kept)
-    basis, inverse, first = np.zeros((len(P), rank)), np.zeros((rank, rank)), 0
+    basis, blocks, first = np.zeros((len(P), sum(left.shape[1] for _, left in kept))), [], 0
     for rows, left in kept:
         columns = slice(first, first := first + left.shape[1])
         basis[rows, columns] = left
-        inverse[columns, columns] = np.linalg.inv(left.T @ P[np.ix_(rows, rows)] @ left)
-    return Tangents(P, basis, inverse)
+        blocks.append((rows, columns))
+    return Tangents(P, basis, blocks)
 
 
 def second_variation(system: Any, x: Floats, function: Any, tangents: Tangents) -> Floats:
     """Return the second derivatives of F(exp(D_v) x) by v, at v = 0, in the basis of the tangent space."""
-    P, U, _ = tangents
+    P, U, blocks = tangents
     u = np.asarray(function.gradient(x, 0.0), dtype=np.float64)
     hessian = np.asarray(function.hessian(x, 0.0), dtype=np.float64)
     D = system.sign * np.asarray(system.algebra.coadjoint(u), dtype=np.float64)
-    PU = P @ U
-    Q = PU.T @ hessian @ PU - U.T @ D @ PU
+    PU = np.zeros_like(U)
+    for rows, columns in blocks:
+        PU[rows, columns] = P[np.ix_(rows, rows)] @ U[rows, columns]
+    Q = tangents.restricted(hessian, PU)
+    for rows, columns in blocks:
+        Q[columns, columns] -= U[rows, columns].T @ D[np.ix_(rows, rows)] @ PU[rows, columns]
     return np.asarray(0.5 * (Q + Q.T))

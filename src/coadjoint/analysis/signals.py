@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution_attributes import missing_attitude
 from coadjoint.runs.times import accumulated_rounding
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import check_arguments
@@ -74,8 +75,8 @@ def _signal_of_run(run: Solution, signal: Any) -> NDArray[Any]:
         return _flat(run.x, several)
     if isinstance(signal, str):
         if signal == "attitude":
-            if run.attitude is None:
-                raise ValueError("the run carried no attitude; integrate with attitude=True")
+            if run.carried is None:
+                raise ValueError(missing_attitude(run))
             return _flat(run.attitude, several)
         if signal == "energy":
             return run.energy

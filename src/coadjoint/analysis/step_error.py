@@ -287,6 +287,17 @@ class _Measured:
         m = int(np.flatnonzero(self.members == rounded.member)[0])
         return rounded.error < 1.0 and bool(self.sizes[m, rounded.group] < self.sizes[m].max())
 
+    def radians_in_step(self, rounded: Rounded) -> float:
+        """Return the angle by which a step turns a group if its rounding is that of the angle, otherwise 0."""
+        m, group, system = int(np.flatnonzero(self.members == rounded.member)[0]), rounded.group, self.system
+        one, moves = member_of(system, rounded.member), [0.0]
+        for t, states, held in self.points:
+            if held[m]:
+                field = rows_of(one, one.vector_field(states_of(one, states[m]), t))
+                moves.append(abs(self.h) * float(self.groups.norms(field[None])[0, group]))
+        by_angle = self.rounding[m, group] <= ROUNDING * max(moves)
+        return max(moves) / float(self.sizes[m, group]) if by_angle else 0.0
+
     def _passages(self) -> tuple[tuple[int, int] | None, int]:
         """Return the fastest passage, and the saved interval over which the states change least.
 
@@ -421,9 +432,16 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
             LargeStepWarning,
         )
     elif rounded is not None:
+        radians = measured.radians_in_step(rounded)
+        reason = (
+            f"since a step turns it by about {radians:.1g} radians, and float64 has 16 digits; shorter steps do not "
+            "help, a shorter span does"
+            if radians
+            else f"beside larger numbers that nearly cancel in {prepared.method}; shorter steps do not help, "
+            "coordinates or terms of the Hamiltonian in which they cancel exactly do"
+        )
         warn_caller(
             f"rounding changes {measured.groups.names()[rounded.group]} in {motion} by about {rounded.error:.1g} of "
-            f"its size, beside larger numbers that nearly cancel in {prepared.method}; shorter steps do not help, "
-            "coordinates or terms of the Hamiltonian in which they cancel exactly do",
+            f"its size, {reason}",
             RoundingWarning,
         )

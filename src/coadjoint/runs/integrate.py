@@ -17,8 +17,6 @@ from coadjoint.runs.results.solution import Solution, set_elapsed, with_choice
 from coadjoint.runs.start import combined
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.protocol import unforced
-from coadjoint.systems.registry import check_unit_coordinate
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 
@@ -162,7 +160,6 @@ def integrate(
         method, step = choice.method, choice.step
     assert step is not None
     prepared = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=threads)
-    check_unit_coordinate(unforced(system), x0)
     if archive is None:
         sol = prepared.run(x0, t_span, save_every, t_eval=t_eval, progress=progress, events=events)
     else:

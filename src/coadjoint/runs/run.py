@@ -200,7 +200,8 @@ class Run:
         if self.start.single and self.state["status"][0]:
             saved_points = int(np.searchsorted(self.times.saved, self.state["step"][0]))
         incomplete = "failed" if self.start.single else None
-        raise self.failure(solution_of_run(self, saved_points, observed, incomplete=incomplete))
+        taken = int(np.max(np.where(self.state["status"], self.state["step"] - 1, self.times.steps)))
+        raise self.failure(solution_of_run(self, saved_points, observed, incomplete=incomplete, _taken=taken))
 
     def interrupted(self, observed: Observed | None) -> Solution:
         """Return the points saved before an interrupt, after which the run cannot be resumed.
@@ -208,17 +209,18 @@ class Run:
         Members that had not reached a point are NaN there. The drifts are those over the saved points.
         """
         order, numbers = self.loops.order, self.times.saved
-        if order is not None:
-            self.saved = self.saved.take(np.argsort(order), 1)
+        if order is not None and self.state.number < self.times.steps:
+            inverse = np.argsort(order)
+            self.saved, self.state.arrays = self.saved.take(inverse, 1), self.state.arrays.take(inverse, 0)
         x = self.saved["x"]
-        if len(numbers):
-            # The arrays of members that were not started are uninitialized.
-            first = x[0, :, : self.start.momenta.shape[1]]
-            waiting = ~((first == self.start.momenta) | np.isnan(first)).all(axis=1)
+        # The arrays of a member are zero until its loop has filled them, and then sets the residual to NaN.
+        waiting = (self.state["residual"] == 0.0) & (self.state["status"] == 0)
+        saved_points = 0
+        if not waiting.all():
             for name in ("x", "group", "values"):
                 self.saved[name][:, waiting] = np.nan
-        reached = np.isfinite(x).any(axis=(1, 2))
-        saved_points = int(np.flatnonzero(reached)[-1]) + 1 if reached.any() else 0
+            reached = np.isfinite(x).any(axis=(1, 2))
+            saved_points = int(np.flatnonzero(reached)[-1]) + 1 if reached.any() else 0
         worst, values = self.state["worst"], self.saved["values"]
         worst[:], self.state["status"][:] = 0.0, 0
         if (measured := self.loops.measured) is not None:
@@ -229,7 +231,8 @@ class Run:
                 deviations = np.abs(values[:saved_points][tenths == tenth] - values[0])
                 worst[:, tenth] = np.fmax.reduce(deviations, axis=0, initial=0.0)
         worst[~np.isfinite(x[:saved_points]).any(axis=(0, 2))] = np.nan
-        return solution_of_run(self, saved_points, observed, incomplete="interrupted", watched=False)
+        taken = int(numbers[saved_points - 1]) if saved_points else 0
+        return solution_of_run(self, saved_points, observed, incomplete="interrupted", watched=False, _taken=taken)
 
     def describe_interrupt(self, stopped: KeyboardInterrupt, observed: Observed | None) -> None:
         """Attach the points saved before an interrupt to it."""

@@ -25,7 +25,7 @@ from coadjoint.runs.plan import Plan, check_run_memory
 from coadjoint.runs.results.memory_solution import solution_of_numbers
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
-from coadjoint.runs.start import Start, momenta_of, start_without_groups
+from coadjoint.runs.start import Start, momenta_of, start_without_groups, vector_size
 from coadjoint.runs.state import State
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
 from coadjoint.systems.protocol import unforced_matrix_system
@@ -52,7 +52,7 @@ class FinalStateRun:
 
     def __init__(self, prepared: PreparedRun) -> None:
         self._prepared, self._max_evaluations = prepared, prepared.most_evaluations
-        self._shape = (prepared.system.dim,)
+        self._shape = (vector_size(prepared.system),)
         self._is_bounded = self._max_evaluations < math.inf
         self._span: Any = None
         self._h: float | None = None
@@ -119,7 +119,7 @@ class FinalStateRun:
         self._loops, self._numbers = loops, np.zeros(layout.size)
         saved, state = layout.saved_in(self._numbers), layout.state_in(self._numbers)
         # Accounts follow the coordinates, and start at zero.
-        dim = self._shape[0]
+        dim = prepared.system.dim
         self._clear = state["momenta"].fill if loops.accounts else None
         self._momentum, self._end = state["momenta"][0, :dim], saved["x"][1, 0, :dim]
         self._evaluations = state["evaluations"]

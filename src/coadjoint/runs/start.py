@@ -27,6 +27,7 @@ from coadjoint.systems.protocol import (
     unforced,
     unforced_matrix_system,
 )
+from coadjoint.systems.registry import check_unit_coordinate, has_unit_coordinate
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
@@ -73,11 +74,22 @@ def start_of(system: System | Batch, method: Method, x0: Any, attitude: Any) -> 
 def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
     """Validate x0, (n,) or (members, n); return a copy (members, n), and whether it is a single state.
 
-    A batch takes one state for each member, or one for all.
+    A batch takes one state for each member, or one for all. A coordinate that must be 1 is checked here alone.
     """
     size = vector_size(system)
     if size is not None:
         return vectors_of(x0, size)
+    momenta, single = any_momenta_of(system, x0)
+    if is_batch(system):
+        for number, one in enumerate(system.distinct):
+            check_unit_coordinate(unforced(one), momenta[system.owners == number])
+    else:
+        check_unit_coordinate(unforced(system), momenta)
+    return momenta, single
+
+
+def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
+    """Return what `momenta_of` returns, also for states that differ from allowed ones in every coordinate."""
     matrices = unforced_matrix_system(system)
     if matrices is not None:
         rows = matrices.read(x0)
@@ -101,9 +113,9 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
 
 def vector_size(system: Any) -> int | None:
-    """Return the dimension of a system whose states are vectors and that all members share; otherwise None."""
+    """Return the dimension of a system of which any vector is a state, and that all members share; otherwise None."""
     is_other = is_batch(system) or len(system.shape) > 1 or unforced_matrix_system(system) is not None
-    return None if is_other else int(system.dim)
+    return None if is_other or has_unit_coordinate(unforced(system)) else int(system.dim)
 
 
 def vectors_of(x0: Any, n: int) -> tuple[NDArray[np.float64], bool]:

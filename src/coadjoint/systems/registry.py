@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar, overload
 
 import numpy as np
+import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
@@ -126,21 +127,30 @@ def energy_of(name: str) -> DeclaredEnergy | None:
     return _ENERGIES.get(name)
 
 
-def check_unit_coordinate(system: Any, x0: Any) -> None:
-    """Raise ValueError if a coordinate of x0 must be 1 in this ready-made system, and is not; shapes are not checked.
+def has_unit_coordinate(system: Any) -> bool:
+    """Return whether a coordinate of the states of this ready-made system must be 1."""
+    return system.name in _UNITS
+
+
+def unit_coordinate(system: Any) -> int | None:
+    """Return the number of the coordinate that must be 1 in every state of this ready-made system; None without one."""
+    casimir = system.casimirs.get(_UNITS[system.name]) if has_unit_coordinate(system) else None
+    return None if casimir is None else int(np.argmax(np.abs(casimir.gradient(np.zeros(system.dim)))))
+
+
+def check_unit_coordinate(system: Any, states: npt.NDArray[np.float64]) -> None:
+    """Raise ValueError if a coordinate of states (..., n) must be 1 in this ready-made system, and is not.
 
     Examples
     --------
     >>> from coadjoint.systems.bodies.satellite import satellite
-    >>> check_unit_coordinate(satellite(), [0, 0, 0, 0, 1, 0, 1, 0, 0, 0])
+    >>> check_unit_coordinate(satellite(), np.zeros(10))
     Traceback (most recent call last):
     ValueError: x0[..., 9] is 0, and z of satellite must be 1; ...
     """
-    casimir = system.casimirs.get(_UNITS[system.name]) if system.name in _UNITS else None
-    states = None if casimir is None else np.asarray(x0)
-    if casimir is None or states is None or states.dtype.kind not in "fiu" or states.shape[-1:] != (system.dim,):
+    coordinate = unit_coordinate(system)
+    if coordinate is None:
         return
-    coordinate = int(np.argmax(np.abs(casimir.gradient(np.zeros(system.dim)))))
     wrong = ~(np.abs(states[..., coordinate] - 1.0) <= UNIT_TOLERANCE)
     if wrong.any():
         raise ValueError(

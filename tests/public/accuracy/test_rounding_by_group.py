@@ -127,9 +127,22 @@ def test_the_warning_of_rounding_states_its_size(ratio, warned):
     if warned:
         message = re.fullmatch("rounding changes (.) in this motion by about (.*) of its size.*", str(found[0].message))
         assert message[1] == "L" and worst / 4 < float(message[2]) < 4 * worst
+        assert "nearly cancel" in message[0] and "radians" not in message[0]
         assert found[0].filename == __file__
         (again,) = [one for one in run(ratio)[1]]
         assert str(again.message) == str(found[0].message)
+
+
+@pytest.mark.parametrize("size", [1e12, 1e15, 1e20])
+def test_the_warning_names_an_angle_without_digits(size):
+    """A symmetric body precesses at (1/2 - 1) x3: its steps are exact, but for the rounding of their angle."""
+    body, x0 = co.systems.rigid_body((1, 1, 2)), np.array([1.0, 0.2, 0.5]) * size
+    _, found = told(lambda: co.integrate(body, x0, (0, 10), 0.1))
+    assert [one.category for one in found] == [co.RoundingWarning] * (size > 1e14)
+    for message in (str(one.message) for one in found):
+        angle = float(re.search("turns it by about (.*) radians", message)[1])
+        wanted = 0.1 * 0.5 * x0[2] * np.hypot(*x0[:2]) / np.linalg.norm(x0)
+        assert "cancel" not in message and "shorter span" in message and 2 / 3 < angle / wanted < 3 / 2
 
 
 @pytest.mark.parametrize("method", [co.ExplicitRungeKutta("rk4"), co.Splitting(order=2), co.Splitting(order=6)])

@@ -201,7 +201,7 @@ def test_what_has_no_equilibrium_is_refused_by_name():
     for error, named, given in (
         (ValueError, ["singular", "dimension 0", "dimension 2"], (body, (0, 0, 0))),
         (ValueError, ["dimension 2", "dimension 4"], (co.systems.heavy_top(), (1, 0, 0, 0, 0, 0))),
-        (ValueError, ["x0 has shape (2,)", "(3,)"], (body, (1, 0))),
+        (ValueError, ["x0 has the shape (2,)", "(3,)"], (body, (1, 0))),
         *((TypeError, ["system", repr(wrong)], (wrong, (1, 0, 0))) for wrong in ("x", None, 3, [1, 2])),
         (TypeError, ["batch"], (co.batch([body, body]), (1, 0, 0))),
         (TypeError, ["forces"], (body.with_forces(co.forces.LinearDamping(0.1)), (1, 0, 0))),

@@ -306,6 +306,79 @@ def test_observed_quantities_and_several_trajectories():
         np.testing.assert_allclose(found.values["x0"], starts, atol=1e-7)
 
 
+@pytest.mark.parametrize("members", [0, 2])
+def test_vectors_are_measured_by_functions_of_the_state(members):
+    """Two components of the closed form, with a deviation for each; the covariance is that of its differences."""
+    sigma, times = np.array([0.01, 0.03]), np.linspace(0.0, 10.0, 41)
+    starts = np.array([X0, (0.1, 1.0, 0.4)])[:members] if members else np.array(X0)
+
+    def plane(z):
+        exact = co.systems.rigid_body(INERTIA + np.r_[0, z[:2]]).exact
+        found = [exact(x, times)[:, :2] for x in np.atleast_2d(starts) + np.r_[z[2:], np.zeros(3 - len(z[2:]))]]
+        return np.stack(found, axis=1) if members else found[0]
+
+    ready = co.prepare(co.systems.rigid_body(INERTIA + [0, 0.05, -0.05]), co.GaussLegendre(4), 0.05)
+    given = {"plane": plane(np.zeros(2))}, {"inertia": (1, 2)}, 5
+    observe = {"plane": lambda x, t: x[:2]}
+    found = co.fit(ready, starts, (0, 10), *given, sigma={"plane": sigma}, observe=observe)
+    np.testing.assert_allclose(found.values["inertia"], INERTIA, atol=1e-9)
+    assert found.residuals.shape == (82 * max(1, members),) and found.degrees_of_freedom == len(found.residuals) - 2
+    J = [(plane(1e-5 * unit) - plane(-1e-5 * unit)) / 2e-5 / sigma for unit in np.eye(2)]
+    J = np.array([one.ravel() for one in J]).T
+    np.testing.assert_allclose(found.covariance @ (J.T @ J), np.eye(2), atol=1e-5)
+
+
+def test_sensors_of_bodies_with_attitudes_in_their_states():
+    """Fields in the frame of the body, attitudes as rotations and as matrices, and positions of two bodies."""
+    S, field = co.systems, np.array([0.6, 0.0, 0.8])
+    craft = S.body((1.0, 1.7, 2.6))
+    x0, wrong = craft.state(angular_velocity=(0.3, 0.2, 0.5)), co.prepare(S.body((1.0, 1.72, 2.6)), SCHEME, 0.05)
+    exact = co.integrate(craft, x0, (0, 8), 0.05, SCHEME, save_every=4)
+    fields = np.einsum("j,kji->ki", field, exact.rotation.as_matrix())
+    both, unknown = {"observe": {"field": lambda x: field @ craft.attitudes(x)}}, {"inertia": (1, 2)}
+    for name, value, more in (
+        ("field", fields, both), ("attitude", exact.rotation, {}), ("attitude", exact.rotation.as_matrix(), {}),
+    ):  # fmt: skip
+        found = co.fit(wrong, x0, (0, 8), {name: value}, unknown, 4, sigma={name: 0.01}, **more)
+        np.testing.assert_allclose(found.values["inertia"], (1.0, 1.7, 2.6), atol=1e-8)
+        assert found.degrees_of_freedom == 3 * 41 - 2
+    pair = S.gravitating_bodies()
+    state = pair.state([[-1, 0, 0], [3, 0, 0]], [[0, -0.2, 0], [0, 0.6, 0]])
+    ready, exact = co.prepare(pair, SCHEME, 0.05), co.integrate(pair, state, (0, 1), 0.05, SCHEME, save_every=4)
+    found = co.fit(
+        ready, state + 0.01 * np.eye(pair.dim)[-4], (0, 1), {"positions": exact.positions}, {"x0": (pair.dim - 4,)}, 4,
+        sigma={"positions": 0.01},
+    )  # fmt: skip
+    np.testing.assert_allclose(found.values["x0"], state, atol=1e-8)
+
+
+def test_coordinates_that_must_be_one_are_not_fitted():
+    orbiting, x0 = co.systems.satellite(), np.array([0, 0, 0.2, 0, 40.0, 0, 5.0, 0.1, 0.2, 1.0])
+    ready = co.prepare(orbiting, SCHEME, 0.05)
+    exact = {"x": ready.run(x0, (0, 1), 4).x}
+    found = co.fit(ready, 1.01 * x0 - 0.01 * np.eye(10)[9], (0, 1), exact, {"x0": True}, 4, sigma={"x": 0.01})
+    assert found.unknowns == tuple(("x0", k) for k in range(9))
+    np.testing.assert_allclose(found.values["x0"], x0, atol=1e-8)
+    with refused(ValueError, "x0[9]", "must be 1"):
+        co.fit(ready, x0, (0, 1), exact, {"x0": (0, 9)}, 4, sigma={"x": 0.01})
+
+
+@pytest.mark.parametrize(
+    ("observe", "error", "named"),
+    [
+        ({"f": lambda x: "a"}, TypeError, "observe['f']"),
+        ({"f": lambda x: x[: 2 if x[0] == X0[0] else 3]}, ValueError, "observe['f']"),
+        ({"f": lambda x: x[:1]}, ValueError, "(41, 1)"),
+        ({"f": co.Polynomial({(1, 0, 0): 1.0})}, ValueError, "(41,)"),
+        ({"angular_velocity": lambda x: x}, ValueError, "angular_velocity"),
+        ({"f": 3.0}, TypeError, "observe['f']"),
+    ],
+)
+def test_refused_functions_of_states(observe, error, named):
+    with refused(error, named):
+        co.fit(body(), X0, SPAN, {"f": np.zeros((41, 2))}, {"x0": (0,)}, EVERY, sigma={"f": 1.0}, observe=observe)
+
+
 @pytest.mark.parametrize("factor", [1.0, 2.0])
 def test_residuals_that_contradict_sigma_are_reported(factor):
     """On both sides: of 123 numbers, twice as large errors have 354 squares too many, 23 standard deviations."""
@@ -321,21 +394,34 @@ def test_residuals_that_contradict_sigma_are_reported(factor):
 
 
 @pytest.mark.filterwarnings("ignore:.*no body has")
-def test_rates_given_as_momenta_are_reported():
-    """Of the moments 1, 1.8 and 2.4: the fit has other moments, and residuals far above sigma."""
-    body = co.systems.rigid_body((1.0, 1.8, 2.4))
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("sigma", [0.002, 0.5])
+@pytest.mark.parametrize("name", ["angular_velocity", "x"])
+def test_rates_given_as_momenta_are_reported(name, sigma, known):
+    """Whatever sigma is: of the moments 1, 1.8 and 2.4 they are fitted by others. Momenta are not reported."""
+    body, rng = co.systems.rigid_body((1.0, 1.8, 2.4)), np.random.default_rng(5)
     sol = co.integrate(body, (1.0, 0.6, 0.3), (0, 10), 0.05, SCHEME, save_every=4)
-    ready = co.prepare(body, SCHEME, 0.05)
+    measured = getattr(sol, name) + 0.002 * rng.standard_normal(sol.x.shape)
+    start, unknown = (sol.x[0], {}) if known else (measured[0], {"x0": True})
+    with warnings.catch_warnings(record=True) as noticed:
+        warnings.simplefilter("always")
+        co.fit(
+            co.prepare(body, SCHEME, 0.05), start, (0, 10), {"x": measured}, {"inertia": (1, 2), **unknown}, 4,
+            sigma={"x": sigma},
+        )  # fmt: skip
+    told = [str(one.message) for one in noticed if "angular velocities" in str(one.message)]
+    assert len(told) == (name == "angular_velocity") and all('name them "angular_velocity"' in one for one in told)
+
+
+def test_momenta_from_a_wrong_first_state_are_not_taken_for_rates():
+    """Its errors are large, and angular velocities from another first state would have smaller ones."""
+    body = co.systems.rigid_body((1.0, 1.2, 1.3))
+    sol = co.integrate(body, (1.0, 0.6, 0.3), (0, 10), 0.05, SCHEME, save_every=4)
     with pytest.warns(UserWarning, match="contradict sigma"):
         co.fit(
-            ready,
-            sol.angular_velocity[0],
-            (0, 10),
-            {"x": sol.angular_velocity},
-            {"inertia": (1, 2)},
-            4,
+            co.prepare(body, SCHEME, 0.05), (1.1, 0.5, 0.4), (0, 10), {"x": sol.x}, {"inertia": (1, 2)}, 4,
             sigma={"x": 0.002},
-        )
+        )  # fmt: skip
 
 
 def test_scalar_parameters_are_fitted():

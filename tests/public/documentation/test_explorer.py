@@ -36,6 +36,11 @@ def test_tables_at_other_values_are_those_of_the_library(shown, random):
     json.dumps(shared({shown.name: written}))
 
 
+@pytest.mark.parametrize(("code", "title"), [scheme[1:] for scheme in SCHEMES])
+def test_titles_of_schemes_name_their_order(code, title):
+    assert title.endswith(f", order {eval(code, {'co': co}).order}")
+
+
 def test_wrong_factors_are_found():
     (shown,) = (shown for shown in SHOWN if shown.name == "rigid_body")
     scheme = code_of("co.Splitting(order=2)", shown)

@@ -62,6 +62,11 @@ REFUSED = {
     "a misspelled key": (ready("step", "stpe"), "run.stpe", ("'step'",), True),
     "a misspelled table": (ready("[initial]", "[intial]"), "intial", ("'initial'",), True),
     "an unknown key": (ready(STEP, f"{STEP}\nqqq = 1"), "run.qqq", ("known here: accuracy, save_every",), True),
+    "a central coordinate of 2": (
+        FLUID.split("\n")[1] + "\nsystem.name = 'satellite'\ninitial.x = [0, 0, 1, 0, 1, 0, 1, 0, 0, 2]",
+        "initial.x",
+        ("z of satellite must be 1",),
+    ),
     "no step": (ready(STEP), "run", ("step is missing", "accuracy"), True),
     "a step and an accuracy": (ready(STEP, f"{STEP}\naccuracy = 1e-8"), "run", ("step and accuracy",)),
     "an accuracy of one": (ready(STEP, "accuracy = 1.0"), "run.accuracy", ("1.0",), True),

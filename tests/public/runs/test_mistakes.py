@@ -12,6 +12,9 @@ pytestmark = pytest.mark.thinned(1)
 
 BODY, X0, SPAN, SO3 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), (0, 1), co.algebras.so(3)
 RUN = co.integrate(BODY, X0, SPAN, 0.1)
+TODA = co.integrate(co.systems.toda(2), np.array([1.0, -1.0, 0.5]), SPAN, 0.1)
+SPUN = co.integrate(co.systems.body(), co.systems.body().state(), SPAN, 0.1)
+COADJOINT = co.integrate(co.systems.kirchhoff_body(), np.ones(6), SPAN, 0.1, attitude="coadjoint")
 CUBE = co.LiePoissonSystem(SO3, co.Polynomial({(1, 1, 1): 1.0}))
 
 
@@ -79,6 +82,11 @@ MISTAKES = {
     "sol.y": (lambda: RUN.y, "'y'", "x"),
     "sol.sol": (lambda: RUN.sol, "'sol'", "at(t)"),
     "sol.enregy": (lambda: RUN.enregy, "enregy", "'energy'"),
+    "no attitude": (lambda: RUN.attitude[-1], "rigid_body", "attitude=True"),
+    "no rotation of a run": (lambda: RUN.rotation, "rigid_body", "attitude=True"),
+    "no angular velocity": (lambda: TODA.angular_velocity, "toda", "angular velocity", "co.systems.body"),
+    "an attitude in the state": (lambda: SPUN.attitude, "body", "sol.rotation"),
+    "coadjoint matrices as rotations": (lambda: COADJOINT.rotation, "coadjoint", "attitude=True"),
     "a panel": (lambda: RUN.plot("orbits"), "orbits", "'coadjoint orbit'"),
     "a parameter left out": (lambda: co.algebras.get("A3_7"), "A3_7", "'a'"),
     "an unknown parameter": (lambda: co.algebras.get("A3_7", a=1.0, b=1.0), "'b'"),

@@ -25,6 +25,7 @@ def cut():
 def test_text_summary_and_picture_of_an_interrupted_run(cut):
     partial, stated = cut
     assert partial.incomplete == "interrupted" and len(partial.t) > 1
+    assert partial.stats.steps == 2**12 * (len(partial.t) - 1)
     assert stated in repr(partial) and stated in partial._repr_html_()
     assert 0.0 < partial.stats.seconds <= partial.stats.elapsed and " 0 s" not in partial._repr_html_()
     assert stated in " ".join(partial.plot(["components"]).get_suptitle().split())
@@ -40,6 +41,33 @@ def test_interrupted_runs_are_read_back_as_such(cut, suffix, tmp_path):
     assert loaded.incomplete == "interrupted" and stated in repr(loaded) and stated in loaded._repr_html_()
     np.testing.assert_array_equal(loaded.x, partial.x)
     assert stated in repr(co.load(path)), "again"
+    assert loaded.stats.steps == partial.stats.steps < 2**25
+
+
+@pytest.mark.parametrize("seconds", [0.001, 0.01, 0.03, 0.1])
+@pytest.mark.parametrize("t_eval", [None, np.linspace(2.0, 2**12, 2**22 - 2**11 + 1)])
+def test_points_of_a_run_interrupted_at_any_moment_were_computed(seconds, t_eval):
+    """Also while the memory of the points is filled, before the first step."""
+    run = co.prepare(BODY, co.Splitting(), 1 / 1024).run
+    run(X0, (0, 1))
+    with pytest.raises(KeyboardInterrupt) as raised, interrupt_after(seconds):
+        run(X0, (0, 2**12), t_eval=t_eval)
+    if (found := getattr(raised.value, "partial", None)) is not None and len(found.t):
+        assert found.stats.steps == round(found.t[-1] * 1024)
+        np.testing.assert_array_equal(found.x[-1], run(X0, (0, found.t[-1]), 2**22).x[-1])
+
+
+@pytest.mark.parametrize("still", [0, 1])
+@pytest.mark.parametrize("members", [0, 2])
+def test_failed_runs_count_the_steps_before_the_failure(members, still):
+    """Members that rest finish."""
+    system = co.LiePoissonSystem(co.systems.riccati().algebra, co.Polynomial({(2, 1, 0): 1.0}))
+    x0 = np.array([[1.0, 1.0, 0.0]] * members + [[0.0, 0.0, 0.0]] * still) if members else (1.0, 1.0, 0.0)
+    with pytest.raises(co.IntegrationError) as failed:
+        co.integrate(system, x0, (0, 5), 0.125, co.GaussLegendre(2), save_every=3)
+    error, planned = failed.value, 40
+    assert 1 < error.step < planned
+    assert error.partial.stats.steps == (planned if members and still else error.step - 1)
 
 
 @pytest.mark.parametrize("t0, sense", [(0.0, 1), (7.0, -1)])
@@ -168,3 +196,4 @@ def test_failed_runs(tmp_path):
         dataset.to_netcdf(path, engine="h5netcdf")
         found = co.load(path)
         assert found.incomplete == error.value.partial.incomplete == "failed" and "failed" in repr(found)
+        assert found.stats.steps == error.value.partial.stats.steps == error.value.step - 1

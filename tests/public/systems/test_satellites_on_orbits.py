@@ -156,17 +156,36 @@ def test_tensors_of_satellites():
 
 
 def test_states_of_canonical_pairs_have_one_as_central_coordinate():
-    x0 = [0, 0, 0.2, 0, 40.0, 0, 5.0, 0, 0, 0]
-    systems = S.satellite(), S.satellite().with_forces(co.forces.Torque(np.zeros(10)))
-    for system in systems:
-        for x in (x0, [x0, x0[:9] + [1.0]]):
-            with refused(ValueError, "z of satellite must be 1", "x0[..., 9] is 0"):
-                co.integrate(system, x, (0, 1), 0.1)
-    pair = S.gravitating_bodies()
+    """Wherever a state enters; one that is right within rounding is taken."""
+    satellite, right = S.satellite(), np.array([0, 0, 0.2, 0, 40.0, 0, 5.0, 0, 0, 1.0])
+    wrong, span, scheme = right - np.eye(10)[9], (0, 1), co.Splitting()
+    ready, forced = co.prepare(satellite, scheme, 0.1), satellite.with_forces(co.forces.Torque(np.zeros(10)))
+    pair, batch = S.gravitating_bodies(), co.batch([satellite, S.satellite(mass=2.0)])
+    entries = {
+        "integrate": lambda x: co.integrate(satellite, x, span, 0.1),
+        "with forces": lambda x: co.integrate(forced, x, span, 0.1),
+        "members": lambda x: co.integrate(satellite, [right, x], span, 0.1),
+        "a batch": lambda x: co.integrate(batch, [right, x], span, 0.1),
+        "an ensemble": lambda x: co.integrate_ensemble(satellite, [right, x], span, 0.1, scheme, archive=None),
+        "a run": lambda x: ready.run(x, span),
+        "its end": lambda x: (ready.end(right, span), ready.end(x, span)),
+        "jvp": lambda x: ready.jvp(x, span, {"x0": right}),
+        "a step": lambda x: co.stepper(satellite, scheme, 0.1)(x),
+        "a tangent": lambda x: co.stepper(satellite, scheme, 0.1).tangent(x),
+        "choose": lambda x: co.choose(satellite, x, span, 1e-3),
+        "certify": lambda x: co.certify(satellite, scheme, x, 0.1, steps=10),
+        "lyapunov": lambda x: co.lyapunov(satellite, x, span, 0.1),
+        "equilibrium": lambda x: co.equilibrium(satellite, x),
+    }
+    for name, entry in entries.items():
+        with refused(ValueError, "z of satellite must be 1", "x0[..., 9] is 0"):
+            entry(wrong)
+        if name != "equilibrium":
+            entry(right + 1e-15)
     state = pair.state([[-1, 0, 0], [3, 0, 0]])
     state[-1] = 2.0
     with refused(ValueError, "gravitating_bodies", "must be 1"):
-        co.integrate(pair, state, (0, 1), 0.1)
+        co.integrate(pair, state, span, 0.1)
 
 
 def test_certificates_see_the_rotation_beside_the_orbit():

@@ -148,7 +148,7 @@ def test_derivatives_of_runs_of_bodies():
     pair, x0 = pair_of_bodies()
     ready = co.prepare(pair, splitting(4), 0.05)
     rng = np.random.default_rng(3)
-    d, w = rng.standard_normal((2, 37))
+    d, w = rng.standard_normal((2, 37)) * (np.arange(37) < 36)  # not by the coordinate that must be 1
     _, tangents = ready.jvp(x0, (0, 1), {"x0": d[:, None]})
     moved = [ready.run(x0 + h * d, (0, 1)).x[-1] for h in (1e-5, -1e-5)]
     np.testing.assert_allclose(tangents.x[-1][:, 0], (moved[0] - moved[1]) / 2e-5, rtol=0, atol=1e-6)

@@ -18,6 +18,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import any_momenta_of, with_group
 from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system import System
 
@@ -209,7 +210,12 @@ class Subject:
             self._prepared[key] = PreparedRun(
                 self.system, self.method, abs(h), attitude=attitude, watch=watch, threads=1
             )
-        return self._prepared[key].run(x, (t, t + count * h), count if save_every is None else save_every)
+        prepared = self._prepared[key]
+        times, _ = prepared.times_of((t, t + count * h), count if save_every is None else save_every)
+        # States beside the given ones differ in every coordinate.
+        momenta, single = any_momenta_of(self.system, x)
+        start = with_group(self.system, momenta, single, prepared.representation, prepared.initial_attitude)
+        return prepared.follow(times, start)
 
 
 def directions(size: int, number: int = 0) -> Floats:

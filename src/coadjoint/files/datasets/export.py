@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
-ENDED_ATTRIBUTE = "ended_after"
+ENDED_ATTRIBUTE, TAKEN_ATTRIBUTE = "ended_after", "steps_taken"
 """Attribute with the number of steps after which an event ended the run."""
 
 
@@ -121,6 +121,8 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
         "seconds": solution.stats.seconds,
         "elapsed": solution.stats.elapsed,
     }
+    if solution.stats.steps != times.steps:
+        attributes[TAKEN_ATTRIBUTE] = solution.stats.steps
     if solution.incomplete and len(solution.t):
         attributes |= incomplete_attributes(solution.incomplete, float(solution.t[-1]))
     if solution.t_span != solution.asked_span:

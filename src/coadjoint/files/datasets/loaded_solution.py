@@ -16,7 +16,13 @@ from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.archive import HIDDEN_FOLDER
 from coadjoint.files.archives.archived_solution import open_archive
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
-from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, REQUIRED_ATTRIBUTES, events_of_dataset, stored_inputs
+from coadjoint.files.datasets.export import (
+    ENDED_ATTRIBUTE,
+    REQUIRED_ATTRIBUTES,
+    TAKEN_ATTRIBUTE,
+    events_of_dataset,
+    stored_inputs,
+)
 from coadjoint.files.datasets.named_axes import stacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.datasets.vorticity_variables import with_vorticity
@@ -86,14 +92,15 @@ class LoadedSolution(StoredSolution):
         if ENDED_ATTRIBUTE not in self.attributes:
             return None
         values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
-        attitude = None if self.attitude is None else self.attitude[-1]
+        attitude = None if self.carried is None else self.attitude[-1]
         steps = int(self.attributes[ENDED_ATTRIBUTE])
         return TerminalEvent(len(self.t), steps, float(self.t[-1]), self.x[-1], values, attitude)
 
     @cached_property
     def stats(self) -> Statistics:
         attributes = self.attributes
-        steps = int(attributes[ENDED_ATTRIBUTE if ENDED_ATTRIBUTE in attributes else "steps"])
+        named = (TAKEN_ATTRIBUTE, ENDED_ATTRIBUTE, "steps")
+        steps = int(next(attributes[name] for name in named if name in attributes))
         work = int(attributes["evaluations"]), int(attributes["iterations"])
         return Statistics(steps, *work, float(attributes["seconds"]), float(attributes.get("elapsed", np.nan)))
 

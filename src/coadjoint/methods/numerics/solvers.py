@@ -294,7 +294,8 @@ def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], 
     ends: list[NDArray[Any]] = []
     distance, correction = 0 * start, 0 * start
     for sample in range(SAMPLES + 1):
-        points = start + start * (((7 * component + 5 * sample) % 17 - 8) * (2 * unit if sample else 0 * unit))
+        roundings = ((7 * component + 5 * sample) % 17 - 8) * (1 if sample else 0)
+        points = start + start * (roundings * (2 * unit)) + roundings * spacing
         for passed in range(SAMPLE_LENGTH):
             before, points = points, step.points(slopes_at(points))
             if sample:

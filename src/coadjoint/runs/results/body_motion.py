@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text
+from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text, missing_attitude
 from coadjoint.systems.coordinates import CLASSICAL_BODIES
 from coadjoint.systems.protocol import is_batch, members_of, unforced
 
@@ -130,12 +130,15 @@ class BodyMotion(SolutionAttributes):
         if getattr(unforced(self.system), "has_attitude", False):
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
-            A = rotations_of(self.attitude if self.carried == "representation" else None)
-        if A is None:
-            raise TypeError(
-                f"the run of {self.system.name} has no attitude that is a rotation in three dimensions; integrate a "
-                "body or a top with attitude=True"
-            )
+            if self.carried is None:
+                raise TypeError(missing_attitude(self))
+            A = rotations_of(self.attitude) if self.carried == "representation" else None
+            if A is None:
+                carried = "coadjoint matrices" if self.carried == "coadjoint" else "group elements"
+                raise TypeError(
+                    f"the {carried} of {self.system.name} are no rotations in three dimensions; integrate a body or a "
+                    "top with attitude=True"
+                )
         members = member_count(self)  # type: ignore[arg-type]
         lost = ~np.isfinite(A.reshape(len(A), members, -1)).all(axis=(0, -1))
         if lost.any():
@@ -190,7 +193,7 @@ def _classical_motion(system: Any, name: str) -> Callable[[Any], NDArray[np.floa
 
 def rotations_of(attitude: Any) -> NDArray[np.float64] | None:
     """Return group elements (..., d, d), or their first block in SE(3), as rotation matrices (..., 3, 3), or None."""
-    if attitude is None or attitude.shape[-1] not in (3, 4) or np.iscomplexobj(attitude):
+    if attitude.shape[-1] not in (3, 4) or np.iscomplexobj(attitude):
         return None
     A = np.asarray(attitude)[..., :3, :3]
     ends = np.stack([A[0], A[-1]])

@@ -46,6 +46,8 @@ class MemorySolution(Solution):
     _elapsed: float
     _corrected_groups: GroupCorrection
     _initial_values: Floats | None = None
+    _taken: int | None = None
+    """Steps of a run that has not reached its end."""
     _ending = None
     events = None
     incomplete = None
@@ -117,10 +119,10 @@ class MemorySolution(Solution):
         return NamedValues()
 
     @cached_property
-    def attitude(self) -> Floats | None:
+    def attitude(self) -> Floats:
         start = self._start
         if start.representation is None:
-            return None
+            return super().attitude
         groups = self._corrected_groups(start, self._times, self._saved, self._saved_points)
         if self._ending is not None:
             groups[-1] = self._ending.attitude
@@ -144,8 +146,9 @@ class MemorySolution(Solution):
 
     @cached_property
     def stats(self) -> Statistics:
+        taken = self._times.steps if self._taken is None else self._taken
         return Statistics(
-            steps=int(self._times.steps if self._ending is None else self._ending.steps),
+            steps=int(taken if self._ending is None else self._ending.steps),
             evaluations=int(self._state["evaluations"].sum()),
             iterations=int(self._state["iterations"].sum()),
             seconds=self._seconds,

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
+from coadjoint.systems.protocol import unforced
 
 if TYPE_CHECKING:
     import xarray
@@ -33,9 +34,11 @@ class Statistics:
     Parameters
     ----------
     steps : int
-        Steps of each member.
+        Steps of each member; of a failed run those before the failure, and of an interrupted one those up to its last
+        saved point.
     evaluations : int
-        Elementary flows (splitting) or evaluations of the vector field, summed over members.
+        Elementary flows (splitting) or evaluations of the vector field, summed over members. An interrupted run has not
+        counted those since the last update of its progress, nor its iterations.
     iterations : int
         Iterations of implicit schemes, summed over members.
     seconds : float
@@ -160,9 +163,12 @@ class SolutionAttributes:
         raise NotImplementedError
 
     @cached_property
-    def attitude(self) -> Floats | None:
-        """Group elements (attitudes), (k, d, d) or (k, members, d, d); None if they were not computed."""
-        raise NotImplementedError
+    def attitude(self) -> Floats:
+        """Group elements (attitudes), (k, d, d) or (k, members, d, d), of runs with `attitude`; others raise.
+
+        ``carried`` is None for a run without group elements.
+        """
+        raise AttributeError(missing_attitude(self))
 
     @cached_property
     def attitude0(self) -> Floats | None:
@@ -230,6 +236,14 @@ class SolutionAttributes:
     status: NDArray[np.int64]
     blocks: Sequence[Any]
     progress_text: str
+
+
+def missing_attitude(solution: Any) -> str:
+    """Explain why a run has no group element, and where its attitude is found."""
+    what = f"the run of {solution.system.name} has no"
+    if getattr(unforced(solution.system), "has_attitude", False):
+        return f"{what} group element, since attitudes are part of its states; take sol.rotation"
+    return f"{what} attitude; give attitude=True to integrate"
 
 
 def member_count(solution: Solution) -> int:

@@ -66,7 +66,7 @@ Outcome<double> Corrected::correct(const Called<bool(double*)>& solve, const Cal
         bool solved = true, round_off = true;
         for (int64_t sample = 0; sample <= SAMPLES && solved; ++sample) {
             InterruptCheck::of_this_call().after(work);
-            each([&](int64_t i, int64_t c, int64_t k) { points(c, i) = fma(disturbance(sample, c), known[k], known[k]); });
+            each([&](int64_t i, int64_t c, int64_t k) { points(c, i) = disturbed(sample, c, known[k]); });
             points.repeat_last(s);
             if (!(solved = find_correction())) break;
             if (sample == 0) {

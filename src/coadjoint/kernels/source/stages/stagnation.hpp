@@ -33,9 +33,11 @@ constexpr int64_t LONG_ITERATION = int64_t(1) << 14;  // multiplications above w
 // eigenvalues the corrections oscillate while they shrink, the longer the more slowly they shrink.
 INLINE double stagnation_length(int64_t passed) { return double(passed < 12 ? 2 : passed / 4); }
 
-// The relative change of a component in a sample: up to eight roundings of either sign, and none in the first.
-INLINE double disturbance(int64_t sample, int64_t component) {
-    return sample == 0 ? 0.0 : double((7 * component + 5 * sample) % 17 - 8) * ROUNDING;
+// A component in a sample: up to eight roundings of either sign away, of subnormal numbers spacings; none in the first.
+template <class A>
+INLINE A disturbed(int64_t sample, int64_t component, const A& value) {
+    const double roundings = sample == 0 ? 0.0 : double((7 * component + 5 * sample) % 17 - 8);
+    return fma(A(roundings * ROUNDING), value, value) + A(roundings * SPACING_OF_SUBNORMALS);
 }
 
 // Stages that solve points = base + (error + sum_j mix_ij slopes_j), `size` components each, and scratch memory.
@@ -240,7 +242,7 @@ NOINLINE bool at_round_off(Unknowns<Layout>& y, const Evaluate& evaluate) {
     for (int64_t sample = 0; sample <= SAMPLES; ++sample) {
         InterruptCheck::of_this_call().after(SAMPLE_LENGTH * y.work);
         for (int64_t k = 0; k < count; ++k)
-            y.points.at[k] = fma(A(disturbance(sample, k % y.size)), start.at[k], start.at[k]);
+            y.points.at[k] = disturbed(sample, k % y.size, start.at[k]);
         for (int64_t passed = 0; passed < SAMPLE_LENGTH; ++passed) {
             evaluate();
             y.template update_points<true>(0, y.blocks, y.stages);
