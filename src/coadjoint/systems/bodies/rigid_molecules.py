@@ -172,11 +172,7 @@ def rigid_molecules(
     (True, True)
     """
     several = _depth(sites) > 2
-    kinds = (
-        _read_kinds(sites, charges, lj, masses, count)
-        if several
-        else [_read_kind(sites, charges, lj, masses, count, "")]
-    )
+    kinds = _read_kinds(several, sites, charges, lj, masses, count)
     counts = [kind.given[-1] for kind in kinds]
     total = sum(counts)
     if total > MAX_MOLECULES:
@@ -217,16 +213,19 @@ def _depth(values: Any) -> int:
     return depth
 
 
-def _read_kinds(sites: Any, charges: Any, lj: Any, masses: Any, count: Any) -> list[Kind]:
-    lists = {"sites": sites, "charges": charges, "lj": lj, "masses": masses, "count": count}
+def _read_kinds(several: bool, *arguments: Any) -> list[Kind]:
+    """Validate molecules of one kind, or lists with an entry for each of several."""
+    if not several:
+        return [_read_kind("", *arguments)]
+    lists = dict(zip(("sites", "charges", "lj", "masses", "count"), arguments, strict=True))
     read = {name: read_list(values, name, KIND) for name, values in lists.items()}
     for name, values in read.items():
         if len(values) != len(read["sites"]):
             raise ValueError(f"{name} has {len(values)} entries, and sites {len(read['sites'])} kinds; {KIND}")
-    return [_read_kind(*one, f"[{k}]") for k, one in enumerate(zip(*read.values(), strict=True))]
+    return [_read_kind(f"[{k}]", *values) for k, values in enumerate(zip(*read.values(), strict=True))]
 
 
-def _read_kind(sites: Any, charges: Any, lj: Any, masses: Any, count: Any, which: str) -> Kind:
+def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count: Any) -> Kind:
     """Validate one kind of molecule; `which` is its index in messages."""
     places = read_finite(sites, f"sites{which}")
     if places.ndim != 2 or places.shape[1] != 3 or not len(places):

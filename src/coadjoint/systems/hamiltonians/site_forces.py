@@ -78,7 +78,7 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
         value = 1.0 - x * x * x * (10.0 + x * (6.0 * x - 15.0))
         return value, -30.0 * left * left / width, -60.0 * left * (1.0 - 2.0 * x) / (width * width)
 
-    sites, separation, switch = map(callable_from_compiled, (in_space, apart, switched))
+    sites, separation, switch = (callable_from_compiled(f) for f in (in_space, apart, switched))
 
     def gathered(y: Any, s: Any, m: int, seen: Any, rows: Any) -> int:
         """Copy the sites of later molecules within the cutoff of one, and return their number."""
@@ -142,8 +142,8 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
             fz += g * (z - rows[Z + k])
         return fx, fy, fz
 
-    gather, set_pair, add_energies = map(callable_from_compiled, (gathered, paired, energies))
-    set_slopes, add_reactions, sum_actions = map(callable_from_compiled, (slopes, reactions, actions))
+    gather, set_pair, add_energies = (callable_from_compiled(f) for f in (gathered, paired, energies))
+    set_slopes, add_reactions, sum_actions = (callable_from_compiled(f) for f in (slopes, reactions, actions))
 
     def value(y: Any) -> Any:
         s, total, seen = sites(y), 0.0 * y[0], np.zeros(size, dtype=np.int64)
