@@ -65,7 +65,9 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
         dx, dy, dz = y[at] - y[other], y[at + 1] - y[other + 1], y[at + 2] - y[other + 2]
         if not periodic:
             return dx, dy, dz, 0.0, 0.0, 0.0
-        px, py, pz = box[0] * np.rint(dx / box[0]), box[1] * np.rint(dy / box[1]), box[2] * np.rint(dz / box[2])
+        # Not np.rint, which depends on the direction of rounding.
+        px, py = box[0] * np.floor(dx / box[0] + 0.5), box[1] * np.floor(dy / box[1] + 0.5)
+        pz = box[2] * np.floor(dz / box[2] + 0.5)
         return dx - px, dy - py, dz - pz, px, py, pz
 
     def switched(s: Any) -> Any:
