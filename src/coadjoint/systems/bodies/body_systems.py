@@ -442,11 +442,14 @@ class MoleculesSystem(BodiesSystem):
         >>> float(np.linalg.norm(H - O).round(4))
         0.0957
         """
-        owners = np.repeat(np.arange(len(self.inertias)), np.diff(self.tables.starts))
-        turned = np.einsum(
-            "...sij,sj->...si", self.attitudes(x)[..., owners, :, :], self.tables.places[self.tables.types]
-        )
-        return np.asarray(self.positions(x)[..., owners, :] + turned)
+        A, r, begin, first = self.attitudes(x), self.positions(x), 0, 0
+        found = []
+        for count, types in zip(self.tables.molecules.tolist(), self.tables.types.tolist(), strict=True):
+            own, places = slice(begin, begin + count), self.tables.places[first : first + types]
+            turned = np.einsum("...mij,sj->...msi", A[..., own, :, :], places)
+            found.append((r[..., own, None, :] + turned).reshape(*r.shape[:-2], -1, 3))
+            begin, first = begin + count, first + types
+        return np.concatenate(found, axis=-2)
 
 
 def _read_rotors(values: Any, what: str, count: int) -> Floats:

@@ -310,10 +310,6 @@ def _tables(
 ) -> SiteTables:
     """Return the tables of all molecules; pairs of types have constants by the rule of mixing."""
     q, (epsilon, sigma) = np.concatenate([kind.charges for kind in kinds]), np.concatenate([k.lj for k in kinds]).T
-    sizes = [len(kind.places) for kind in kinds]
-    first = np.concatenate([[0], np.cumsum(sizes)])
-    types = np.concatenate([np.tile(np.arange(first[k], first[k + 1]), counts[k]) for k in range(len(kinds))])
-    starts = np.concatenate([[0], np.cumsum(np.repeat(sizes, counts))])
     near, cutoff, permittivity = ends
     with np.errstate(all="ignore"):
         square = sigma[:, None] * sigma if mixing == "geometric" else (0.5 * (sigma[:, None] + sigma)) ** 2
@@ -326,4 +322,5 @@ def _tables(
         if not np.isfinite(array).all():
             raise ValueError(f"{name} are so large that products of them leave the range of float64; change units")
     places = np.concatenate([kind.places for kind in kinds])
-    return SiteTables(starts, types, places, qq, a, b, box, near, cutoff, field, shift)
+    types = np.array([len(kind.places) for kind in kinds])
+    return SiteTables(np.array(counts), types, places, qq, a, b, box, near, cutoff, field, shift)

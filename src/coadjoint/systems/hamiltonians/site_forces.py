@@ -14,16 +14,16 @@ Floats = npt.NDArray[np.float64]
 
 
 class SiteTables(NamedTuple):
-    """Molecules in order as tables; sites of equal type have the same place in a molecule and the same constants.
+    """Kinds of molecules as tables: those of a kind follow each other, and so do the types of its sites.
 
-    `starts` are the first sites of molecules, (molecules + 1,), `types` those of sites, and `places`, (types, 3),
-    are from the centre of mass in the frame of the molecule. A pair of types at distance s has the energy ``qq (1/s +
-    field s^2 - shift) + a/s^12 - b/s^6``, each constant (types, types). With a cutoff, the energy of two molecules is
-    multiplied by a switch, which falls from 1 to 0 between two distances of their centres, `near` and `cutoff`, 0
-    without one; `box` has the periods, (3,), zero without any.
+    `molecules` and `types` are the numbers of each kind, and `places`, (all types, 3), from the centre of mass in the
+    frame of the molecule. A pair of types at distance s has the energy ``qq (1/s + field s^2 - shift) + a/s^12 -
+    b/s^6``, each constant (all types, all types). With a cutoff, the energy of two molecules is multiplied by a switch,
+    which falls from 1 to 0 between two distances of their centres, `near` and `cutoff`, 0 without one; `box` has the
+    periods, (3,), zero without any.
     """
 
-    starts: npt.NDArray[np.int64]
+    molecules: npt.NDArray[np.int64]
     types: npt.NDArray[np.int64]
     places: Floats
     qq: Floats
@@ -36,27 +36,39 @@ class SiteTables(NamedTuple):
     shift: float = 0.0
 
 
+FEW = 8
+"""Number of terms that are added one by one."""
+
+
 def site_forces(tables: SiteTables) -> Hamiltonian:
     """Return the energy of all pairs of molecules, of the entries of attitudes, (k, 3, 3), then of positions, (k, 3).
 
-    The sites of later molecules within the cutoff are copied to the rows of one array, at constant distances, so that
-    loops over them are compiled to vector instructions, which round as scalar ones. Every sum has a fixed order.
+    Neighbours of a molecule are copied to rows of one array, at constant distances, so that loops over them are
+    compiled to vector instructions, which round as scalar ones. Every sum has a fixed order.
     """
-    starts, types, places, qq, repulsion, attraction, box, near, cutoff, field, shift = tables
-    count, size, periodic = len(starts) - 1, len(types), bool(box.any())
-    owners, first_r = np.repeat(np.arange(count), np.diff(starts)), 9 * count
-    # Of neighbours: place, constants of the pair, energy, slope, force, switch and its slope, difference of centres.
-    X, Y, Z, QQ, A, B, E, G, FX, FY, FZ, W, D, CX, CY, CZ = (size * row for row in range(16))
+    molecules, types, places, qq, repulsion, attraction, box, near, cutoff, field, shift = tables
+    kinds, count, periodic = len(molecules), int(molecules.sum()), bool(box.any())
+    begins, first_type = (np.concatenate([[0], np.cumsum(array)]) for array in (molecules, types))
+    kind_of, first_r = np.repeat(np.arange(kinds), molecules), 9 * count
+    # Sites are stored by type, for all molecules of its kind.
+    first_site = np.concatenate([[0], np.cumsum(np.repeat(molecules, types))])
+    size = int(first_site[-1])
+    longest = int(molecules.max())
+    # Of the neighbours of a kind: sites of a type, forces on them, those of one site; difference of centres, periods;
+    # switch and its slope, and energy.
+    X, Y, Z, FX, FY, FZ, GX, GY, GZ, CX, CY, CZ, PX, PY, PZ, W, D, E = (longest * row for row in range(18))
 
     def in_space(y: Any) -> Any:
         s = np.zeros(3 * size) + 0.0 * y[0]
-        for site in range(size):
-            m, one = owners[site], types[site]
-            for i in range(3):
-                turned = 0.0 * y[0]
-                for k in range(3):
-                    turned += y[9 * m + 3 * i + k] * places[one, k]
-                s[size * i + site] = y[first_r + 3 * m + i] + turned
+        for kind in range(kinds):
+            for one in range(first_type[kind], first_type[kind + 1]):
+                for m in range(begins[kind], begins[kind + 1]):
+                    site = first_site[one] + m - begins[kind]
+                    for i in range(3):
+                        turned = 0.0 * y[0]
+                        for k in range(3):
+                            turned += y[9 * m + 3 * i + k] * places[one, k]
+                        s[size * i + site] = y[first_r + 3 * m + i] + turned
         return s
 
     def apart(y: Any, m: int, j: int) -> Any:
@@ -82,112 +94,137 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
 
     sites, separation, switch = (callable_from_compiled(f) for f in (in_space, apart, switched))
 
-    def gathered(y: Any, s: Any, m: int, seen: Any, rows: Any) -> int:
-        """Copy the sites of later molecules within the cutoff of one, and return their number."""
+    def gathered(y: Any, m: int, kind: int, seen: Any, rows: Any) -> int:
+        """Find the later molecules of a kind within the cutoff of one, and return their number."""
         n = 0
-        for j in range(m + 1, count):
-            dx, dy, dz, px, py, pz = separation(y, m, j)
-            value, slope = 1.0, 0.0
+        for j in range(max(m + 1, begins[kind]), begins[kind + 1]):
             if cutoff > 0.0:
+                dx, dy, dz, px, py, pz = separation(y, m, j)
                 square = dx * dx + dy * dy + dz * dz
                 if square >= cutoff * cutoff:
                     continue
                 distance = np.sqrt(square)
-                value, first, _ = switch(distance)
-                slope = first / distance
-            for site in range(starts[j], starts[j + 1]):
-                rows[X + n], rows[Y + n], rows[Z + n] = s[site] + px, s[size + site] + py, s[2 * size + site] + pz
+                value, slope, _ = switch(distance)
+                rows[W + n], rows[D + n], rows[E + n] = value, slope / distance, 0.0
                 rows[CX + n], rows[CY + n], rows[CZ + n] = dx, dy, dz
-                rows[W + n], rows[D + n], rows[E + n] = value, slope, 0.0
-                rows[FX + n], rows[FY + n], rows[FZ + n] = 0.0, 0.0, 0.0
-                seen[n] = site
-                n += 1
+                rows[PX + n], rows[PY + n], rows[PZ + n] = px, py, pz
+            seen[n] = j - begins[kind]
+            n += 1
         return n
 
-    def paired(site: int, seen: Any, rows: Any, n: int) -> None:
-        one = types[site]
+    def copied(s: Any, one: int, seen: Any, rows: Any, n: int) -> None:
+        """Set the sites of a type in the neighbours, and no force on them."""
         for k in range(n):
-            other = types[seen[k]]
-            rows[QQ + k], rows[A + k], rows[B + k] = qq[one, other], repulsion[one, other], attraction[one, other]
+            site = first_site[one] + seen[k]
+            rows[X + k], rows[Y + k], rows[Z + k] = s[site], s[size + site], s[2 * size + site]
+        for k in range(n if periodic else 0):
+            rows[X + k] += rows[PX + k]
+            rows[Y + k] += rows[PY + k]
+            rows[Z + k] += rows[PZ + k]
+        for k in range(n):
+            rows[FX + k], rows[FY + k], rows[FZ + k] = 0.0, 0.0, 0.0
 
-    def energies(rows: Any, n: int, x: Any, y: Any, z: Any) -> None:
+    def energies(rows: Any, n: int, x: Any, y: Any, z: Any, q: Any, a: Any, b: Any) -> None:
         for k in range(n):
             dx, dy, dz = x - rows[X + k], y - rows[Y + k], z - rows[Z + k]
             square = dx * dx + dy * dy + dz * dz
             u = 1.0 / square
             sixth = u * u * u
-            coulomb = rows[QQ + k] * (np.sqrt(u) + field * square - shift)
-            rows[E + k] += coulomb + (rows[A + k] * sixth - rows[B + k]) * sixth
+            rows[E + k] += q * (np.sqrt(u) + field * square - shift) + (a * sixth - b) * sixth
 
-    def slopes(rows: Any, n: int, x: Any, y: Any, z: Any) -> None:
-        """Set the derivatives of energies by the distance over the distance."""
+    def slopes(rows: Any, n: int, x: Any, y: Any, z: Any, q: Any, a: Any, b: Any) -> None:
+        """Set the derivatives of the energies by a site, and add those by the neighbours."""
         for k in range(n):
             dx, dy, dz = x - rows[X + k], y - rows[Y + k], z - rows[Z + k]
             u = 1.0 / (dx * dx + dy * dy + dz * dz)
-            sixth = u * u * u
-            bare = rows[QQ + k] * np.sqrt(u) + (12.0 * rows[A + k] * sixth - 6.0 * rows[B + k]) * sixth
-            rows[G + k] = rows[W + k] * (2.0 * field * rows[QQ + k] - bare * u)
+            bare = q * np.sqrt(u)
+            if b > 0.0:
+                sixth = u * u * u
+                bare += (12.0 * a * sixth - 6.0 * b) * sixth
+            g = 2.0 * field * q - bare * u if cutoff > 0.0 else -bare * u
+            if cutoff > 0.0:
+                g *= rows[W + k]
+            gx, gy, gz = g * dx, g * dy, g * dz
+            rows[GX + k], rows[GY + k], rows[GZ + k] = gx, gy, gz
+            rows[FX + k] -= gx
+            rows[FY + k] -= gy
+            rows[FZ + k] -= gz
 
-    def reactions(rows: Any, n: int, x: Any, y: Any, z: Any) -> None:
+    def added_up(rows: Any, n: int) -> Any:
+        """Return the sums of the derivatives by a site, whose halves are added to each other again and again."""
+        while n > FEW:
+            half = (n + 1) // 2
+            for k in range(n - half):
+                rows[GX + k] += rows[GX + half + k]
+                rows[GY + k] += rows[GY + half + k]
+                rows[GZ + k] += rows[GZ + half + k]
+            n = half
+        fx, fy, fz = 0.0 * rows[0], 0.0 * rows[0], 0.0 * rows[0]
         for k in range(n):
-            g = rows[G + k]
-            rows[FX + k] -= g * (x - rows[X + k])
-            rows[FY + k] -= g * (y - rows[Y + k])
-            rows[FZ + k] -= g * (z - rows[Z + k])
-
-    def actions(rows: Any, n: int, x: Any, y: Any, z: Any) -> Any:
-        fx, fy, fz = 0.0 * x, 0.0 * x, 0.0 * x
-        for k in range(n):
-            g = rows[G + k]
-            fx += g * (x - rows[X + k])
-            fy += g * (y - rows[Y + k])
-            fz += g * (z - rows[Z + k])
+            fx += rows[GX + k]
+            fy += rows[GY + k]
+            fz += rows[GZ + k]
         return fx, fy, fz
 
-    gather, set_pair, add_energies = (callable_from_compiled(f) for f in (gathered, paired, energies))
-    set_slopes, add_reactions, sum_actions = (callable_from_compiled(f) for f in (slopes, reactions, actions))
+    gather, copy, add_energies = (callable_from_compiled(f) for f in (gathered, copied, energies))
+    set_slopes, add_up = (callable_from_compiled(f) for f in (slopes, added_up))
 
     def value(y: Any) -> Any:
-        s, total, seen = sites(y), 0.0 * y[0], np.zeros(size, dtype=np.int64)
-        rows = np.zeros(16 * size) + total
+        s, total, seen = sites(y), 0.0 * y[0], np.zeros(longest, dtype=np.int64)
+        rows = np.zeros(18 * longest) + total
         for m in range(count - 1):
-            n = gather(y, s, m, seen, rows)
-            for site in range(starts[m], starts[m + 1]):
-                set_pair(site, seen, rows, n)
-                add_energies(rows, n, s[site], s[size + site], s[2 * size + site])
-            for k in range(n):
-                total += rows[W + k] * rows[E + k]
+            own = kind_of[m]
+            for kind in range(own, kinds):
+                n = gather(y, m, kind, seen, rows)
+                for k in range(n):
+                    rows[E + k] = 0.0
+                for other in range(first_type[kind], first_type[kind + 1]):
+                    copy(s, other, seen, rows, n)
+                    for one in range(first_type[own], first_type[own + 1]):
+                        at = first_site[one] + m - begins[own]
+                        x, v, z = s[at], s[size + at], s[2 * size + at]
+                        q, a, b = qq[one, other], repulsion[one, other], attraction[one, other]
+                        add_energies(rows, n, x, v, z, q, a, b)
+                for k in range(n):
+                    total += rows[W + k] * rows[E + k] if cutoff > 0.0 else rows[E + k]
         return total
 
     def gradient(y: Any) -> Any:
-        s, result, seen = sites(y), 0.0 * y, np.zeros(size, dtype=np.int64)
-        f, rows = 0.0 * s, np.zeros(16 * size) + result[0]
+        s, result, seen = sites(y), 0.0 * y, np.zeros(longest, dtype=np.int64)
+        f, rows = 0.0 * s, np.zeros(18 * longest) + result[0]
         for m in range(count - 1):
-            n = gather(y, s, m, seen, rows)
-            for site in range(starts[m], starts[m + 1]):
-                x, v, z = s[site], s[size + site], s[2 * size + site]
-                set_pair(site, seen, rows, n)
-                set_slopes(rows, n, x, v, z)
-                add_reactions(rows, n, x, v, z)
-                fx, fy, fz = sum_actions(rows, n, x, v, z)
-                f[site] += fx
-                f[size + site] += fy
-                f[2 * size + site] += fz
-                if near < cutoff:
-                    add_energies(rows, n, x, v, z)
-            for k in range(n):
-                site = seen[k]
-                pull = rows[E + k] * rows[D + k]  # the slope of the switch acts on the centres
-                for i in range(3):
-                    f[size * i + site] += rows[FX + size * i + k]
-                    result[first_r + 3 * m + i] += pull * rows[CX + size * i + k]
-                    result[first_r + 3 * owners[site] + i] -= pull * rows[CX + size * i + k]
-        for site in range(size):
-            m = owners[site]
-            for i in range(3):
-                result[first_r + 3 * m + i] += f[size * i + site]
-                for k in range(3):
-                    result[9 * m + 3 * i + k] += f[size * i + site] * places[types[site], k]
+            own = kind_of[m]
+            for kind in range(own, kinds):
+                n = gather(y, m, kind, seen, rows)
+                for other in range(first_type[kind], first_type[kind + 1]):
+                    copy(s, other, seen, rows, n)
+                    for one in range(first_type[own], first_type[own + 1]):
+                        at = first_site[one] + m - begins[own]
+                        x, v, z = s[at], s[size + at], s[2 * size + at]
+                        q, a, b = qq[one, other], repulsion[one, other], attraction[one, other]
+                        set_slopes(rows, n, x, v, z, q, a, b)
+                        fx, fy, fz = add_up(rows, n)
+                        f[at] += fx
+                        f[size + at] += fy
+                        f[2 * size + at] += fz
+                        if cutoff > 0.0:
+                            add_energies(rows, n, x, v, z, q, a, b)
+                    for i in range(3):
+                        for k in range(n):
+                            f[size * i + first_site[other] + seen[k]] += rows[FX + longest * i + k]
+                for k in range(n if cutoff > 0.0 else 0):  # the slope of the switch acts on the centres
+                    pull, j = rows[E + k] * rows[D + k], begins[kind] + seen[k]
+                    for i in range(3):
+                        result[first_r + 3 * m + i] += pull * rows[CX + longest * i + k]
+                        result[first_r + 3 * j + i] -= pull * rows[CX + longest * i + k]
+        for kind in range(kinds):
+            for one in range(first_type[kind], first_type[kind + 1]):
+                for m in range(begins[kind], begins[kind + 1]):
+                    for i in range(3):
+                        force = f[size * i + first_site[one] + m - begins[kind]]
+                        result[first_r + 3 * m + i] += force
+                        for k in range(3):
+                            result[9 * m + 3 * i + k] += force * places[one, k]
         return result
 
     def added(slope: Any, second: Any, d: Any, lever: Any, g: Any, h: Any, factor: Any) -> None:
@@ -219,12 +256,13 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                     continue
                 energy = 0.0 * distance
                 slope, second = np.zeros(24) + energy, np.zeros((24, 24)) + energy
-                for site in range(starts[m], starts[m + 1]):
-                    for near_site in range(starts[j], starts[j + 1]):
-                        one, other = types[site], types[near_site]
-                        d[0] = s[site] - (s[near_site] + px)
-                        d[1] = s[size + site] - (s[size + near_site] + py)
-                        d[2] = s[2 * size + site] - (s[2 * size + near_site] + pz)
+                for one in range(first_type[kind_of[m]], first_type[kind_of[m] + 1]):
+                    for other in range(first_type[kind_of[j]], first_type[kind_of[j] + 1]):
+                        at = first_site[one] + m - begins[kind_of[m]]
+                        there = first_site[other] + j - begins[kind_of[j]]
+                        d[0] = s[at] - (s[there] + px)
+                        d[1] = s[size + at] - (s[size + there] + py)
+                        d[2] = s[2 * size + at] - (s[2 * size + there] + pz)
                         for k in range(3):
                             lever[0, k], lever[1, k] = places[one, k], -places[other, k]
                         q, a, b = qq[one, other], repulsion[one, other], attraction[one, other]
