@@ -69,7 +69,7 @@ def _distance(x: Any) -> Any:
     gallery_entry=GalleryEntry(
         x0=_dimer,
         t_span=(0.0, 2.0),
-        step=0.001,
+        step=0.0005,
         caption="Two molecules of water with a hydrogen bond: the directions of their dipoles in space, which librate, "
         "and the distance of their centres of mass.",
         pictures=(
