@@ -78,6 +78,7 @@ def _distance(x: Any) -> Any:
                 vectors={"first molecule": (5, 8, 11), "second molecule": (17, 20, 23)},
                 title="directions of the dipoles in space",
             ),
+            Picture("bodies"),
         ),
         components=Picture("components", functions={"distance": _distance}, quantity="distance of the centres [nm]"),
         quantity="state",
