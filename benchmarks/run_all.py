@@ -19,6 +19,7 @@ SECTIONS = {
     "one_trajectory": "One trajectory",
     "large_trajectories": "Large systems",
     "spins": "Spins",
+    "molecules": "Rigid molecules",
     "first_run_of_a_lattice": "First runs of lattices",
     "fluids": "Fluids",
     "ensembles": "Ensembles",

@@ -43,6 +43,16 @@ fluid = co.systems.torus_euler(N=33)
 potential = fluid.from_modes({(0, 1): 0.5, (2, 0): 0.25})
 vorticity = fluid.from_modes({(1, 0): 0.5, (0, 1): 0.5})
 x0 = np.stack([potential, vorticity])""",
+    "rigid_molecules": """\
+a, b = np.array([0.0756950, 0.0585882]) / np.hypot(0.0756950, 0.0585882)
+c, s = np.cos(1.0), np.sin(1.0)
+donor = [[a, 0, b], [0, 1, 0], [-b, 0, a]]  # a bond of the first molecule points to the second one
+acceptor = [[0, -c, s], [1, 0, 0], [0, s, c]]
+x0 = system.state(
+    positions=[[-0.14, 0, 0], [0.14, 0, 0]],
+    attitudes=[donor, acceptor],
+    angular_velocities=[[2, 1, 0], [0, -1, 2]],
+)""",
     "separable_cosh": SPHERE.format(count=16, factor="3 * "),
     "sphere_euler": "x0 = system.zonal_jet(band=(0.2, 1.2), perturbation=0.1)",
     "spin_lattice": """\

@@ -15,6 +15,7 @@ from domains.kinds import (
     flag,
     not_negative,
     one_of,
+    optional,
     positive,
     real,
     structured,
@@ -169,6 +170,21 @@ OWN = {
         ),
     },
     "maxwell_bloch": {"coupling": positive()},
+    "rigid_molecules": {
+        "sites": vector([[0.0, 0.0, 0.0], [0.08, 0.0, 0.06], [-0.08, 0.0, 0.06]], real()),
+        "charges": vector((-0.8, 0.4, 0.4), real(), (0, 0, 0)),
+        "lj": vector([[0.6, 0.3], [0.0, 0.0], [0.0, 0.0]], not_negative()),
+        "masses": vector((16.0, 1.0, 1.0), not_negative(), (1, 1, 2)).plus(outside=((0, 0, 0), (0, 16, 0))),
+        "count": whole(1, 10**5, usual=2, tried=3),
+        "box": optional(vector((1.5, 2.0, 1.0), positive(least=1e-30, most=1e30), 1.25, number=True)).first(
+            None, 1.25, (1.5, 2.0, 1.0)
+        ).plus(outside=(0.9,)),
+        "cutoff": optional(positive(0.5, 1e-30, 1e30)),
+        "switch_from": optional(positive(0.4, 1e-30)).first(None, 0.4, 1e-30).plus(outside=(0.5, 0.75)),
+        "dielectric": positive(1.0, 1.0).plus(80.0),
+        "mixing": choice("lorentz-berthelot", "geometric"),
+        "coulomb": positive(138.9, 1e-30, 1e30),
+    },
     "satellite": {
         "inertia": INERTIA.plus((0.001,) * 3),
         "mass": positive(100.0),

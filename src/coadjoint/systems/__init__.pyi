@@ -16,6 +16,7 @@ from coadjoint.systems.bodies.lagrange_top import lagrange_top as lagrange_top
 from coadjoint.systems.bodies.manakov_top import manakov_top as manakov_top
 from coadjoint.systems.bodies.matrix_body import matrix_body as matrix_body
 from coadjoint.systems.bodies.rigid_body import rigid_body as rigid_body
+from coadjoint.systems.bodies.rigid_molecules import rigid_molecules as rigid_molecules
 from coadjoint.systems.bodies.satellite import satellite as satellite
 from coadjoint.systems.bodies.satellite_on_orbit import satellite_on_orbit as satellite_on_orbit
 from coadjoint.systems.bodies.so_n_body import so_n_body as so_n_body
@@ -83,6 +84,7 @@ __all__ = [
     "reduced_mhd",
     "riccati",
     "rigid_body",
+    "rigid_molecules",
     "satellite",
     "satellite_on_orbit",
     "separable_cosh",

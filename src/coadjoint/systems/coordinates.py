@@ -18,21 +18,6 @@ from coadjoint.systems.registry import gallery_entry_of
 
 Function = TypeVar("Function")
 
-CLASSICAL_BODIES = frozenset(
-    (
-        "clebsch_body",
-        "goryachev_chaplygin_top",
-        "gyrostat",
-        "heavy_top",
-        "kirchhoff_body",
-        "kovalevskaya_top",
-        "lagrange_top",
-        "rigid_body",
-        "satellite",
-    )
-)
-"""Systems whose first three coordinates are an angular momentum in the frame of the body, with sign -1."""
-
 
 def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
     """Return `count` (default: `dim`) coordinate names as plain text: those that the system or its algebra declares,

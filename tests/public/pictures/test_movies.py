@@ -192,6 +192,7 @@ MOVING = {
     "field": {"values": lambda body, x: x[0] * np.add.outer(np.arange(5.0), np.arange(6.0)), "width": lambda body: 1.0},
     "sphere field": {"values": lambda body, x: x[0] * np.broadcast_to(np.linspace(-1, 1, 7)[:, None], (7, 8))},
     "spins": {},
+    "bodies": {},
     "body": {},
     "components": {},
     "phase portrait": {},
@@ -207,6 +208,10 @@ def moving(name):
         return co.integrate(s, s.random(2, degrees=(1, 3)), (3.0, -1.0), 0.1, co.IsospectralGauss())
     if name == "spins":
         return co.integrate(co.systems.spin_lattice("chain", 4), np.cos(np.arange(12.0)), (3.0, -1.0), 0.05)
+    if name == "bodies":
+        pair = co.systems.bodies()
+        x0 = pair.state([[0, 0, 0], [3, 1, 0]], [[1, 0, 0], [0, 0, -1]], angular_velocities=[[1, 1, 1], [1, 0, 0]])
+        return co.integrate(pair, x0, (3.0, -1.0), 0.05)
     if name == "path in space":
         return co.integrate(co.systems.kirchhoff_body(), 0.5 + 0.1 * np.arange(6.0), (3.0, -1.0), 0.05, attitude=True)
     return co.integrate(BODY, (0.3, 1.0, 0.2), (3.0, -1.0), 0.05, attitude=True)

@@ -286,3 +286,34 @@ def test_inclinations_of_other_systems_are_to_the_third_axis():
     (axes,) = sol.plot(["nutation"]).axes
     assert axes.get_ylabel() == "inclination to the third axis of space [degrees]"
     np.testing.assert_allclose(axes.lines[0].get_ydata()[0], 0.0, atol=1e-6)
+
+
+def drawn_polygons(run: Any, **options: Any) -> list[np.ndarray]:
+    """The corners of each polygon from above, in the first two axes of space, the near ones last."""
+    (shapes,) = shown(run, Picture("bodies", view=(-90.0, 90.0), **options)).collections
+    return [path.vertices[:-1] for path in shapes.get_paths()]
+
+
+def test_molecules_are_discs_in_the_box():
+    """Of the diameters of their sites, near ones in front; sites without one are smaller."""
+    water = co.systems.rigid_molecules(box=1.5, cutoff=0.5)
+    run = made(np.stack([water.state([[0.7, 1.6, 0.2], [-1.3, 0.4, 0.9]])] * 2), water)
+    sites = water.sites(run.x[0]) - np.repeat([[0.0, 1.5, 0.0], [-1.5, 0.0, 0.0]], 3, axis=0)
+    order = np.argsort(sites[:, 2], kind="stable")
+    discs = drawn_polygons(run)
+    np.testing.assert_allclose([disc.mean(axis=0) for disc in discs], sites[order, :2], atol=1e-12)
+    radii = [np.linalg.norm(disc - disc.mean(axis=0), axis=1).max() for disc in discs]
+    np.testing.assert_allclose(radii, 0.315061 * np.where(order % 3 == 0, 0.3, 0.18), rtol=1e-12)
+
+
+def test_bodies_are_boxes_of_their_moments():
+    """Half sides 1, 2 and 3; a rod is a thin one, and a point is small."""
+    a, m = np.array([1.0, 2.0, 3.0]), 1.5
+    several = co.systems.bodies([m / 3 * (a @ a - a**2), (2.0, 2.0, 0.0), (0, 0, 0)], [m, 1.0, 1.0])
+    run = made(np.stack([several.state([[5.0, 0, 0], [0, 9.0, 3.0], [0, 0, 4.0]])] * 2), several)
+    box, rod, point = (faces for faces in np.split(np.array(drawn_polygons(run)), 3))
+    assert np.abs(box - [5.0, 0.0]).max(axis=(0, 1)) == pytest.approx([1.0, 2.0])
+    assert np.abs(rod - [0.0, 9.0]).max(axis=(0, 1)) == pytest.approx([0.1 * 6**0.5] * 2)
+    assert 0.0 < np.abs(point).max() < 0.1
+    with refused(co.plotting.CannotShow, "rigid_body", "positions"):
+        shown(co.integrate(co.systems.rigid_body(), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1), "bodies")

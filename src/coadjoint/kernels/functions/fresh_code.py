@@ -77,7 +77,7 @@ def _with_fresh_dispatchers(value: Any, fresh: dict[int, tuple[Any, Any]], compi
     if isinstance(value, tuple) and type(value) is tuple:
         return tuple(_with_fresh_dispatchers(entry, fresh, compiles) for entry in value)
     if isinstance(value, types.FunctionType) and compiles:
-        return _with_fresh_dispatchers(numba.njit(value), fresh, compiles)
+        return _with_fresh_dispatchers(numba.njit(value, error_model="numpy"), fresh, compiles)
     if not isinstance(value, numba.core.dispatcher.Dispatcher):
         return value
     contents = contents_of(value)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text, missing_attitude
-from coadjoint.systems.coordinates import CLASSICAL_BODIES
 from coadjoint.systems.protocol import is_batch, members_of, unforced
+from coadjoint.systems.registry import begins_with_momentum
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -175,7 +175,7 @@ def _classical_motion(system: Any, name: str) -> Callable[[Any], NDArray[np.floa
     >>> velocity([1.0, 1.0, 1.0])
     array([ 1. ,  0.5, -0.4])
     """
-    if system.name not in CLASSICAL_BODIES:
+    if not begins_with_momentum(system.name):
         return None
 
     def momentum(x: Any) -> NDArray[np.float64]:

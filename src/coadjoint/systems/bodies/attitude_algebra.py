@@ -101,8 +101,8 @@ def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadra
     return found
 
 
-def momentum_in_space(count: int, dim: int, alone: bool = False) -> KnownInvariants:
-    """Return the components in space of the total momentum, and of the total angular momentum, the sum of A L + r x p.
+def momentum_in_space(count: int, dim: int, alone: bool = False, turning: bool = True) -> KnownInvariants:
+    """Return the components in space of the total momentum, and if `turning` the angular momentum, sum of A L + r x p.
 
     They are integrals at the states of bodies, where z = 1 and the axes are orthonormal, and not at others.
     """
@@ -112,7 +112,7 @@ def momentum_in_space(count: int, dim: int, alone: bool = False) -> KnownInvaria
         linear = np.zeros(dim)
         linear[PER_BODY * count + axis : (PER_BODY + 3) * count : 3] = 1.0
         found[f"total p{axis + 1}"] = partial(_quadratic, dim, [], linear)
-    for axis in range(3):
+    for axis in range(3) if turning else ():
         pairs = [(PER_BODY * body + i, _axis(body, axis, i), 1.0) for body in range(count) for i in range(3)]
         second, third = (axis + 1) % 3, (axis + 2) % 3
         for body in range(count) if positions else ():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -29,7 +29,7 @@ from coadjoint.systems.user_functions import evaluate, sample_points
 from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
-
+Made = TypeVar("Made", bound=BodiesSystem)
 
 ROD_TORQUE = 2.0**-30
 """Largest torque along a rod, relative to the derivatives of the potential, that is taken for their rounding."""
@@ -153,7 +153,8 @@ def bodies(
     parameters = None
     if V is None:
         parameters = {**inertial_parameters(found, m), "potential": None, "gradient": None, "hessian": None}
-    return system_of_bodies("bodies", found, m, V, parameters, conserving=V is None)
+    integrals = momentum_in_space(len(found), 18 * len(found) + 1) if V is None else {}
+    return system_of_bodies("bodies", found, m, V, parameters, integrals)
 
 
 def system_of_bodies(
@@ -162,13 +163,10 @@ def system_of_bodies(
     masses: Floats,
     potential: Hamiltonian | None,
     parameters: Mapping[str, Any] | None,
-    *,
-    conserving: bool,
-) -> BodiesSystem:
-    """Return the system of bodies with a potential of the entries of all attitudes, then of all positions.
-
-    `conserving`: whether the total momentum and angular momentum in space are integrals.
-    """
+    integrals: Mapping[str, Any],
+    kind: type[Made] = BodiesSystem,  # type: ignore[assignment]
+) -> Made:
+    """Return the system of bodies with a potential of the entries of all attitudes, then of all positions."""
     count = len(inertias)
     algebra = bodies_algebra(count)
     body = np.arange(PER_BODY * count).reshape(count, PER_BODY)
@@ -179,7 +177,7 @@ def system_of_bodies(
         axes = body[:, 3:].ravel()
         pieces.append(((*axes.tolist(), *r.tolist()), potential))
     H = kinetic + SplitHamiltonian(pieces) if pieces else kinetic
-    return BodiesSystem(
+    return kind(
         inertias,
         masses,
         algebra,
@@ -188,7 +186,7 @@ def system_of_bodies(
         casimirs={"z": central_coordinate(algebra.dim), **axis_products(count, algebra.dim)},
         name=name,
         parameters=parameters,
-        integrals=momentum_in_space(count, algebra.dim) if conserving else {},
+        integrals=integrals,
     )
 
 

@@ -18,6 +18,7 @@ from coadjoint.systems.bodies.body_states import (
     read_vectors,
 )
 from coadjoint.systems.bodies.rotors import NO_ROTORS, Rotors, without_wheels
+from coadjoint.systems.hamiltonians.site_forces import SiteTables
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
 from coadjoint.validation import read_choice, read_numbers
@@ -414,6 +415,41 @@ class BodiesSystem(_Bodies):
         L, A, r, p = _over_members((L[..., None, :], 3), (A, 3), (r, 2), (v * self.masses[:, None], 2))
         parts = np.concatenate([L, A], axis=-2).reshape(*r.shape[:-2], -1), _joined(p), _joined(r)
         return np.concatenate([*parts, np.ones((*r.shape[:-2], 1))], axis=-1)
+
+
+class MoleculesSystem(BodiesSystem):
+    """Rigid molecules with forces between their sites; `rigid_molecules` makes it."""
+
+    tables: SiteTables
+
+    def sites(self, x: npt.ArrayLike) -> Floats:
+        """Return the positions of the sites of all molecules in space, molecule by molecule.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., sites, 3)
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> water = co.systems.rigid_molecules(count=2)
+        >>> O, H, _ = water.sites(water.state([[0, 0, 0], [0.3, 0, 0]]))[3:]
+        >>> float(np.linalg.norm(H - O).round(4))
+        0.0957
+        """
+        A, r, begin, first = self.attitudes(x), self.positions(x), 0, 0
+        found = []
+        for count, types in zip(self.tables.molecules.tolist(), self.tables.types.tolist(), strict=True):
+            own, places = slice(begin, begin + count), self.tables.places[first : first + types]
+            turned = np.einsum("...mij,sj->...msi", A[..., own, :, :], places)
+            found.append((r[..., own, None, :] + turned).reshape(*r.shape[:-2], -1, 3))
+            begin, first = begin + count, first + types
+        return np.concatenate(found, axis=-2)
 
 
 def _read_rotors(values: Any, what: str, count: int) -> Floats:

@@ -28,6 +28,7 @@ def _diagonal_of(inertia: npt.ArrayLike, inverse_mass: npt.NDArray[Any]) -> npt.
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.6, 0.4, 1.0, 0.5, 0.3, 0.2),

@@ -20,6 +20,7 @@ def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),

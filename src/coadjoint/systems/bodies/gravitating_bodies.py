@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
+from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
 from coadjoint.systems.bodies.bodies import inertial_parameters, read_masses, system_of_bodies
 from coadjoint.systems.bodies.body_inertia import read_inertias
 from coadjoint.systems.bodies.body_systems import BodiesSystem
@@ -144,6 +145,6 @@ def gravitating_bodies(
         raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
     anisotropic = np.stack([inertia.anisotropic * (order > 0) for inertia in found])
     parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
-    return system_of_bodies(
-        "gravitating_bodies", found, m, mutual_gravity(m, anisotropic, gravity, int(order)), parameters, conserving=True
-    )
+    potential = mutual_gravity(m, anisotropic, gravity, int(order))
+    integrals = momentum_in_space(len(found), 18 * len(found) + 1)
+    return system_of_bodies("gravitating_bodies", found, m, potential, parameters, integrals)

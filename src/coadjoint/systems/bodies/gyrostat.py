@@ -43,6 +43,7 @@ def _energy(inertia: npt.NDArray[Any], rotors: npt.NDArray[Any]) -> tuple[npt.ND
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     symmetric=("inertia",),
     gallery_entry=GalleryEntry(

@@ -47,6 +47,7 @@ def _energy(inertia: npt.NDArray[Any], lever: npt.NDArray[Any]) -> tuple[npt.NDA
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     symmetric=("inertia",),
     gallery_entry=GalleryEntry(

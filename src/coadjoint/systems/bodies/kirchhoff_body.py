@@ -32,6 +32,7 @@ def _energy(inertia: npt.NDArray[Any], mass: npt.NDArray[Any], coupling: npt.NDA
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     symmetric=("inertia", "mass"),
     gallery_entry=GalleryEntry(

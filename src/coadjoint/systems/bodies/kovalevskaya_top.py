@@ -19,6 +19,7 @@ def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),

@@ -21,6 +21,7 @@ def _energy(equatorial: Any, axial: Any, lever: Any) -> tuple[npt.NDArray[Any], 
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),

@@ -23,6 +23,7 @@ def _energy(inertia: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
 
 
 @ready_made(
+    body=True,
     energy=_energy,
     symmetric=("inertia",),
     gallery_entry=GalleryEntry(

@@ -44,6 +44,7 @@ def _pitch(x: Any) -> Any:
 
 
 @ready_made(
+    body=True,
     unit="z",
     gallery_entry=GalleryEntry(
         x0=_librating,

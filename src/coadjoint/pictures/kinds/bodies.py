@@ -1,0 +1,146 @@
+"""Several bodies in space at one time: sites of molecules as discs, other bodies as boxes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.pictures.plot_data import PlottedRun
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
+from coadjoint.pictures.style import colour, ink, set_title, thickness
+
+Floats = npt.NDArray[np.float64]
+
+VIEW = (-60.0, 20.0)
+LIGHT = np.array([0.3, 0.5, 0.81])
+"""Direction of the light in the frame of the picture: to the right, upwards, and towards the viewer."""
+THINNEST = 0.1
+"""Smallest side of a box relative to the longest."""
+SITE_RADIUS, OTHER_RADIUS = 0.3, 0.18
+"""Radius of a site relative to its diameter sigma, and of sites without one relative to the largest."""
+CORNERS = 40
+MARGIN = 1.08
+
+
+@kind("bodies", moves=True)
+def bodies(drawn: PlottedRun, at: float = 1.0, view: tuple[float, float] = VIEW) -> Paint:
+    """Show several bodies at their positions in space at one time, for the first member.
+
+    Molecules have a disc for each site, in a periodic box where their centres are in it. Other bodies are homogeneous
+    boxes with their masses and moments of inertia, in the scale of the positions.
+
+    Parameters
+    ----------
+    at : float
+        The time as a fraction of the span: 0 is the start, 1 the end.
+    view : (float, float)
+        Direction of view in degrees: around the third axis, and above the plane of the first two.
+    """
+    system, k = drawn.unforced, drawn.index_at(at)
+    if not hasattr(system, "positions"):
+        raise CannotShow(f"the states of {system.name} have no positions of bodies, as those of co.systems.bodies have")
+    if not np.isfinite(drawn.x[0]).all():
+        raise CannotShow(f"the first member has failed before t = {drawn.t[-1]:g}")
+    around, above = np.radians(view)
+    towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+    right = np.array([-np.sin(around), np.cos(around), 0.0])
+    frame = np.stack([right, np.cross(towards, right), towards])
+    shapes = _Sites(system, frame) if hasattr(system, "tables") else _Boxes(system, frame)
+    flat = shapes.centres(drawn.x[0])[..., :2] if len(drawn.t) else np.zeros((1, 1, 2))
+    low, high = (end((0, 1)) for end in (flat.min, flat.max))
+    middle, half = (low + high) / 2.0, MARGIN * ((high - low).max() / 2.0 + shapes.size)
+
+    def paint(axes: Any) -> Update:
+        from matplotlib.collections import PolyCollection
+
+        drawn_shapes = PolyCollection([], edgecolors=ink(), linewidths=thickness(0.4))
+        axes.add_collection(drawn_shapes, autolim=False)
+        axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1, 1]))
+        axes.set_aspect("equal")
+        axes.axis("off")
+        title = set_title(axes, "")
+
+        def update(j: int) -> None:
+            polygons, colours = shapes.polygons(drawn.x[0, j])
+            drawn_shapes.set_verts(list(polygons))
+            drawn_shapes.set_facecolor(list(map(tuple, colours.tolist())))
+            title.set_text(f"bodies in space{drawn.of_member} at $t$ = {drawn.t[j]:g}")
+
+        update(k)
+        return update
+
+    return paint
+
+
+def _rgb(i: int) -> Floats:
+    from matplotlib.colors import to_rgb
+
+    return np.array(to_rgb(colour(i)))
+
+
+class _Sites:
+    """Discs for the sites of molecules, the far ones first; `frame` has the axes of the picture."""
+
+    def __init__(self, system: Any, frame: Floats) -> None:
+        self.system, self.frame, tables = system, frame, system.tables
+        kinds = np.repeat(np.arange(len(tables.types)), tables.types)
+        a, b = np.diag(tables.a), np.diag(tables.b)
+        sigma = np.divide(a, b, out=np.zeros_like(a), where=b > 0.0) ** (1.0 / 6.0)
+        largest = sigma.max() or 2.0 * float(np.abs(tables.places).max()) or 1.0
+        radii = np.where(sigma > 0.0, SITE_RADIUS * sigma, OTHER_RADIUS * largest)
+        shades = np.where(sigma[:, None] > 0.0, [_rgb(i) for i in kinds.tolist()], 0.88)
+        first = np.cumsum(tables.types) - tables.types
+        order = [np.tile(np.arange(f, f + n), m) for f, n, m in zip(first, tables.types, tables.molecules, strict=True)]
+        types = np.concatenate(order)
+        self.radii, self.colours, self.size = radii[types], shades[types], float(radii.max())
+        self.owners = np.repeat(np.arange(int(tables.molecules.sum())), np.repeat(tables.types, tables.molecules))
+        turn = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
+        self.circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+
+    def centres(self, x: Floats) -> Floats:
+        """Return the sites of states in the frame of the picture."""
+        sites, box = self.system.sites(x), self.system.tables.box
+        if box.any():
+            sites -= box * np.floor(self.system.positions(x) / box)[..., self.owners, :]
+        return np.asarray(sites @ self.frame.T)
+
+    def polygons(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return polygons and their colours for a state."""
+        places = self.centres(x)
+        order = np.argsort(places[:, 2], kind="stable")
+        discs = places[order, None, :2] + self.radii[order, None, None] * self.circle
+        return discs, self.colours[order]
+
+
+class _Boxes:
+    """Homogeneous boxes for bodies of any inertia, the far ones first; `frame` has the axes of the picture."""
+
+    def __init__(self, system: Any, frame: Floats) -> None:
+        self.system, self.frame = system, frame
+        moments, axes = np.linalg.eigh(np.stack([inertia.tensor for inertia in system.inertias]))
+        # The moment about an axis is the sum of the squares of the other two half sides, times a third of the mass.
+        squares = 1.5 * (moments.sum(axis=1)[:, None] - 2.0 * moments) / system.masses[:, None]
+        sides = np.sqrt(np.maximum(squares, 0.0))
+        self.size = float(sides.max()) or 0.1
+        longest = np.where(sides.any(axis=1), sides.max(axis=1), 0.2 * self.size)[:, None]
+        self.edges = axes * np.maximum(sides, THINNEST * longest)[:, None, :]
+
+    def centres(self, x: Floats) -> Floats:
+        """Return the centres of the bodies of states in the frame of the picture."""
+        return np.asarray(self.system.positions(x) @ self.frame.T)
+
+    def polygons(self, x: Floats) -> tuple[Floats, Floats]:
+        """Return the visible faces and their colours for a state."""
+        centres, faces, colours = self.centres(x), [], []
+        turned = np.einsum("ij,kjl,klm->kim", self.frame, self.system.attitudes(x), self.edges)
+        for k in np.argsort(centres[:, 2], kind="stable").tolist():
+            for i in range(3):
+                normal = turned[k][:, i] * (1.0 if turned[k][2, i] >= 0.0 else -1.0)
+                across, up = turned[k][:, (i + 1) % 3], turned[k][:, (i + 2) % 3]
+                corners = [centres[k] + normal + a * across + b * up for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
+                faces.append(np.stack(corners)[:, :2])
+                bright = 0.55 + 0.45 * max(0.0, float(normal @ LIGHT) / float(np.linalg.norm(normal)))
+                colours.append(bright * _rgb(k))
+        return np.array(faces), np.array(colours)

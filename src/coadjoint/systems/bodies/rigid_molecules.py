@@ -1,0 +1,327 @@
+"""Rigid molecules with Lennard-Jones and Coulomb forces between their sites."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.memory import check_available_memory
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
+from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
+from coadjoint.systems.bodies.bodies import system_of_bodies
+from coadjoint.systems.bodies.body_inertia import BodyInertia, read_body_inertia
+from coadjoint.systems.bodies.body_systems import MoleculesSystem
+from coadjoint.systems.bodies.inertia import plain, read_in_range
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_choice, read_finite, read_integer, read_list, read_number
+
+Floats = npt.NDArray[np.float64]
+
+MIXING = ("lorentz-berthelot", "geometric")
+SWITCHED_PART = 0.1
+"""Width of the switch relative to the cutoff, by default."""
+COLLINEAR = 64 * UNIT_ROUNDOFF
+"""Largest distance of a site from the axis of its linear molecule, relative to the size, that is taken for rounding."""
+MAX_MOLECULES = 10**5
+BYTES_PER_MOLECULE = 20_000
+KIND = "give one molecule, or a list of kinds, of which each of sites, charges, lj, masses and count has one"
+
+WATER = ((0.0, 0.0, 0.0), (0.0756950, 0.0, 0.0585882), (-0.0756950, 0.0, 0.0585882))
+
+
+class Kind(NamedTuple):
+    """A kind of molecule: places of sites from the centre of mass, charges, Lennard-Jones constants, mass, inertia."""
+
+    places: Floats
+    charges: Floats
+    lj: Floats
+    mass: float
+    inertia: BodyInertia
+    given: tuple[Any, ...]
+
+
+def _dimer() -> Floats:
+    """Return two molecules of water with a hydrogen bond, which turn slowly."""
+    a, b = np.array([WATER[1][0], WATER[1][2]]) / np.hypot(WATER[1][0], WATER[1][2])
+    c, s = np.cos(1.0), np.sin(1.0)
+    donor = [[a, 0.0, b], [0.0, 1.0, 0.0], [-b, 0.0, a]]  # a bond of the first molecule points to the second one
+    acceptor = [[0.0, -c, s], [1.0, 0.0, 0.0], [0.0, s, c]]
+    return rigid_molecules().state(
+        positions=[[-0.14, 0.0, 0.0], [0.14, 0.0, 0.0]],
+        attitudes=[donor, acceptor],
+        angular_velocities=[[2.0, 1.0, 0.0], [0.0, -1.0, 2.0]],
+    )
+
+
+def _distance(x: Any) -> Any:
+    """Return the distance of the centres of two molecules."""
+    return np.sqrt(sum((x[..., 33 + i] - x[..., 30 + i]) ** 2 for i in range(3)))
+
+
+@ready_made(
+    unit="z",
+    gallery_entry=GalleryEntry(
+        x0=_dimer,
+        t_span=(0.0, 2.0),
+        step=0.0005,
+        caption="Two molecules of water with a hydrogen bond: the directions of their dipoles in space, which librate, "
+        "and the distance of their centres of mass.",
+        pictures=(
+            Picture(
+                "directions",
+                vectors={"first molecule": (5, 8, 11), "second molecule": (17, 20, 23)},
+                title="directions of the dipoles in space",
+            ),
+            Picture("bodies"),
+        ),
+        components=Picture("components", functions={"distance": _distance}, quantity="distance of the centres [nm]"),
+        quantity="state",
+    ),
+)
+def rigid_molecules(
+    sites: Any = WATER,
+    charges: Any = (-0.834, 0.417, 0.417),
+    lj: Any = ((0.636386, 0.315061), (0.0, 0.0), (0.0, 0.0)),
+    masses: Any = (15.9994, 1.008, 1.008),
+    count: Any = 2,
+    box: Any = None,
+    cutoff: float | None = None,
+    switch_from: float | None = None,
+    dielectric: float = 1.0,
+    mixing: str = "lorentz-berthelot",
+    coulomb: float = 138.935458,
+) -> MoleculesSystem:
+    """Return rigid molecules with Lennard-Jones and Coulomb forces between the sites of different molecules.
+
+    Choose it for molecular dynamics of small molecules with fixed bonds at constant energy: water, nitrogen, ions. The
+    defaults are two molecules of TIP3P water. As `bodies`, with ``V = sum over pairs of molecules, and over sites i of
+    one and j of the other, of coulomb q_i q_j/s + 4 epsilon_ij ((sigma_ij/s)^12 - (sigma_ij/s)^6)``, s the distance of
+    the sites. Molecules are in free space, all pairs or with a cutoff, or in a periodic box.
+
+    With a cutoff, the energy of two molecules is multiplied by ``1 - 10 x^3 + 15 x^4 - 6 x^5`` of their centres of
+    mass, where x goes from 0 at the distance `switch_from` to 1 at `cutoff`, so that forces and their derivatives are
+    continuous. The Coulomb energy then has a reaction field, ``coulomb q_i q_j (1/s + k s^2 - 1/cutoff - k cutoff^2)``,
+    ``k = (dielectric - 1)/((2 dielectric + 1) cutoff^3)``; with dielectric 1 it is shifted.
+
+    Parameters
+    ----------
+    sites : (s, 3), or a list of kinds
+        Positions of the sites of a molecule, in any frame: its axes are those of the molecule, the origin is moved to
+        the centre of mass.
+    charges : (s,)
+        Charges of the sites.
+    lj : (s, 2)
+        Depth epsilon and diameter sigma of each site, not negative.
+    masses : (s,)
+        Masses of the sites; zero for virtual ones. The moments of inertia are computed from them.
+    count : int
+        Number of molecules, of each kind. Those of the first kind come first.
+    box : float or (3,), optional
+        Sides of a periodic box. Forces are those of the nearest images; positions are not wrapped.
+    cutoff : float, optional
+        Distance of the centres from which on two molecules do not interact; at most half of the smallest side of `box`,
+        with which it must be given.
+    switch_from : float, optional
+        Distance at which the switch begins, positive and less than `cutoff`; by default 0.9 times the cutoff.
+    dielectric : float
+        Relative permittivity of the reaction field, at least 1.
+    mixing : {"lorentz-berthelot", "geometric"}
+        Rule for pairs of sites: arithmetic means of sigma, or geometric ones; those of epsilon are geometric.
+    coulomb : float
+        Coulomb constant, positive.
+
+    Returns
+    -------
+    MoleculesSystem
+        As from `bodies`, with ``sites(x)``, the positions of all sites in space. Integrals: the total momentum
+        ``"total p1"``, ... and without a box angular momentum ``"total L1"``, ... in space.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Arguments of wrong shapes or out of range; different numbers of kinds; a box without a cutoff; or a massless
+        site beside the axis of a linear molecule or beside an atom, which would turn it.
+
+    Notes
+    -----
+    Units are those of the constants. The defaults are in nm, ps, atomic mass units, elementary charges and kJ/mol, as
+    in GROMACS and OpenMM. TIP3P: Jorgensen et al., J. Chem. Phys. 79, 926 (1983). Atoms are molecules of one site, and
+    linear molecules do not turn about their axes: take ``Splitting(parts="free_body")`` with them.
+
+    Examples
+    --------
+    Water and a linear molecule, with massless charges, which conserve their momentum:
+
+    >>> import coadjoint as co
+    >>> linear = [(0, 0, -0.05), (0, 0, 0.05), (0, 0, 0)]
+    >>> mixture = co.systems.rigid_molecules(
+    ...     sites=[[(0, 0, 0), (0.0757, 0, 0.0586), (-0.0757, 0, 0.0586)], linear],
+    ...     charges=[(-0.834, 0.417, 0.417), (-0.4, -0.4, 0.8)],
+    ...     lj=[((0.636, 0.315), (0, 0), (0, 0)), ((0.3, 0.33), (0.3, 0.33), (0, 0))],
+    ...     masses=[(16, 1, 1), (14, 14, 0)],
+    ...     count=(1, 2),
+    ... )
+    >>> x0 = mixture.state([[0, 0, 0], [0.4, 0, 0], [0, 0.4, 0]])
+    >>> sol = co.integrate(mixture, x0, (0, 0.5), 0.001, co.Splitting(order=2, parts="free_body"))
+    >>> bool(sol.drift()["energy"] < 1e-3), bool(abs(sol.velocities[-1].T @ mixture.masses).max() < 1e-12)
+    (True, True)
+    """
+    several = _depth(sites) > 2
+    kinds = _read_kinds(several, sites, charges, lj, masses, count)
+    counts = [kind.given[-1] for kind in kinds]
+    total = sum(counts)
+    if total > MAX_MOLECULES:
+        raise ValueError(f"count is {short(count)}; give at most {MAX_MOLECULES} molecules")
+    check_available_memory(BYTES_PER_MOLECULE * total, f"{total} molecules")
+    sides, ends = _read_box(box), _read_cutoff(box, cutoff, switch_from, dielectric)
+    constant = read_in_range(coulomb, "coulomb")
+    tables = _tables(kinds, counts, sides, ends, read_choice(mixing, "mixing", MIXING), constant)
+    given = zip(*(kind.given for kind in kinds), strict=True)
+    named = dict(zip(("sites", "charges", "lj", "masses", "count"), given, strict=True))
+    parameters = {key: values if several else values[0] for key, values in named.items()} | {
+        "box": None if box is None else plain(sides),
+        "cutoff": None if cutoff is None else ends[1],
+        "switch_from": None if switch_from is None else ends[0],
+        "dielectric": ends[2],
+        "mixing": mixing,
+        "coulomb": constant,
+    }
+    order = np.repeat(np.arange(len(kinds)), counts).tolist()
+    system = system_of_bodies(
+        "rigid_molecules",
+        tuple(kinds[k].inertia for k in order),
+        np.array([kinds[k].mass for k in order]),
+        site_forces(tables),
+        parameters,
+        integrals=momentum_in_space(total, 18 * total + 1, turning=box is None),
+        kind=MoleculesSystem,
+    )
+    system._set(tables=tables)
+    return system
+
+
+def _depth(values: Any) -> int:
+    """Return the number of axes of nested lists, by their first entries."""
+    depth = 0
+    while isinstance(values, list | tuple | np.ndarray) and len(values):
+        values, depth = values[0], depth + 1
+    return depth
+
+
+def _read_kinds(several: bool, *arguments: Any) -> list[Kind]:
+    """Validate molecules of one kind, or lists with an entry for each of several."""
+    if not several:
+        return [_read_kind("", *arguments)]
+    lists = dict(zip(("sites", "charges", "lj", "masses", "count"), arguments, strict=True))
+    read = {name: read_list(values, name, KIND) for name, values in lists.items()}
+    for name, values in read.items():
+        if len(values) != len(read["sites"]):
+            raise ValueError(f"{name} has {len(values)} entries, and sites {len(read['sites'])} kinds; {KIND}")
+    return [_read_kind(f"[{k}]", *values) for k, values in enumerate(zip(*read.values(), strict=True))]
+
+
+def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count: Any) -> Kind:
+    """Validate one kind of molecule; `which` is its index in messages."""
+    places = read_finite(sites, f"sites{which}")
+    if places.ndim != 2 or places.shape[1] != 3 or not len(places):
+        raise ValueError(f"sites{which} has shape {places.shape}; give (s, 3) for a molecule of s sites, or a list")
+    q, pairs, m = (
+        read_finite(values, name + which) for values, name in ((charges, "charges"), (lj, "lj"), (masses, "masses"))
+    )
+    size = len(places)
+    for array, name, shape in ((q, "charges", (size,)), (pairs, "lj", (size, 2)), (m, "masses", (size,))):
+        if array.shape != shape:
+            raise ValueError(f"{name}{which} has shape {array.shape}; give {shape}, as sites{which} has {size} sites")
+    for array, name in ((pairs, "lj"), (m, "masses")):
+        if (array < 0.0).any():
+            raise ValueError(f"{name}{which} is {short(plain(array))}; its numbers must not be negative")
+    number = read_integer(count, f"count{which}")
+    mass = read_in_range(math.fsum(m), f"the sum of masses{which}")
+    # Relative to the first site, so that an atom is at its centre exactly.
+    apart = places - places[0]
+    centre = [math.fsum((m * apart[:, i]).tolist()) / mass for i in range(3)]
+    from_centre = apart - centre
+    with np.errstate(over="ignore"):
+        moments = [
+            [math.fsum((m * from_centre[:, i] * from_centre[:, j]).tolist()) for j in range(3)] for i in range(3)
+        ]
+    tensor = np.diag([math.fsum([moments[i][i] for i in range(3) if i != j]) for j in range(3)])
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        tensor[i, j] = tensor[j, i] = -moments[i][j]
+    diagonal = not (tensor - np.diag(np.diag(tensor))).any()
+    inertia = read_body_inertia(np.diag(tensor) if diagonal else tensor, f"the inertia of sites{which}")
+    _check_axis(inertia, from_centre, which)
+    return Kind(from_centre, q, pairs, mass, inertia, (plain(places), plain(q), plain(pairs), plain(m), number))
+
+
+def _check_axis(inertia: BodyInertia, places: Floats, which: str) -> None:
+    """Raise ValueError if a site turns a molecule about an axis without a moment of inertia."""
+    if inertia.rotating is None:
+        return
+    beside = np.abs(np.einsum("ij,sj->si", inertia.rotating, places) if inertia.tensor.any() else places).max(axis=1)
+    if beside.max() > COLLINEAR * np.abs(places).max():
+        raise ValueError(
+            f"sites{which} has a massless site {int(beside.argmax())} beside the axis or the centre of its masses, "
+            "where it has no moment of inertia; give masses that are not on one line, or move the site"
+        )
+
+
+def _read_box(box: Any) -> Floats:
+    """Return the sides of the box, (3,), zero without one."""
+    if box is None:
+        return np.zeros(3)
+    sides = read_finite(box, "box")
+    if sides.shape not in ((), (3,)):
+        raise ValueError(f"box has shape {sides.shape}; give one side of a cube, or three sides")
+    sides = np.broadcast_to(sides, 3).copy()
+    for side in sides.tolist():
+        read_in_range(side, "box")
+    return sides
+
+
+def _read_cutoff(box: Any, cutoff: Any, switch_from: Any, dielectric: Any) -> tuple[float, float, float]:
+    """Return where the switch begins and ends, zero without a cutoff, and the permittivity."""
+    permittivity = read_number(dielectric, "dielectric")
+    if not 1.0 <= permittivity < math.inf:
+        raise ValueError(f"dielectric is {permittivity:g}; give a number of at least 1, which is that of empty space")
+    if cutoff is None:
+        for name, given in (("box", box is not None), ("switch_from", switch_from is not None)):
+            if given:
+                raise ValueError(f"{name} was given without cutoff; give the distance at which forces end")
+        if permittivity != 1.0:
+            raise ValueError(f"dielectric is {permittivity:g} without cutoff; the reaction field begins at a cutoff")
+        return 0.0, 0.0, 1.0
+    end = read_in_range(cutoff, "cutoff")
+    begin = (1.0 - SWITCHED_PART) * end if switch_from is None else read_in_range(switch_from, "switch_from")
+    if not begin < end:
+        raise ValueError(f"switch_from is {begin:g}, and cutoff {end:g}; the switch must begin before the cutoff")
+    if box is not None and end > 0.5 * _read_box(box).min():
+        raise ValueError(f"cutoff is {end:g}; with this box give at most {0.5 * _read_box(box).min():g}, half its side")
+    return begin, end, permittivity
+
+
+def _tables(
+    kinds: list[Kind], counts: list[int], box: Floats, ends: tuple[float, float, float], mixing: str, constant: float
+) -> SiteTables:
+    """Return the tables of all molecules; pairs of types have constants by the rule of mixing."""
+    q, (epsilon, sigma) = np.concatenate([kind.charges for kind in kinds]), np.concatenate([k.lj for k in kinds]).T
+    near, cutoff, permittivity = ends
+    with np.errstate(all="ignore"):
+        square = sigma[:, None] * sigma if mixing == "geometric" else (0.5 * (sigma[:, None] + sigma)) ** 2
+        sixth = square * square * square
+        depth = 4.0 * np.sqrt(epsilon[:, None] * epsilon)
+        qq, a, b = constant * (q[:, None] * q), depth * sixth * sixth, depth * sixth
+        field = (permittivity - 1.0) / ((2.0 * permittivity + 1.0) * cutoff * cutoff * cutoff) if cutoff else 0.0
+        shift = 1.0 / cutoff + field * cutoff * cutoff if cutoff else 0.0
+    for name, array in (("charges", qq), ("lj", a)):
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name} are so large that products of them leave the range of float64; change units")
+    places = np.concatenate([kind.places for kind in kinds])
+    types = np.array([len(kind.places) for kind in kinds])
+    return SiteTables(np.array(counts), types, places, qq, a, b, box, near, cutoff, field, shift)

@@ -1,0 +1,194 @@
+"""Rigid molecules: forces to many digits, DOP853 in quaternions, invariants, tables, and refusals."""
+
+import itertools
+
+import mpmath as mp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+import coadjoint as co
+from refusals import refused
+
+S = co.systems
+# Water that is turned and moved in its frame, a rod with a massless charge, and an atom.
+SITES = [
+    [(0.5, 0.0, 0.1), (0.55, 0.07, 0.14), (0.55, -0.07, 0.1)],
+    [(0.0, 0.0, -0.05), (0.0, 0.0, 0.06), (0.0, 0.0, 0.02)],
+    [(0.3, 0.2, 0.1)],
+]
+CHARGES = [(-0.8, 0.45, 0.35), (-0.4, -0.3, 0.7), (1.0,)]
+LJ = [[(0.6, 0.3), (0.1, 0.05), (0.1, 0.04)], [(0.3, 0.25), (0.2, 0.2), (0.0, 0.1)], [(0.4, 0.2)]]
+MASSES = [(16.0, 1.0, 1.5), (14.0, 12.0, 0.0), (23.0,)]
+MIXTURE = {"sites": SITES, "charges": CHARGES, "lj": LJ, "masses": MASSES, "count": (2, 2, 1)}
+PLACES = [[0, 0, 0], [0.35, 0.05, 0.0], [0.1, 0.4, 0.1], [0.05, 0.1, 0.45], [-0.35, 0.1, 0.15]]
+SPEEDS = [[0.1, 0.3, 0.0], [-0.2, 0.0, 0.1], [0.0, -0.1, 0.3], [0.4, 0.0, -0.1], [0.0, 0.1, 0.0]]
+SPINS = [[2.0, -1.0, 3.0], [0.5, 4.0, -2.0], [1.0, 2.0, 0.0], [-3.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+TURNED = Rotation.from_rotvec([[0.3, -0.2, 0.9], [1.1, 0.4, -0.5], [0.2, 2.0, 0.1], [-1.0, 0.3, 0.3], [0.0, 0.0, 1.0]])
+SURROUNDINGS = {
+    "droplet": {},
+    "cutoff": {"cutoff": 0.5, "switch_from": 0.25, "mixing": "geometric"},
+    "box": {"box": (0.9, 1.0, 1.1), "cutoff": 0.44, "switch_from": 0.3, "dielectric": 78.0, "coulomb": 100.0},
+}
+EXACT_BODIES = {"parts": "free_body"}
+
+
+def mixture(name="droplet"):
+    """Return five molecules of three kinds, and their state; across a side of the box, if there is one."""
+    system = S.rigid_molecules(**MIXTURE, **SURROUNDINGS[name])
+    places = np.array(PLACES) + (np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, -2, 0], [0, 0, 0]]) * (name == "box"))
+    return system, system.state(places, SPEEDS, TURNED, SPINS)
+
+
+def energy_by_formula(q, name):
+    """The documented energy of positions and attitudes, (5, 3, 4), to 50 digits."""
+    order, given = [0, 0, 1, 1, 2], {"coulomb": 138.935458, "mixing": "", "box": None, **SURROUNDINGS[name]}
+    cutoff, begin, eps = (mp.mpf(given.get(key, 1)) for key in ("cutoff", "switch_from", "dielectric"))
+    k, sides = (eps - 1) / ((2 * eps + 1) * cutoff**3), given["box"]
+    shift = 1 / cutoff + k * cutoff**2 if "cutoff" in given else 0
+    places = [np.array([[mp.mpf(v) for v in b] for b in SITES[kind]]) for kind in order]
+    masses = [np.array([mp.mpf(w) for w in MASSES[kind]]) for kind in order]
+    ends = [
+        (b - w @ b / sum(w)) @ q[m, :, :3].T + q[m, :, 3] for m, (b, w) in enumerate(zip(places, masses, strict=True))
+    ]
+    total = mp.mpf(0)
+    for m, n in itertools.combinations(range(5), 2):
+        d = q[m, :, 3] - q[n, :, 3]
+        moved = (
+            np.array([mp.mpf(side) * round(float(one) / side) for one, side in zip(d, sides, strict=True)])
+            if sides
+            else 0
+        )
+        distance, energy = mp.sqrt(sum((d - moved) ** 2)), 0
+        for a, b in itertools.product(range(len(ends[m])), range(len(ends[n]))):
+            s = mp.sqrt(sum((ends[m][a] - ends[n][b] - moved) ** 2))
+            (e1, s1), (e2, s2) = (map(mp.mpf, LJ[order[i]][c]) for i, c in ((m, a), (n, b)))
+            sixth = ((mp.sqrt(s1 * s2) if given["mixing"] == "geometric" else (s1 + s2) / 2) / s) ** 6
+            charge = mp.mpf(given["coulomb"]) * CHARGES[order[m]][a] * CHARGES[order[n]][b]
+            energy += charge * (1 / s + k * s**2 - shift) + 4 * mp.sqrt(e1 * e2) * (sixth**2 - sixth)
+        x = min(max((distance - begin) / (cutoff - begin), 0), 1) if "cutoff" in given else 0
+        total += (1 - 10 * x**3 + 15 * x**4 - 6 * x**5) * energy
+    return total
+
+
+@pytest.mark.parametrize("name", SURROUNDINGS)
+def test_energies_and_forces_to_fifty_digits(name):
+    """Sums of some hundred terms, the largest of them some hundred times the sum."""
+    system, x = mixture(name)
+    free = S.bodies([np.diag(one) if np.ndim(one) == 1 else one for one in inertias(system)], system.masses)
+    potential = system.energy(x) - free.energy(x)
+    slope = system.hamiltonian.gradient(x) - free.hamiltonian.gradient(x)
+    with mp.workdps(50):
+        q = np.concatenate([system.attitudes(x), system.positions(x)[..., None]], axis=-1)
+        exact = np.array([mp.mpf(v) for v in q.ravel()])
+        assert potential == pytest.approx(float(energy_by_formula(exact.reshape(5, 3, 4), name)), rel=1e-12)
+        for k in range(60):
+            ends = [exact.copy(), exact.copy()]
+            h = mp.mpf("1e-16")
+            ends[0][k], ends[1][k] = exact[k] + h, exact[k] - h
+            right, left = (energy_by_formula(end.reshape(5, 3, 4), name) for end in ends)
+            m, i, j = k // 12, k % 12 // 4, k % 4
+            found = slope[75 + 3 * m + i] if j == 3 else slope[12 * m + 3 + 3 * i + j]
+            assert found == pytest.approx(float((right - left) / (2 * h)), rel=1e-11, abs=1e-11 * np.abs(slope).max())
+
+
+def inertias(system):
+    return [inertia.tensor for inertia in system.inertias]
+
+
+@pytest.mark.parametrize("name", SURROUNDINGS)
+def test_motion_by_dop853_in_quaternions(name):
+    system, x0 = mixture(name)
+    tensors, m = np.array(inertias(system)), system.masses[:, None]
+    moving = [np.linalg.pinv(tensor, rcond=1e-12) for tensor in tensors]
+
+    def slope(t, y):
+        r, p, L, q = (part.reshape(5, -1) for part in np.split(y, (15, 30, 45)))
+        A, omega = Rotation.from_quat(q).as_matrix(), np.einsum("kij,kj->ki", moving, L)
+        g = system.hamiltonian.gradient(np.r_[np.c_[L, A.reshape(5, 9)].ravel(), p.ravel(), r.ravel(), 1.0])
+        G = g[:60].reshape(5, 4, 3)[:, 1:]
+        torque = np.stack([np.cross(A[k], G[k]).sum(axis=0) for k in range(5)])  # of G, by turning the rows of A
+        dq = 0.5 * np.c_[q[:, 3:] * omega + np.cross(q[:, :3], omega), -(q[:, :3] * omega).sum(axis=1)]
+        return np.concatenate([(p / m).ravel(), -g[75:90], (np.cross(L, omega) + torque).ravel(), dq.ravel()])
+
+    start = np.r_[np.ravel(system.positions(x0)), (m * SPEEDS).ravel(), x0[:60].reshape(5, 12)[:, :3].ravel()]
+    y = solve_ivp(slope, (0, 0.1), np.r_[start, TURNED.as_quat().ravel()], "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    sol = co.integrate(system, x0, (0, 0.1), 0.00025, co.Splitting(order=6, **EXACT_BODIES))
+    np.testing.assert_allclose(sol.positions[-1].ravel(), y[:15], rtol=0, atol=1e-9)
+    turned = Rotation.from_quat(y[45:].reshape(5, 4)).as_matrix()
+    np.testing.assert_allclose(system.attitudes(sol.x[-1]), turned, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", SURROUNDINGS)
+def test_momentum_and_energy(name):
+    """Totals to rounding, of sums over ten pairs in each of 400 steps; the energy to the order of the scheme."""
+    system, x0 = mixture(name)
+    runs = [co.integrate(system, x0, (0, 0.4), h, co.Splitting(order=4, **EXACT_BODIES)) for h in (0.002, 0.001)]
+    assert np.log2(runs[0].drift()["energy"] / runs[1].drift()["energy"]) == pytest.approx(4, abs=1)
+    x, p = runs[1].x, system.masses[:, None] * runs[1].velocities
+    size = np.abs(p).max()
+    assert np.abs(p.sum(axis=1) - p[0].sum(axis=0)).max() < 1e-12 * size
+    turning = np.cross(runs[1].positions, p).sum(axis=1) + system.angular_momentum(x, frame="space").sum(axis=1)
+    kept = np.abs(turning - turning[0]).max() < 1e-12 * size
+    assert kept == (name != "box") and len(system.integrals) == (6 if kept else 3)
+    assert np.abs(system.angular_momentum(x)[:, 2:4, 2]).max() < 1e-13 and not system.angular_momentum(x)[:, 4].any()
+    for name, F in system.integrals.items():
+        index = int(name[-1]) - 1
+        assert F(x[-1]) == pytest.approx((turning if "L" in name else p.sum(axis=1))[-1][index], abs=1e-13 * size)
+
+
+def test_sites_masses_and_moments():
+    """The frame of a molecule has the axes of its sites, and its centre of mass as the origin."""
+    system, x = mixture()
+    assert system.masses.tolist() == [18.5, 18.5, 26.0, 26.0, 23.0]
+    sites, first = system.sites(x), 0
+    assert sites.shape == (13, 3) and system.sites(np.stack([x, x])).shape == (2, 13, 3)
+    for k, kind in enumerate([0, 0, 1, 1, 2]):
+        b, w = np.array(SITES[kind]), np.array(MASSES[kind])
+        mine = sites[first : first + len(b)]
+        np.testing.assert_allclose(w @ mine / w.sum(), PLACES[k], atol=1e-15)
+        np.testing.assert_allclose(mine - mine[0], (b - b[0]) @ TURNED[k].as_matrix().T, atol=1e-15)
+        d = b - w @ b / w.sum()
+        wanted = np.einsum("s,si,sj->ij", w, d, d)
+        np.testing.assert_allclose(inertias(system)[k], np.trace(wanted) * np.eye(3) - wanted, rtol=0, atol=1e-15)
+        first += len(b)
+    water = S.rigid_molecules(count=3)
+    assert len(water.masses) == 3 and water.sites(water.state(np.eye(3))).shape == (9, 3)
+
+
+def test_molecules_outside_the_cutoff_are_free():
+    """And the same in other images of a box; one molecule alone is free as well."""
+    away = S.rigid_molecules(cutoff=0.5)
+    x = away.state([[0, 0, 0], [0.51, 0, 0]])
+    assert not away.vector_field(x)[:24].any()
+    boxed = S.rigid_molecules(cutoff=0.5, box=1.5)
+    inside, image = (boxed.state([[0, 0, 0], [at, 0.2, 0]]) for at in (0.3, -1.2))
+    np.testing.assert_allclose(boxed.vector_field(image)[:24], boxed.vector_field(inside)[:24], rtol=1e-12, atol=1e-12)
+    assert np.abs(boxed.vector_field(inside)[:24]).max() > 1
+    alone = S.rigid_molecules(count=1)
+    assert not alone.vector_field(alone.state([[1.0, 2.0, 3.0]])).any()
+
+
+def test_wrong_molecules_are_refused():
+    for error, words, given in (
+        (ValueError, ("charges", "2", "3"), {"charges": (1.0, 2.0)}),
+        (ValueError, ("lj", "(3, 2)"), {"lj": (0.5, 0.3)}),
+        (ValueError, ("lj", "negative"), {"lj": [(0.5, -0.3)] * 3}),
+        (ValueError, ("masses",), {"masses": (0, 0, 0)}),
+        (ValueError, ("box", "cutoff"), {"box": 2.0}),
+        (ValueError, ("switch_from", "cutoff"), {"switch_from": 0.5}),
+        (ValueError, ("switch_from", "0.6", "0.5"), {"switch_from": 0.6, "cutoff": 0.5}),
+        (ValueError, ("cutoff", "0.5", "half"), {"box": 1.0, "cutoff": 0.6}),
+        (ValueError, ("dielectric", "cutoff"), {"dielectric": 78.0}),
+        (ValueError, ("dielectric", "0.5"), {"dielectric": 0.5, "cutoff": 1.0}),
+        (ValueError, ("mixing", "other"), {"mixing": "other"}),
+        (ValueError, ("count",), {"count": 0}),
+        (ValueError, ("count", "2", "3"), {**MIXTURE, "count": (1, 1)}),
+        (TypeError, ("count", "kinds"), {**MIXTURE, "count": 2}),
+        (ValueError, ("charges[1]", "(3,)"), {**MIXTURE, "charges": [(0, 0, 0), (0, 0), (0,)]}),
+        (ValueError, ("sites", "massless site 2", "axis"), {"masses": (16, 1, 0)}),
+        (ValueError, ("sites", "massless site 1", "centre"), {"masses": (16, 0, 0)}),
+    ):
+        with refused(error, *words):
+            S.rigid_molecules(**given)
