@@ -131,7 +131,7 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
             f"the functions cannot begin with {short(name)}; give a name of at most 41 letters, digits and underscores "
             "that begins with a letter, other than coadjoint"
         )
-    loop, numbers = _loop_of(prepared)
+    loop, numbers = loop_of_run(prepared)
     inputs = Inputs(", const double *u", ", u") if prepared.inputs is not None else Inputs()
     exported = _exported(prepared, loop, numbers, inputs, tangent, bool(forces_of(prepared.system)))
     lines = exported.lines
@@ -197,7 +197,7 @@ class _Numbers:
                 raise TypeError(f"{why} has inputs in {name}, which cannot be exported; prepare it without inputs")
 
 
-def _loop_of(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
+def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
     """Return the loop of a run of step 1, whose flows have the lengths of the coefficients, and its numbers."""
     if not isinstance(prepared, PreparedRun):
         raise TypeError(f"{short(prepared)} is no prepared run; give that of `prepare`")
@@ -249,7 +249,7 @@ def _exported(
     )
 
 
-def _check_terms(prepared: PreparedRun, terms: Terms) -> None:
+def check_terms(prepared: PreparedRun, terms: Terms) -> None:
     if (terms.kind == FUNCTION).any():
         raise TypeError(
             f"the energy of {prepared.system.name} has a function, which cannot be exported; only polynomials can"
@@ -261,7 +261,7 @@ def _check_terms(prepared: PreparedRun, terms: Terms) -> None:
 
 def _splitting(prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
     terms = tables.terms
-    _check_terms(prepared, terms)
+    check_terms(prepared, terms)
     if tables.compensated:
         raise TypeError(f"{prepared.method} has compensated sums, which cannot be exported; give compensated=False")
     numbers.check_constant(tables, [f"terms.{field}" for field in FIELDS], str(prepared.method))
@@ -293,7 +293,7 @@ def _stages(
             "ExplicitRungeKutta"
         )
     terms = tables.field.terms
-    _check_terms(prepared, terms)
+    check_terms(prepared, terms)
     numbers.check_constant(tables, [f"field.terms.{field}" for field in FIELDS], str(prepared.method))
     stages = StagesInC(tables, numbers.of_terms(tables, "field.terms.", terms), inputs, solver == "EXPLICIT")
     n = tables.field.size
