@@ -205,9 +205,7 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
 )
 @click.option("--name", metavar="NAME", help="What the functions of FILE begin with; default: the name of the header.")
 @click.option("--tangent", is_flag=True, help="Also the derivative of a step of FILE.")
-def export(
-    file: str | None, free_body: bool, library: bool, path: str | None, name: str | None, tangent: bool
-) -> None:
+def export(file: str | None, free_body: bool, library: bool, path: str | None, name: str | None, tangent: bool) -> None:
     """Write code and tables for programs in other languages.
 
     With the configuration FILE (TOML), it is the step of this run in C99, with the bits of the library, or its table

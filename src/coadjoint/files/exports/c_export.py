@@ -250,6 +250,7 @@ def _exported(
 
 
 def check_terms(prepared: PreparedRun, terms: Terms) -> None:
+    """Raise TypeError for energies with functions, or with more numbers than are exported."""
     if (terms.kind == FUNCTION).any():
         raise TypeError(
             f"the energy of {prepared.system.name} has a function, which cannot be exported; only polynomials can"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,8 @@ def table_text(prepared: PreparedRun) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return arrays and numbers of NumPy as JSON has them."""
-    return value.tolist()
+    """Return arrays, and the fractions of Casimirs, as JSON has them."""
+    return float(value) if isinstance(value, Fraction) else value.tolist()
 
 
 def write_interface(folder: str | Path) -> list[Path]:
