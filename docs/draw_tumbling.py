@@ -49,7 +49,7 @@ def implicit(h: float, w: Floats, q: Floats) -> tuple[Floats, Floats]:
 
 
 def runge_kutta(h: float, w: Floats, q: Floats) -> tuple[Floats, Floats]:
-    """The classical method of order 4, and a quaternion that is normalized."""
+    """Take a step of the classical method of order 4, and normalize the quaternion."""
     a, b = [], []
     for c in (0.0, 0.5, 0.5, 1.0):
         x, p = (w + c * h * a[-1], q + c * h * b[-1]) if a else (w, q)

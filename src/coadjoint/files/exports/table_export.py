@@ -93,7 +93,7 @@ def table_text(prepared: PreparedRun) -> str:
 
 def _plain(value: Any) -> Any:
     """Return arrays, and the fractions of Casimirs, as JSON has them."""
-    return float(value) if isinstance(value, Fraction) else value.tolist()
+    return float(value) if type(value) is Fraction else value.tolist()
 
 
 def write_interface(folder: str | Path) -> list[Path]:
