@@ -67,7 +67,7 @@ def state_of(prepared):
 
 
 def program(seed, folder):
-    """Write a program that prints the bits of the ends of fixed and drawn runs of five steps; return it and the ends."""
+    """Write a program that prints the bits of the ends of fixed and drawn runs of five steps; return both."""
     heads, calls, ends = [], [], []
     fixed = [co.prepare(system, scheme, step=0.05) for system, scheme in RUNS]
     for k, prepared in enumerate([*fixed, *drawn(10, 1000 * seed, folder)]):
