@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from coadjoint.errors import in_one_line
 from coadjoint.files.exports.c_export import check_terms, loop_of_run
+from coadjoint.files.output.atomic_output import PendingOutput
 from coadjoint.files.output.output_files import OutputError, write_text
 from coadjoint.kernels.library import SOURCE, SUFFIX, kernels
 from coadjoint.kernels.tables.cotangents import flow_cotangents
@@ -100,11 +100,10 @@ def write_interface(folder: str | Path) -> list[Path]:
     """Copy the header of the C interface and the library for this processor to a folder."""
     target = Path(folder)
     if not target.is_dir():
-        raise OutputError(f"{folder}: it is no folder; create it first")
+        raise OutputError(f"{folder}: the folder does not exist; create it first")
     copies = {INTERFACE: target / INTERFACE.name, Path(kernels()._name): target / LIBRARY}
     for source, copy in copies.items():
-        try:
-            shutil.copyfile(source, copy)
-        except OSError as error:
-            raise OutputError(f"{copy}: it cannot be written ({error.strerror})") from error
+        with PendingOutput(copy) as unfinished:  # programs that have loaded the library keep the old one
+            unfinished.path.write_bytes(source.read_bytes())
+            unfinished.finish()
     return list(copies.values())
