@@ -124,11 +124,13 @@ levels: kernels
 	cd tests && $(ONE_THREAD) "$(CURDIR)/$(BIN)/python" levels.py
 
 # The libraries of every wheel, compiled and linked by zig's Clang for Linux, macOS and Windows: quickly, or with
-# CROSS_OPTIONS= as for a release. TARGETS names some of the systems.
+# CROSS_OPTIONS= as for a release. TARGETS names some of the systems. Exported C is compiled for a Cortex-M4 and for
+# WebAssembly, and runs there if qemu and node are installed.
 CROSS := build/cross
 
 cross: $(CROSS)/venv/installed
 	$(CROSS)/venv/bin/python packaging/cross/build.py $(CROSS) $(TARGETS)
+	$(BIN)/python -m pytest -q tests/public/exports -k "microcontroller or webassembly"
 
 $(CROSS)/venv/installed:
 	$(PYTHON) -m venv $(CROSS)/venv

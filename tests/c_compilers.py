@@ -7,6 +7,7 @@ import importlib.util
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 STRICT = {
@@ -23,10 +24,12 @@ def compilers() -> dict[str, list[str]]:
     return found
 
 
-def compiled(compiler: str, source: Path, target: Path, *flags: str, language: str = "c") -> Path:
+def compiled(
+    compiler: str, source: Path, target: Path, *flags: str, language: str = "c", libraries: Sequence[str] = ("-lm",)
+) -> Path:
     """Compile a file with all warnings as errors; it may include headers of its folder."""
     command = [*compilers()[compiler], "-x", language, *STRICT[language], *flags, f"-I{source.parent}", str(source)]
-    done = subprocess.run([*command, "-o", str(target), "-lm"], capture_output=True, text=True, check=False)
+    done = subprocess.run([*command, "-o", str(target), *libraries], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     return target
 

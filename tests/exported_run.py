@@ -47,6 +47,7 @@ class RunInC:
         self.header, self.tangent = co.export_c(prepared, folder / "own.h", tangent=tangent), tangent
         text = self.header.read_text()
         self.resumable, self.inputs = "void own_first(double x[" in text, "const double u[" in text
+        self.compensated = "double error[" in text.partition("*/")[0]
         source = folder / "functions.c"
         source.write_text('#include "own.h"\n#ifdef __cplusplus\nextern "C" {\n#endif\n')
         with source.open("a") as file:
@@ -65,16 +66,18 @@ class RunInC:
 
     def _arguments(self, name: str) -> list[tuple[str, str]]:
         found = [("double *x", "x")]
+        found += [("double *e", "e")] if self.compensated and name in ("first", "next", "finish") else []
         found += [("double *v", "v"), ("unsigned long count", "count")] if "tangents" in name else []
         found += [("const double *u", "u")] if self.inputs else []
         found += [("double h", "h")]
         return found + ([("unsigned long steps", "steps")] if name == "run" else [])
 
     def call(self, name: str, x: Any, h: float, **given: Any) -> Any:
-        """Return the state after a function; with `v` (k, n) also the vectors."""
+        """Return the state after a function; with `v` (k, n) also the vectors. Errors `e` are replaced."""
         x, v = np.array(x, dtype=np.float64), np.array(given.get("v", ()), dtype=np.float64)
         u = np.array(given.get("u", ()), dtype=np.float64)
         values = {
+            "e": _address(given.get("e", u)),
             "x": _address(x),
             "v": _address(v),
             "u": _address(u),
@@ -113,10 +116,10 @@ def check_run(
     assert_same(exported.call("run", x0, h, steps=steps, u=u), sol.x[-1])
     assert_same(exported.call("step", x0, h, u=u), one)
     if exported.resumable:
-        state = np.array(x0, dtype=np.float64)
+        state, e = np.array(x0, dtype=np.float64), np.zeros(len(x0))
         for k in range(steps):
-            state = exported.call("next" if k else "first", state, h, u=u)
-            assert_same(exported.call("finish", state, h, u=u), sol.x[k + 1])
+            state = exported.call("next" if k else "first", state, h, u=u, e=e)
+            assert_same(exported.call("finish", state, h, u=u, e=e.copy()), sol.x[k + 1])
     if tangent:
         n = len(sol.x[0])
         v = np.random.default_rng(n).standard_normal((min(n, 4), n))

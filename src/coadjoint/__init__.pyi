@@ -47,6 +47,7 @@ from .files.archives.ensemble import integrate_ensemble as integrate_ensemble
 from .files.archives.resume import resume as resume
 from .files.datasets.loaded_solution import load as load
 from .files.exports.c_export import export_c as export_c
+from .files.exports.table_export import export_table as export_table
 from .long_operations import LongWait as LongWait
 from .methods.commutator_free import CommutatorFree as CommutatorFree
 from .methods.composition import Composition as Composition

@@ -199,26 +199,47 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
 @click.command("export")
 @click.argument("file", required=False, type=click.Path())
 @click.option("--free-body", is_flag=True, help="The exact step of a free rigid body: one header, C99 and C++11.")
-@click.option("-o", "--out", "path", metavar="PATH", help="Path of the header, .h or .hpp; default: standard output.")
+@click.option("--library", is_flag=True, help="The compiled library and its header; --out is a folder.")
+@click.option(
+    "-o", "--out", "path", metavar="PATH", help="Path: .h or .hpp for C, .json for a table; default: standard output."
+)
 @click.option("--name", metavar="NAME", help="What the functions of FILE begin with; default: the name of the header.")
 @click.option("--tangent", is_flag=True, help="Also the derivative of a step of FILE.")
-def export(file: str | None, free_body: bool, path: str | None, name: str | None, tangent: bool) -> None:
-    """Write code for programs in other languages, under the MIT License.
+def export(file: str | None, free_body: bool, library: bool, path: str | None, name: str | None, tangent: bool) -> None:
+    """Write code and tables for programs in other languages.
 
-    With the configuration FILE (TOML), it is the step of this run in C99, with the bits of the library. With
-    --free-body, it is a header with functions for double and float. Neither allocates; both need only sqrt.
+    With the configuration FILE (TOML), it is the step of this run in C99, with the bits of the library, or its table
+    for the compiled library. With --free-body, it is a header with functions for double and float. Both headers
+    allocate nothing and need only sqrt. --library copies the compiled library, which runs tables by functions of C.
     """
     from coadjoint.files.exports.headers import free_body_header
-    from coadjoint.files.output.output_files import HEADERS, check_target, write_header
+    from coadjoint.files.exports.table_export import write_interface
+    from coadjoint.files.output.output_files import HEADERS, TEXTS, check_target, write_header, write_text
 
-    if file is None and not free_body:
-        raise click.UsageError("export has nothing to write; give a configuration FILE or --free-body")
-    if free_body and (file is not None or name is not None or tangent):
-        other = short(file) if file is not None else "--tangent" if name is None else "--name"
-        raise click.UsageError(f"--free-body was given with {other}; give one of them")
-    target = None if path is None else check_target(path, HEADERS)
+    if file is None and not free_body and not library:
+        raise click.UsageError("export has nothing to write; give a configuration FILE, --free-body or --library")
+    whole = "--free-body" if free_body else "--library"
+    others = {
+        short(file): file is not None,
+        "--library": free_body and library,
+        "--name": name is not None,
+        "--tangent": tangent,
+    }
+    conflicts = [other for other, given in others.items() if given]
+    if (free_body or library) and conflicts:
+        raise click.UsageError(f"{whole} was given with {conflicts[0]}; give one of them")
+    if library:
+        if path is None:
+            raise click.UsageError("--library needs the folder --out")
+        for copy in write_interface(path):
+            click.echo(f"written: {copy}")
+        return
+    is_table = file is not None and path is not None and Path(path).suffix == ".json"
+    if is_table and (name is not None or tangent):
+        raise click.UsageError("a table has no --name and no --tangent; its derivatives are always there")
+    target = None if path is None else check_target(path, TEXTS if is_table else HEADERS)
     if file is not None:
-        text = _exported_run(file, Path(path or file).stem if name is None else name, tangent)
+        text = _exported_run(file, None if is_table else Path(path or file).stem if name is None else name, tangent)
     else:
         try:
             text = free_body_header() if target is None else free_body_header(target.name)
@@ -226,18 +247,20 @@ def export(file: str | None, free_body: bool, path: str | None, name: str | None
             raise click.UsageError(f"--out: {reason}") from None
     if target is None:
         return click.echo(text, nl=False)
-    write_header(text, target)
+    (write_text if is_table else write_header)(text, target)
     click.echo(f"written: {path}")
 
 
-def _exported_run(file: str, name: str, tangent: bool) -> str:
+def _exported_run(file: str, name: str | None, tangent: bool) -> str:
+    """Return the header of a configured run, or its table if no name is given."""
     from coadjoint.files.configuration.construction import section
     from coadjoint.files.configuration.loading import load
     from coadjoint.files.exports.c_export import c_header
+    from coadjoint.files.exports.table_export import table_text
 
     prepared = load(file).ready()
     with section(file, "export"):
-        return c_header(prepared, name, tangent)
+        return table_text(prepared) if name is None else c_header(prepared, name, tangent)
 
 
 COMMANDS = (

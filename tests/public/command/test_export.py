@@ -26,7 +26,7 @@ def test_the_header_is_printed_or_written(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        ([], "coadjoint: export has nothing to write; give a configuration FILE or --free-body"),
+        ([], "coadjoint: export has nothing to write; give a configuration FILE, --free-body or --library"),
         (["--free-bodies"], "coadjoint: unknown option '--free-bodies'; did you mean '--free-body'?"),
         (["--free-body", "-o", "body.txt"], "body.txt: the suffix sets the format; it must be .h or .hpp"),
         (["--free-body", "-o", "no/body.h"], "no/body.h: the folder no does not exist; create it first"),
@@ -34,6 +34,11 @@ def test_the_header_is_printed_or_written(tmp_path, monkeypatch, capsys):
         (["--free-body", "step.toml"], "coadjoint: --free-body was given with 'step.toml'; give one of them"),
         (["--free-body", "--tangent"], "coadjoint: --free-body was given with --tangent; give one of them"),
         (["--free-body", "--name", "top"], "coadjoint: --free-body was given with --name; give one of them"),
+        (["--free-body", "--library"], "coadjoint: --free-body was given with --library; give one of them"),
+        (["--library", "step.toml"], "coadjoint: --library was given with 'step.toml'; give one of them"),
+        (["--library"], "coadjoint: --library needs the folder --out"),
+        (["--library", "-o", "no"], "no: the folder does not exist; create it first"),
+        (["step.toml", "-o", "a.json", "--tangent"], "coadjoint: a table has no --name and no --tangent"),
         (["step.toml"], "step.toml: cannot be read (No such file or directory)"),
         (["step.toml", "-o", "step.c"], "step.c: the suffix sets the format; it must be .h or .hpp"),
     ],
@@ -56,6 +61,8 @@ def test_a_configuration_is_printed_or_written(tmp_path, monkeypatch, capsys):
     assert Path("own.h").read_text() == co.export_c(prepared, "again.h", name="own").read_text()
     assert command(capsys, "export", "body.toml", "-o", "own.h", "--name", "body", "--tangent").status == 0
     assert Path("own.h").read_text() == co.export_c(prepared, "body.h", tangent=True).read_text()
+    assert command(capsys, "export", "body.toml", "-o", "own.json") == (0, "written: own.json\n", "")
+    assert Path("own.json").read_text() == co.export_table(prepared, "body.json").read_text()
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from long import long_between, long_beyond
 if not compilers():
     pytest.skip("there is no compiler of C", allow_module_level=True)
 
+DOCS = Path(__file__).parents[3] / "docs"
 FIRST = next(iter(compilers()))
 KINDS = {"double": np.float64, "float": np.float32}
 # Inverse moments and momentum. The separatrix is |x|^2 m = 2 T for the middle m.
@@ -354,13 +355,30 @@ def test_the_header_may_be_included_by_several_files(source, tmp_path):
 
 
 @pytest.mark.skipif("gcc" not in compilers(), reason="needs GCC")
-@pytest.mark.parametrize(("fence", "language"), [("c", "c"), ("cpp", "c++")])
-def test_examples_of_the_page(source, tmp_path, fence, language):
+@pytest.mark.parametrize(
+    ("page", "fence", "language"), [("c", "c", "c"), ("c", "cpp", "c++"), ("tumbling_bodies", "cpp", "c++")]
+)
+def test_examples_of_the_pages(source, tmp_path, page, fence, language):
     """They compile as they are and print what the page shows."""
-    page = (Path(__file__).parents[3] / "docs" / "c.md").read_text(encoding="utf-8")
-    page = page[page.index("## The free body") :]
-    code, printed = re.search(rf"```{fence}\n(.*?)```.*?```text\n(.*?)```", page, re.DOTALL).groups()
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    text = text[max(text.find("## The free body"), 0) :]
+    code, printed = re.search(rf"```{fence}\n(.*?)```.*?```text\n(.*?)```", text, re.DOTALL).groups()
     example = source.with_name(f"example.{fence}")
     example.write_text(code)
     program = compiled("gcc", example, tmp_path / "example", "-O2", "-ffp-contract=off", language=language)
     assert subprocess.run([program], capture_output=True, text=True, check=True).stdout == printed
+
+
+@pytest.mark.skipif(
+    "gcc" not in compilers() or not all(map(shutil.which, ("ar", "rustc"))), reason="needs GCC and rustc"
+)
+def test_the_example_in_rust(source, tmp_path):
+    text = (DOCS / "tumbling_bodies.md").read_text(encoding="utf-8")
+    shim, code, printed = re.search(r"```c\n(.*?)```.*?```rust\n(.*?)```.*?```text\n(.*?)```", text, re.DOTALL).groups()
+    (source.with_name("body.c")).write_text(shim)
+    target = compiled("gcc", source.with_name("body.c"), tmp_path / "body.o", "-c", "-O2", "-ffp-contract=off")
+    subprocess.run(["ar", "rcs", tmp_path / "libbody.a", target], check=True)
+    (tmp_path / "tumble.rs").write_text(code)
+    subprocess.run(["rustc", "-O", "tumble.rs", "-L", "."], cwd=tmp_path, check=True)
+    done = subprocess.run([tmp_path / "tumble"], capture_output=True, text=True, check=True)
+    assert done.stdout == printed

@@ -129,6 +129,21 @@ def test_ready_made_systems_have_the_bits_of_the_library(name, scheme, tmp_path)
     check_run(prepared, state_of(system), 8, tmp_path / "run", FIRST)
 
 
+CASES |= {
+    f"compensated sums of {name}": (system, co.Splitting(order=2, compensated=True, **given))
+    for name, system, given in (
+        ("rotations and shears", TOP, {}),
+        ("bodies", TOP, {"parts": "free_body"}),
+        ("a body in an unequal basis", STRETCHED, {"parts": "free_body"}),
+        ("bonds", co.systems.spin_lattice("ring", 12), {"parts": "bonds"}),
+        ("cubic blocks", FULL, {}),
+        ("growth", co.systems.lorenz_1960(), {}),
+        ("series", SERIES, {}),
+        ("rational rotations", FULL, {"rotation": "rational"}),
+    )
+}
+
+
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("name", CASES)
 def test_every_kind_of_flow_has_the_bits_of_the_library(name, tmp_path):
@@ -357,9 +372,9 @@ NOT_EXPORTED = {
     "matrices": (lambda: co.prepare(co.systems.sphere_euler(), step=0.1), ("sphere_euler", "matrices")),
     "an implicit scheme": (lambda: co.prepare(BODY, co.GaussLegendre(2), step=0.1), ("GaussLegendre", "equations")),
     "a series": (lambda: co.prepare(BODY, co.Taylor(8), step=0.1), ("Taylor", "splitting")),
-    "compensated sums": (
-        lambda: co.prepare(BODY, co.Splitting(compensated=True), step=0.1),
-        ("compensated", "Splitting"),
+    "compensated sums beside forces": (
+        lambda: co.prepare(BODY.with_forces(co.forces.LinearDamping(0.3)), co.Splitting(compensated=True), step=0.1),
+        ("compensated", "forces"),
     ),
     "an attitude": (lambda: co.prepare(BODY, co.Splitting(), step=0.1, attitude=True), ("attitude", "co.systems.body")),
     "a batch": (

@@ -69,7 +69,7 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
     Raises
     ------
     TypeError
-        The run cannot be exported: it has functions of the user, matrices, an implicit scheme, compensated sums, noise,
+        The run cannot be exported: it has functions of the user, matrices, an implicit scheme, noise,
         a group element, or several systems. The message names what cannot be exported.
     ValueError, OutputError
         The name is not an identifier of C, or the path cannot be written.
@@ -105,7 +105,8 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
 class Exported(NamedTuple):
     """The statements of a step of the length h, of all steps of a run, and of the derivative of a step.
 
-    `lines` define what they call. A run is `resumable` if it has functions for the first step and all others.
+    `lines` define what they call. A run is `resumable` if it has functions for the first step and all others, and if
+    sums are `compensated`, these also take their errors.
     """
 
     lines: list[str]
@@ -114,6 +115,7 @@ class Exported(NamedTuple):
     change: list[str]
     widest: int = 0
     resumable: bool = False
+    compensated: bool = False
 
 
 def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
@@ -131,7 +133,7 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
             f"the functions cannot begin with {short(name)}; give a name of at most 41 letters, digits and underscores "
             "that begins with a letter, other than coadjoint"
         )
-    loop, numbers = _loop_of(prepared)
+    loop, numbers = loop_of_run(prepared)
     inputs = Inputs(", const double *u", ", u") if prepared.inputs is not None else Inputs()
     exported = _exported(prepared, loop, numbers, inputs, tangent, bool(forces_of(prepared.system)))
     lines = exported.lines
@@ -150,7 +152,7 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
     defined += [f"typedef {kind} coadjoint_index;"] if "coadjoint_index" in body else []
     code = "\n".join([includes(defined), called, body, END])
     code = code.replace("coadjoint_", f"{name}_").replace("COADJOINT_", f"{name.upper()}_")
-    return _comment(prepared, name, tangent, exported.resumable) + "\n".join(map(wrapped, code.split("\n")))
+    return _comment(prepared, name, tangent, exported) + "\n".join(map(wrapped, code.split("\n")))
 
 
 END = """
@@ -197,7 +199,7 @@ class _Numbers:
                 raise TypeError(f"{why} has inputs in {name}, which cannot be exported; prepare it without inputs")
 
 
-def _loop_of(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
+def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
     """Return the loop of a run of step 1, whose flows have the lengths of the coefficients, and its numbers."""
     if not isinstance(prepared, PreparedRun):
         raise TypeError(f"{short(prepared)} is no prepared run; give that of `prepare`")
@@ -249,7 +251,8 @@ def _exported(
     )
 
 
-def _check_terms(prepared: PreparedRun, terms: Terms) -> None:
+def check_terms(prepared: PreparedRun, terms: Terms) -> None:
+    """Raise TypeError for energies with functions, or with more numbers than are exported."""
     if (terms.kind == FUNCTION).any():
         raise TypeError(
             f"the energy of {prepared.system.name} has a function, which cannot be exported; only polynomials can"
@@ -261,26 +264,32 @@ def _check_terms(prepared: PreparedRun, terms: Terms) -> None:
 
 def _splitting(prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
     terms = tables.terms
-    _check_terms(prepared, terms)
-    if tables.compensated:
-        raise TypeError(f"{prepared.method} has compensated sums, which cannot be exported; give compensated=False")
+    check_terms(prepared, terms)
     numbers.check_constant(tables, [f"terms.{field}" for field in FIELDS], str(prepared.method))
     parts = PartsInC(tables, numbers.of_terms(tables, "terms.", terms), inputs)
     begin, first, every, end = (int(row) for row in tables.section)
     lines = parts.functions(tangent)
-    state, x = f"double *x{inputs.declared}, double h", f"x{inputs.passed}, h"
+    state, x = f"{parts.state.declared}{inputs.declared}, double h", f"{parts.state.passed}{inputs.passed}, h"
+    n = tables.state.size
+    zeros = [f"double error[{n}];", f"for (unsigned long i = 0; i < {n}; ++i) error[i] = 0.0;"]
+    errors = zeros if tables.compensated else []
     lines += function("first", state, parts.rows(begin, first))
     lines += function("next", state, parts.rows(first, every))
     lines += function("finish", state, parts.rows(every, end))
     finish = f"coadjoint_finish({x});"
     steps = [
+        *errors,
         "if (steps == 0) return;",
         f"coadjoint_first({x});",
         f"while (--steps > 0) coadjoint_next({x});",
         finish,
     ]
-    change = [*parts.rows(begin, first, tangent=True), *parts.rows(every, end, tangent=True)] if tangent else []
-    return Exported(lines, [f"coadjoint_first({x});", finish], steps, change, parts.widest, True)
+    change = (
+        [*errors, *parts.rows(begin, first, tangent=True), *parts.rows(every, end, tangent=True)] if tangent else []
+    )
+    return Exported(
+        lines, [*errors, f"coadjoint_first({x});", finish], steps, change, parts.widest, True, tables.compensated
+    )
 
 
 def _stages(
@@ -293,7 +302,7 @@ def _stages(
             "ExplicitRungeKutta"
         )
     terms = tables.field.terms
-    _check_terms(prepared, terms)
+    check_terms(prepared, terms)
     numbers.check_constant(tables, [f"field.terms.{field}" for field in FIELDS], str(prepared.method))
     stages = StagesInC(tables, numbers.of_terms(tables, "field.terms.", terms), inputs, solver == "EXPLICIT")
     n = tables.field.size
@@ -309,6 +318,8 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs
     """Half flows of the forces, a step of the scheme, and half flows in reversed order."""
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
     forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]
+    if inner.compensated:
+        raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
     lines, n = inner.lines, prepared.system.dim
     declared = inputs.declared
     for k, ((label, _), table) in enumerate(zip(forces_of(prepared.system), forces, strict=True)):
@@ -351,7 +362,7 @@ def _flow_of_force(label: str, table: ForceTable, numbers: _Numbers, n: int) -> 
     return flow, change
 
 
-def _comment(prepared: PreparedRun, name: str, tangent: bool, resumable: bool) -> str:
+def _comment(prepared: PreparedRun, name: str, tangent: bool, exported: Exported) -> str:
     """Return the license, what is exported, and how it is called."""
     license_text = FREE_BODY.read_text(encoding="utf-8").partition("\n")[2].partition("\nConventions.")[0]
     u = "" if prepared.inputs is None else f", const double u[{len(prepared.inputs.changing)}]"
@@ -360,11 +371,14 @@ def _comment(prepared: PreparedRun, name: str, tangent: bool, resumable: bool) -
         (f"step(double x[{n}]{u}, double h)", "one step of the length h"),
         (f"run(double x[{n}]{u}, double h, unsigned long steps)", "several steps"),
     ]
-    if resumable:
+    if exported.resumable:
+        error, begun, copied = "", "", "a copy of the state"
+        if exported.compensated:
+            error, begun, copied = f", double error[{n}]", ", with errors of 0", "copies of the state and of the errors"
         functions += [
-            (f"first(double x[{n}]{u}, double h)", "the first step of a run"),
-            (f"next(double x[{n}]{u}, double h)", "every other step"),
-            (f"finish(double x[{n}]{u}, double h)", "completes a copy of the state between two steps"),
+            (f"first(double x[{n}]{error}{u}, double h)", f"the first step of a run{begun}"),
+            (f"next(double x[{n}]{error}{u}, double h)", "every other step"),
+            (f"finish(double x[{n}]{error}{u}, double h)", f"completes {copied} between two steps"),
         ]
     if tangent:
         moved = f"also moves {n} numbers each by its derivative"

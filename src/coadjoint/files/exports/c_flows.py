@@ -96,6 +96,8 @@ class PartsInC:
     """The functions of the parts of a splitting; `inputs` declares the inputs as an argument, if there are any."""
 
     def __init__(self, tables: FlowTables, number: Numbers, inputs: Inputs) -> None:
+        compensated = tables.compensated
+        self.state = Inputs("double *x, double *error", "x, error") if compensated else Inputs("double *x", "x")
         self.tables, self.terms, self.number, self.inputs = tables, tables.terms, number, inputs
         self.parts = sorted(set(tables.part.tolist()))
         self.runs = {p: runs_of_part(tables.state, p, bool(self._called(p))) for p in self.parts}
@@ -113,9 +115,10 @@ class PartsInC:
             part = self._called_part(p) if self._called(p) else self._part(p)
             lines += [*part.functions(self, p), *(part.with_tangents(self, p) if tangent else [])]
         if max(np.diff(self.tables.section)) > MOST_ROWS:
-            lines += self._switch("part", "double *x", "x")
+            lines += self._switch("part", *self.state)
             if tangent:
-                lines += self._switch("part_with_tangents", f"double *x, {VECTORS}", "x, v, vectors")
+                declared, passed = self.state
+                lines += self._switch("part_with_tangents", f"{declared}, {VECTORS}", f"{passed}, v, vectors")
         return lines
 
     def _switch(self, name: str, arguments: str, passed: str) -> list[str]:
@@ -125,8 +128,8 @@ class PartsInC:
 
     def rows(self, first: int, last: int, h: str = "h", tangent: bool = False) -> list[str]:
         """Return the calls of the flows first to last - 1 over a step of the length h."""
-        name, state = ("part_with_tangents", "x, v, vectors") if tangent else ("part", "x")
-        state += self.inputs.passed
+        name, state = ("part_with_tangents", ", v, vectors") if tangent else ("part", "")
+        state = self.state.passed + state + self.inputs.passed
         parts, taus = self.tables.part[first:last].tolist(), self.tables.tau[first:last].tolist()
         if len(parts) <= MOST_ROWS:
             return [f"coadjoint_{name}_{p}({state}, {c!r} * {h});" for p, c in zip(parts, taus, strict=True)]
@@ -156,8 +159,11 @@ class PartsInC:
             f"for (unsigned long a = 0; a < {end - origin}; ++a)",
             [*([half] if any(frequency) else []), f"change[a] *= {by[0]};"],
         )
-        moves = [line for run in self.runs[p] for line in _moves_of_run(run, "tau")]
-        return Part(end - origin, ("angle",), angles, moves, [*changes, *each])
+        moves, corrected = (
+            [line for run in self.runs[p] for line in _moves_of_run(run, "tau", errors)]
+            for errors in (False, self.tables.compensated)
+        )
+        return Part(end - origin, ("angle",), angles, moves, [*changes, *each], corrected=corrected)
 
     def _called_part(self, p: int) -> Part:
         tables, bodies = self.tables, self._called(p)
@@ -179,23 +185,29 @@ class PartsInC:
         results = ("sine", "cosm1") if direct else ("angle", "sine", "cosm1")
         outputs = ", ".join("0" if one not in results else f"{one} + {{a}}" for one in ("angle", "sine", "cosm1"))
         angles = [*stored, *repeated(f"coadjoint_rotations({body}, {outputs});", each)]
-        moves: list[str] = []
-        for run in self.runs[p]:
-            moves += _direct_turns(run) if direct else _moves_of_run(run, "1.0")
+        moves, corrected = (
+            [
+                line
+                for run in self.runs[p]
+                for line in (_direct_turns(run, errors) if direct else _moves_of_run(run, "1.0", errors))
+            ]
+            for errors in (False, tables.compensated)
+        )
         changes = [*stored, *repeated(f"coadjoint_body_changes({body}, v, change + {{a}});", each)]
         together_moves: list[str] = []
-        if together:
+        if together and not tables.compensated:
             names = ("z0", "z1", "z2", "w0", "w1", "w2")
             found: dict[str, list[Value]] = dict(zip(names, map(list, zip(*columns, strict=True)), strict=True))
             found["s"] = [one[0] for one in constants]
             together_moves = repeated("coadjoint_bond(x, {z0}, {z1}, {z2}, {w0}, {w1}, {w2}, {s}, tau);", found)
-        return Part(BODY_ROTATIONS * len(bodies), results, angles, moves, changes, together_moves)
+        return Part(BODY_ROTATIONS * len(bodies), results, angles, moves, changes, together_moves, corrected)
 
 
 class Part(NamedTuple):
     """The statements of a part with `number` angles: they are found at x, as `results`, and vectors are moved by them.
 
-    `changes` are the changes of the angles along v. The state is moved by `together` alone, if that is not empty.
+    `changes` are the changes of the angles along v. The state is moved by `together` alone, if that is not empty, or
+    if sums are compensated by `corrected`, which moves its errors too.
     """
 
     number: int
@@ -204,16 +216,22 @@ class Part(NamedTuple):
     moves: list[str]
     changes: list[str]
     together: Sequence[str] = ()
+    corrected: Sequence[str] = ()
 
     def functions(self, parts: PartsInC, p: int) -> list[str]:
         """Return the functions that find angles, move a vector by them, and move a state."""
         local = f"double {', '.join(f'{one}[{self.number}]' for one in self.results)};"
         outputs = "".join(f", double *{one}" for one in self.results)
-        state = f"double *x{parts.inputs.declared}, double tau"
-        found = [local, f"{self._find(parts, p, 'x')};", f"coadjoint_move_{p}(x, {', '.join(self.results)}, tau);"]
+        given = f", {self._given()}, double tau"
+        corrected = function(f"correct_{p}", parts.state.declared + given, self.corrected)
+        name = f"correct_{p}" if parts.tables.compensated else f"move_{p}"
+        move = f"coadjoint_{name}({parts.state.passed}, {', '.join(self.results)}, tau);"
+        found = [local, f"{self._find(parts, p, 'x')};", move]
+        state = f"{parts.state.declared}{parts.inputs.declared}, double tau"
         return [
             *function(f"angles_{p}", f"const double *x{parts.inputs.declared}{self._tau[0]}{outputs}", self.angles),
-            *function(f"move_{p}", f"double *x, {self._given()}, double tau", self.moves),
+            *function(f"move_{p}", f"double *x{given}", self.moves),
+            *(corrected if parts.tables.compensated else []),
             *function(f"part_{p}", state, list(self.together) or found),
         ]
 
@@ -245,13 +263,15 @@ class Part(NamedTuple):
             f"double {', '.join(f'{one}[{self.number}]' for one in self.results)}, change[{self.number}], before[{n}];",
             f"for (unsigned long i = 0; i < {n}; ++i) before[i] = x[i];",
             f"{self._find(parts, p, 'before')};",
-            f"coadjoint_part_{p}(x{parts.inputs.passed}, tau);",
+            f"coadjoint_part_{p}({parts.state.passed}{parts.inputs.passed}, tau);",
             *block("for (unsigned long vector = 0; vector < vectors; ++vector)", each),
         ]
         return [
             *function(f"changes_{p}", arguments, self.changes),
             *function(f"gain_{p}", "const double *x, const double *change, double *v", gains),
-            *function(f"part_with_tangents_{p}", f"double *x, {VECTORS}{parts.inputs.declared}, double tau", body),
+            *function(
+                f"part_with_tangents_{p}", f"{parts.state.declared}, {VECTORS}{parts.inputs.declared}, double tau", body
+            ),
         ]
 
 
@@ -273,16 +293,20 @@ def _each_block(run: Run, per_angle: int = 0) -> dict[str, list[Any]]:
     return found
 
 
-def _moves_of_run(run: Run, tau: str) -> list[str]:
-    scaled, skip = f"angle[{{a}}] * ({tau} * {{w}})", "angle"
+def _moves_of_run(run: Run, tau: str, errors: bool) -> list[str]:
+    """Return the statements that move x by a run, and with `errors` those of its sums."""
+    scaled, skip, error = f"angle[{{a}}] * ({tau} * {{w}})", "angle", "error" if errors else "0"
     if run.kind == Kind.ROTATE:
-        return _turns(run, f"coadjoint_rotate{'_rationally' if run.rational else '_by'}({scaled})", skip)
+        return _turns(run, f"coadjoint_rotate{'_rationally' if run.rational else '_by'}({scaled})", skip, errors)
     if run.kind == Kind.SCALE:
-        return _blocks(run, f"coadjoint_stretch(x, {{i}}, {scaled});", "i", 1, skip)
+        return _blocks(run, f"coadjoint_stretch(x, {error}, {{i}}, {scaled});", "i", 1, skip)
     if run.kind == Kind.SHEAR:
+        by = f"({tau} * angle[{{a}}]) * {{w}}"
+        if errors:
+            return _blocks(run, f"coadjoint_shear_corrected(x, error, {{i}}, {{j}}, {by});", "ij", 0, skip)
         return _blocks(run, f"x[{{i}}] = x[{{i}}] + (({tau} * angle[{{a}}]) * {{w}}) * x[{{j}}];", "ij", 0, skip)
     if run.kind == Kind.PLANE:
-        moved = f"coadjoint_plane(x, {{i}}, {{j}}, {{w0}}, {{w1}}, {{w2}}, {{w3}}, {tau} * angle[{{a}}]);"
+        moved = f"coadjoint_plane(x, {error}, {{i}}, {{j}}, {{w0}}, {{w1}}, {{w2}}, {{w3}}, {tau} * angle[{{a}}]);"
         return _blocks(run, moved, "ij", 4, skip)
     stored = _matrix(run)
     theta = f"{tau} * angle[{run.angle[0]}]"
@@ -292,9 +316,12 @@ def _moves_of_run(run: Run, tau: str) -> list[str]:
         header += numbers("double", "square", values[run.entries : 2 * run.entries])
         header += numbers("double", "rest", values[2 * run.entries :])
         call = f"coadjoint_cubic(x, &block, constant, square, rest, {int(run.rational)}, {theta});"
+        if errors:
+            header = header[: len(numbers("double", "constant", run.constants[:CUBIC_HEADER]))]
+            call = f"coadjoint_cubic_corrected(x, error, &block, constant, {int(run.rational)}, {theta});"
         lines = [*stored, *header, call]
     else:
-        lines = [*stored, f"coadjoint_series(x, &block, {run.constants[0]!r}, {run.degree}, {theta});"]
+        lines = [*stored, f"coadjoint_series(x, {error}, &block, {run.constants[0]!r}, {run.degree}, {theta});"]
     return block("" if run.skip < 0 else f"if (!(angle[{run.skip}] == 0.0))", lines)
 
 
@@ -307,10 +334,11 @@ def _unless_zero(run: Run, statement: str, skip: str) -> str:
     return statement if run.skip < 0 else f"if (!({skip}[{{a}}] == 0.0)) {statement}"
 
 
-def _turns(run: Run, rotation: str, skip: str) -> list[str]:
+def _turns(run: Run, rotation: str, skip: str, errors: bool) -> list[str]:
     """Rotations by the angles of a run, each of all of its blocks; sines are computed once."""
+    turn = "coadjoint_turn_corrected(x, error" if errors else "coadjoint_turn(x"
     if run.repeat == 1:
-        return _blocks(run, f"coadjoint_turn(x, {{i}}, {{j}}, {rotation});", "ij", 1, skip)
+        return _blocks(run, f"{turn}, {{i}}, {{j}}, {rotation});", "ij", 1, skip)
     once = f"const struct coadjoint_rotation r = {rotation};"
     if run.repeat <= FEW:
         columns: dict[str, list[Any]] = {"a": run.angle, "w": run.constants}
@@ -318,20 +346,20 @@ def _turns(run: Run, rotation: str, skip: str) -> list[str]:
         for b in range(run.repeat):
             columns[f"i{b}"] = run.indices[2 * b :: 2 * run.repeat]
             columns[f"j{b}"] = run.indices[2 * b + 1 :: 2 * run.repeat]
-            lines.append(f"    coadjoint_turn(x, {{i{b}}}, {{j{b}}}, r);")
+            lines.append(f"    {turn}, {{i{b}}}, {{j{b}}}, r);")
         return repeated(_unless_zero(run, "\n".join(["{{", *lines, "}}"]), skip), columns)
     found: list[str] = []
     for q, angle in enumerate(run.angle):
         first = 2 * run.repeat * q
         pairs, given = run.indices[first : first + 2 * run.repeat], {"a": angle, "w": literal(run.constants[q])}
-        turned = repeated("coadjoint_turn(x, {i}, {j}, r);", {"i": pairs[::2], "j": pairs[1::2]})
+        turned = repeated(f"{turn}, {{i}}, {{j}}, r);", {"i": pairs[::2], "j": pairs[1::2]})
         head = "" if run.skip < 0 else f"if (!({skip}[{angle}] == 0.0))"
         found += block(head, [once.format(**given), *turned])
     return found
 
 
-def _direct_turns(run: Run) -> list[str]:
-    return _turns(run, "coadjoint_rotation_of(sine[{a}] * {w}, cosm1[{a}])", "cosm1")
+def _direct_turns(run: Run, errors: bool) -> list[str]:
+    return _turns(run, "coadjoint_rotation_of(sine[{a}] * {w}, cosm1[{a}])", "cosm1", errors)
 
 
 def _matrix(run: Run) -> list[str]:

@@ -368,10 +368,21 @@ static inline struct coadjoint_rotation coadjoint_rotate_hyperbolically(double p
     return coadjoint_rotation_of(coadjoint_sinh(phi), 2.0 * half * half);
 }
 
+/* [put] */
+/* Add an increment to a coordinate; if sums are compensated, with the error of the last sum, and keep the new one. */
+static inline void coadjoint_put(double *x, double *error, unsigned long i, double increment) {
+    const double old = x[i];
+    double now, added;
+    if (error) increment = increment + error[i];
+    now = old + increment, added = now - old;
+    if (error) error[i] = (old - (now - added)) + (increment - added);
+    x[i] = now;
+}
+
 /* [plane] */
 /* Move the coordinates i and j by exp(theta B), B = mean + (half, upper; lower, -half). */
-static inline void coadjoint_plane(double *x, unsigned long i, unsigned long j, double mean, double half, double upper,
-                                   double lower, double theta) {
+static inline void coadjoint_plane(double *x, double *error, unsigned long i, unsigned long j, double mean, double half,
+                                   double upper, double lower, double theta) {
     const double delta = coadjoint_fma(half, half, upper * lower), z = theta * theta * delta, a = x[i], b = x[j];
     const struct coadjoint_growth growth = coadjoint_grow_by(theta * mean);
     struct coadjoint_rotation pair = {1.0, 1.0}; /* sinh(w)/w and cosh(w) - 1 for w w = z of either sign */
@@ -389,15 +400,14 @@ static inline void coadjoint_plane(double *x, unsigned long i, unsigned long j, 
     }
     diagonal = coadjoint_fma(growth.exp, pair.cosm1, growth.expm1);
     s = growth.exp * (theta * pair.sine);
-    x[i] = a + coadjoint_fma(diagonal, a, s * coadjoint_fma(half, a, upper * b));
-    x[j] = b + coadjoint_fma(diagonal, b, s * coadjoint_fma(lower, a, -(half * b)));
+    coadjoint_put(x, error, i, coadjoint_fma(diagonal, a, s * coadjoint_fma(half, a, upper * b)));
+    coadjoint_put(x, error, j, coadjoint_fma(diagonal, b, s * coadjoint_fma(lower, a, -(half * b))));
 }
 
 /* [stretch] */
 /* Multiply the coordinate i by exp(phi). */
-static inline void coadjoint_stretch(double *x, unsigned long i, double phi) {
-    const double by = coadjoint_grow_by(phi).expm1;
-    x[i] = x[i] + by * x[i];
+static inline void coadjoint_stretch(double *x, double *error, unsigned long i, double phi) {
+    coadjoint_put(x, error, i, coadjoint_grow_by(phi).expm1 * x[i]);
 }
 
 /* [block] */
@@ -409,15 +419,25 @@ struct coadjoint_block {
 };
 
 /* [cubic] */
-/* Move by exp(theta D) = 1 + S D + C D^2, where D^3 = lambda D; D^2 is the sum of `square` and `rest`. */
-static inline void coadjoint_cubic(double *x, const struct coadjoint_block *block, const double *constant,
-                                   const double *square, const double *rest, int rational, double theta) {
+struct coadjoint_powers { double first, second; };
+
+/* S and C of exp(theta D) = 1 + S D + C D^2, where D^3 = lambda D. */
+static inline struct coadjoint_powers coadjoint_powers_of(const double *constant, int rational, double theta) {
     const double phi = constant[1] * theta;
     const struct coadjoint_rotation r = rational              ? coadjoint_rotate_rationally(phi)
                                         : constant[0] < 0.0 ? coadjoint_rotate_by(phi)
                                                             : coadjoint_rotate_hyperbolically(phi);
-    const double s = coadjoint_fma(r.sine, constant[2], r.sine * constant[3]);
-    const double c = coadjoint_fma(r.cosm1, constant[4], r.cosm1 * constant[5]);
+    struct coadjoint_powers powers;
+    powers.first = coadjoint_fma(r.sine, constant[2], r.sine * constant[3]);
+    powers.second = coadjoint_fma(r.cosm1, constant[4], r.cosm1 * constant[5]);
+    return powers;
+}
+
+/* Move by exp(theta D); D^2 is the sum of `square` and `rest`. */
+static inline void coadjoint_cubic(double *x, const struct coadjoint_block *block, const double *constant,
+                                   const double *square, const double *rest, int rational, double theta) {
+    const struct coadjoint_powers powers = coadjoint_powers_of(constant, rational, theta);
+    const double s = powers.first, c = powers.second;
     double y[COADJOINT_WIDEST];
     for (unsigned long k = 0; k < block->width; ++k) y[k] = x[block->coordinate[k]];
     for (unsigned long k = 0; k < block->width; ++k) {
@@ -433,11 +453,68 @@ static inline void coadjoint_cubic(double *x, const struct coadjoint_block *bloc
     }
 }
 
+/* [corrected] */
+/* Add an increment, the error of the last sum, and what was lost in the increment itself. A large remainder is added at
+   once, since flows would let it grow. */
+static inline void coadjoint_correct(double *x, double *error, unsigned long i, double increment, double remainder,
+                                     int wide) {
+    const double old = x[i];
+    double carried = error[i], whole, now, added;
+    if (wide) carried = carried + remainder, remainder = 0.0;
+    whole = increment + carried, now = old + whole, added = now - old;
+    error[i] = (old - (now - added)) + (whole - added) + ((increment - whole) + carried) + remainder;
+    x[i] = now;
+}
+
+/* By how much 1 + S D + C D^2 stretches a vector, over D^2 of it. */
+static inline double coadjoint_shortfall(double s, double c, double square) {
+    const double curved = c * square, power = c * curved;
+    return 0.5 * (coadjoint_fma(s, s, -2.0 * c) + power + coadjoint_fma(c, curved, -power));
+}
+
+static inline void coadjoint_turn_corrected(double *x, double *error, unsigned long i, unsigned long j,
+                                            struct coadjoint_rotation r) {
+    const double a = x[i], b = x[j], e = error[i], f = error[j], sine_a = r.sine * a, sine_b = r.sine * b;
+    const double deficit = coadjoint_shortfall(r.sine, -r.cosm1, 1.0);
+    const double lost_b = coadjoint_fma(r.sine, f, coadjoint_fma(r.sine, b, -sine_b));
+    const double lost_a = coadjoint_fma(r.sine, e, coadjoint_fma(r.sine, a, -sine_a));
+    const double first = coadjoint_fma(r.cosm1, e, -lost_b) - deficit * a;
+    const double second = coadjoint_fma(r.cosm1, f, lost_a) - deficit * b;
+    const int wide = r.cosm1 < -0.125;
+    coadjoint_correct(x, error, i, coadjoint_fma(r.cosm1, a, -sine_b), first, wide);
+    coadjoint_correct(x, error, j, coadjoint_fma(r.cosm1, b, sine_a), second, wide);
+}
+
+static inline void coadjoint_shear_corrected(double *x, double *error, unsigned long i, unsigned long j, double by) {
+    const double moved = by * x[j], remainder = coadjoint_fma(by, error[j], coadjoint_fma(by, x[j], -moved));
+    coadjoint_correct(x, error, i, moved, remainder, 0.25 < by * by);
+}
+
+/* [cubic_corrected] */
+static inline void coadjoint_cubic_corrected(double *x, double *error, const struct coadjoint_block *block,
+                                             const double *constant, int rational, double theta) {
+    const struct coadjoint_powers powers = coadjoint_powers_of(constant, rational, theta);
+    const double deficit = coadjoint_shortfall(powers.first, powers.second, -constant[0]);
+    double y[3][COADJOINT_WIDEST];
+    for (unsigned long k = 0; k < block->width; ++k) y[0][k] = x[block->coordinate[k]];
+    for (int power = 0; power < 2; ++power)
+        for (unsigned long k = 0; k < block->width; ++k) {
+            double total = 0.0;
+            for (unsigned long e = block->start[k]; e < block->start[k + 1]; ++e)
+                total = coadjoint_fma(block->value[e], y[power][block->column[e]], total);
+            y[power + 1][k] = total;
+        }
+    for (unsigned long k = 0; k < block->width; ++k) {
+        const double moved = coadjoint_fma(powers.first, y[1][k], powers.second * y[2][k]);
+        coadjoint_correct(x, error, block->coordinate[k], moved, deficit * y[2][k], 0);
+    }
+}
+
 /* [series] */
 /* Move by exp(theta D) by its series: finite if the norm is 0, otherwise in substeps of norm at most 1, or for many of
    them by a matrix that is squared again and again. NaN beyond 4096 substeps. */
-static inline void coadjoint_series(double *x, const struct coadjoint_block *block, double norm, int degree,
-                                    double theta) {
+static inline void coadjoint_series(double *x, double *error, const struct coadjoint_block *block, double norm,
+                                    int degree, double theta) {
     static const double reach[] = {5.42e-20, 4.03e-10, 8.66e-07, 4.24e-05, 0.000455, 0.00227, 0.00728,
                                    0.0177,   0.0358,   0.0635,   0.102,    0.153,    0.217,   0.293,
                                    0.383,    0.485,    0.6,      0.727,    0.866,    1.02};
@@ -489,7 +566,7 @@ static inline void coadjoint_series(double *x, const struct coadjoint_block *blo
             for (unsigned long k = 0; k < n; ++k) {
                 double sum = 0.0;
                 for (unsigned long j = 0; j < n; ++j) sum = coadjoint_fma(increment[k * n + j], y[j], sum);
-                x[block->coordinate[k]] = y[k] + sum;
+                coadjoint_put(x, error, block->coordinate[k], sum);
             }
             return;
         }
@@ -511,7 +588,7 @@ static inline void coadjoint_series(double *x, const struct coadjoint_block *blo
             }
             for (unsigned long k = 0; k < n && term > 1; ++k) inner[k] = y[k] + total[k];
         }
-        for (unsigned long k = 0; k < n; ++k) x[block->coordinate[k]] = y[k] + total[k];
+        for (unsigned long k = 0; k < n; ++k) coadjoint_put(x, error, block->coordinate[k], total[k]);
     }
 }
 
