@@ -2,6 +2,7 @@
 // coordinates, else eight.
 #pragma once
 
+#include <type_traits>
 #include <vector>
 
 #include "numbers/aligned_array.hpp"
@@ -130,10 +131,23 @@ INLINE double sum_of_lanes(const Lanes<W>& a) {
 #endif
 }
 
+// Lanes without their alignment, since the memory of containers that are aligned takes long to find.
+template <class A>
+struct Unaligned {
+    double numbers[Numbers<A>::lanes] = {};
+    Unaligned() = default;
+    INLINE Unaligned(const A& a) { store(numbers, a); }
+    INLINE operator A() const { return load<A>(numbers); }
+};
+template <class N>
+using Stored = std::conditional_t<std::is_same_v<N, double>, double, Unaligned<N>>;
+template <class N>
+void add(Stored<N>& sum, const N& more) { sum = N(sum) + more; }
+
 // Sparse sums, sum_e weight_e x[left_e] (y[right_e]), of one member, or of members as lanes.
 template <class N>
 struct EntryOf {
-    N weight;
+    Stored<N> weight;
     int64_t left, right;
 };
 template <class N>

@@ -5,19 +5,19 @@
 #include <map>
 #include <vector>
 
-#include "numbers/lanes.hpp"
+#include "field/row_lanes.hpp"
 
 namespace coadjoint {
 
 // The coordinates of a product in order, and its weight: a number of one member, or of members as lanes.
 template <class N>
-using SumOfProductsOf = std::map<std::vector<int64_t>, N>;
+using SumOfProductsOf = std::map<std::vector<int64_t>, Stored<N>>;
 typedef SumOfProductsOf<double> SumOfProducts;
 
 // scale x[coordinate] sum
 template <class N>
 struct FactoredProduct {
-    N scale;
+    Stored<N> scale;
     int64_t coordinate;
     SumOfProductsOf<N> sum;
 };
@@ -29,7 +29,10 @@ N scale_of(const SumOfProductsOf<N>& sum) {
     if (sum.size() == 1) return first;
     const N power = leading_power(first), scale = select(first < N(0.0), -power, power);
     auto exact = first == first;
-    for (const auto& [factors, weight] : sum) exact = exact & (weight / scale * scale == weight);
+    for (const auto& [factors, stored] : sum) {
+        const N weight = stored;
+        exact = exact & (weight / scale * scale == weight);
+    }
     return select(exact, scale, N(1.0));
 }
 
@@ -57,9 +60,9 @@ std::vector<FactoredProduct<N>> factored(SumOfProductsOf<N> left, int64_t avoide
             product.sum[rest] = it->second;
             it = left.erase(it);
         }
-        product.scale = scale_of(product.sum);
-        for (auto& [factors, weight] : product.sum) weight = weight / product.scale;
-        found.push_back(product);
+        product.scale = scale_of<N>(product.sum);
+        for (auto& [factors, weight] : product.sum) weight = N(weight) / N(product.scale);
+        found.push_back(std::move(product));
     }
     return found;
 }

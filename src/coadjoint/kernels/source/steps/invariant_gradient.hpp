@@ -13,7 +13,7 @@ constexpr uint32_t MOST_FACTORS = 8;  // products of more factors are not writte
 template <class N>
 N sum_of_sizes(const SparseSumOf<N>& row) {
     N total(0.0);
-    for (const auto& entry : row) total = total + absolute(entry.weight);
+    for (const auto& entry : row) total = total + absolute(N(entry.weight));
     return total;
 }
 
@@ -24,7 +24,7 @@ struct InvariantGradient {
     N constant;
     std::map<int64_t, SparseSumOf<N>> linear;
     std::map<int64_t, std::map<size_t, SumOfProductsOf<N>>> products;
-    std::map<int64_t, N> offset;
+    std::map<int64_t, Stored<N>> offset;
     std::vector<int64_t> terms;
 
     // The gradient of invariant i.
@@ -63,7 +63,7 @@ struct InvariantGradient {
         for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row) {
             SparseSumOf<N>& sum = linear[terms.target[row]];
             if (terms.kind[k] != LINEAR) continue;
-            offset[terms.target[row]] += constants.template number_at<N>(terms.offset, row);
+            add<N>(offset[terms.target[row]], constants.template number_at<N>(terms.offset, row));
             for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
                 sum.push_back({constants.template number_at<N>(terms.weight, e), int64_t(terms.column[e]), 0});
         }
@@ -96,11 +96,11 @@ struct InvariantGradient {
             rest.erase(rest.begin() + int64_t(f));
             const N times = weight * N(double(next - f));
             if (rest.empty())
-                offset[i] += times;
+                add<N>(offset[i], times);
             else if (rest.size() == 1)
                 linear[i].push_back({times, rest[0], 0});
             else
-                products[i][rest.size()][rest] += times;
+                add<N>(products[i][rest.size()][rest], times);
         }
     }
 };

@@ -24,6 +24,7 @@ class ProjectionLanes {
         : n(n), size(watch.size), targets(2 * size), slopes(size * n), unused(n), row(blocks_of<W>(n)),
           remainder(blocks_of<W>(n)), numbers(2 * size) {
         bool few = size <= 4 && n <= W;
+        invariants.reserve(few ? size : 0);
         for (int64_t i = size; few && i-- > 0;) few = add(InvariantGradient<A>(watch, constants, i));
         if (few) return;
         for (int lane = 0; lane < (std::is_same_v<C, MemberConstants> ? 1 : lanes); ++lane)
@@ -91,7 +92,7 @@ class ProjectionLanes {
     };
     const int64_t n, size;
     std::vector<Quadratic> invariants;
-    std::vector<A> offsets, weights;
+    std::vector<Stored<A>> offsets, weights;
     std::vector<int64_t> lefts;
     std::vector<std::unique_ptr<Projection<W, MemberConstants>>> alone;  // of every member, or of all; none for few
     AlignedArray<A> targets, slopes, unused;
@@ -108,7 +109,7 @@ class ProjectionLanes {
         invariants.push_back({gradient.constant, A(0.0), int64_t(weights.size()), int64_t(block[0].size()), diagonal});
         for (int64_t c = 0; c < n; ++c) {
             const auto offset = gradient.offset.find(c);
-            offsets.push_back(offset == gradient.offset.end() ? A(0.0) : offset->second);
+            offsets.push_back(offset == gradient.offset.end() ? A(0.0) : A(offset->second));
             for (const auto& entry : block[c]) weights.push_back(entry.weight), lefts.push_back(entry.left);
             invariants.back().curvature = larger(invariants.back().curvature, sum_of_sizes(block[c]));
         }
@@ -204,7 +205,7 @@ class ProjectionLanes {
             A* const slope = gradients ? gradients + i * n : unused.at;
             for (int64_t c = 0; c < n; ++c) slope[c] = slope_of(i, c, x);
             defect[i] = targets.at[i] - (invariants[i].constant +
-                                         A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + offsets[i * n + c]); }));
+                                         A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + A(offsets[i * n + c])); }));
             every = every & rounding_alone(i, defect[i], x, targets.at[R + i], active);
             total = total + absolute(defect[i]);
         }
@@ -214,28 +215,28 @@ class ProjectionLanes {
     // As `InvariantRows::slope`, for one coordinate.
     INLINE A slope_of(int64_t i, int64_t c, const A* x) const {
         const Quadratic& one = invariants[i];
-        const A* const weight = weights.data() + one.first + c * one.length;
+        const Stored<A>* const weight = weights.data() + one.first + c * one.length;
         const int64_t* const left = lefts.data() + one.first + c * one.length;
         A total = offsets[i * n + c];
         int64_t e = 0;
-        for (; e < one.diagonal; ++e) total = fma(weight[e], x[c], total);
-        for (; e < one.length; ++e) total = fma(weight[e], x[left[e]], total);
+        for (; e < one.diagonal; ++e) total = fma(A(weight[e]), x[c], total);
+        for (; e < one.length; ++e) total = fma(A(weight[e]), x[left[e]], total);
         return total;
     }
 
     // As `InvariantRows::value`.
     NOINLINE A value(int64_t i, const A* x) const {
         return invariants[i].constant +
-               A(0.5) * sum([&](int64_t c) { return fma(x[c], slope_of(i, c, x) + offsets[i * n + c], A(0.0)); });
+               A(0.5) * sum([&](int64_t c) { return fma(x[c], slope_of(i, c, x) + A(offsets[i * n + c]), A(0.0)); });
     }
 
     // As `InvariantRows::terms_of`.
     NOINLINE A terms_of(int64_t i, const A* x) const {
         const Quadratic& one = invariants[i];
         return sum([&](int64_t c) {
-            A rising = absolute(offsets[i * n + c]);
+            A rising = absolute(A(offsets[i * n + c]));
             for (int64_t e = one.first + c * one.length; e < one.first + (c + 1) * one.length; ++e)
-                rising = fma(absolute(weights[e]), absolute(x[lefts[e]]), rising);
+                rising = fma(absolute(A(weights[e])), absolute(x[lefts[e]]), rising);
             return absolute(x[c]) * rising;
         });
     }

@@ -78,21 +78,24 @@ class SeriesLanes {
     struct SumsOfMembers {
         std::vector<int64_t> first{0};
         std::vector<Factors> at;
-        std::vector<A> weight;
+        AlignedArray<A> weight{0};
 
         int64_t size() const { return int64_t(at.size()); }
 
         template <class At>
         void read(const typename SeriesRows<W, A>::Rows& rows, At place) {
             for (const auto& row : rows) {
-                for (const auto& entry : row)
-                    at.push_back({place(entry.left), place(entry.right)}), weight.push_back(entry.weight);
+                for (const auto& entry : row) at.push_back({place(entry.left), place(entry.right)});
                 first.push_back(size());
             }
+            weight.clear(size());
+            A* to = weight.at;
+            for (const auto& row : rows)
+                for (const auto& entry : row) *to++ = entry.weight;
         }
     };
     const bool written_out, factored;
-    const std::vector<A> offsets;
+    const std::vector<Stored<A>> offsets;
     std::vector<int64_t> positions;  // indices of the rows of the field
     SumsOfMembers products, gradients, linear, outputs;
     std::vector<Factors> made;
@@ -158,7 +161,7 @@ class SeriesLanes {
             for (int64_t e = first; e < last; ++e) {
                 const A* const right = others + products.at[e].right;
                 const A y = series.at[products.at[e].left + k], z = right[k];
-                const A weight = products.weight[e];
+                const A weight = products.weight.at[e];
                 A* const from = weighted.at + e * (order + 1);
                 from[k] = weight * y;
                 if (k > 0) odd = fma(y, length * (weight * right[0]), odd);
@@ -166,7 +169,7 @@ class SeriesLanes {
             }
             if (written_out)
                 for (int64_t e = linear.first[i]; e < linear.first[i + 1]; ++e)
-                    odd = fma(length * linear.weight[e], series.at[linear.at[e].left + k], odd);
+                    odd = fma(length * linear.weight.at[e], series.at[linear.at[e].left + k], odd);
             of(i)[k + 1] = even + odd;
         }
     }
@@ -179,9 +182,9 @@ class SeriesLanes {
             A even, odd;
             begin(first, first + 1, k, later.at + 2 * p, even, odd, [&](int64_t) { return left; },
                   [&](int64_t) { return right; });
-            A now = products.weight[first] * series.at[products.at[first].left + k];
+            A now = products.weight.at[first] * series.at[products.at[first].left + k];
             for (int64_t e = first + 1; e < last; ++e)
-                now = fma(products.weight[e], series.at[products.at[e].left + k], now);
+                now = fma(products.weight.at[e], series.at[products.at[e].left + k], now);
             right[k] = now;
             A sum = length * (even + odd);
             if (k > 0) sum = fma(length * right[0], left[k], sum);
@@ -190,22 +193,22 @@ class SeriesLanes {
         for (int64_t i = 0; i < n; ++i) {
             A sum(0.0);
             for (int64_t e = linear.first[i]; e < linear.first[i + 1]; ++e)
-                sum = fma(length * linear.weight[e], series.at[linear.at[e].left + k], sum);
+                sum = fma(length * linear.weight.at[e], series.at[linear.at[e].left + k], sum);
             for (int64_t e = outputs.first[i]; e < outputs.first[i + 1]; ++e)
-                sum = fma(outputs.weight[e], results.at[outputs.at[e].left], sum);
+                sum = fma(outputs.weight.at[e], results.at[outputs.at[e].left], sum);
             of(i)[k + 1] = sum;
         }
     }
 
     INLINE void take_slopes(int64_t k) {
         for (int64_t i = 0; i < n; ++i) {
-            A even = k ? A(0.0) : offsets[i], odd(0.0);
+            A even = k ? A(0.0) : A(offsets[i]), odd(0.0);
             int64_t e = gradients.first[i];
             for (; e + 1 < gradients.first[i + 1]; e += 2) {
-                even = fma(gradients.weight[e], series.at[gradients.at[e].left + k], even);
-                odd = fma(gradients.weight[e + 1], series.at[gradients.at[e + 1].left + k], odd);
+                even = fma(gradients.weight.at[e], series.at[gradients.at[e].left + k], even);
+                odd = fma(gradients.weight.at[e + 1], series.at[gradients.at[e + 1].left + k], odd);
             }
-            if (e < gradients.first[i + 1]) even = fma(gradients.weight[e], series.at[gradients.at[e].left + k], even);
+            if (e < gradients.first[i + 1]) even = fma(gradients.weight.at[e], series.at[gradients.at[e].left + k], even);
             slopes.at[i * (order + 1) + k] = even + odd;
         }
     }

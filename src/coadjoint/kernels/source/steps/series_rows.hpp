@@ -31,7 +31,7 @@ struct SeriesRows {
     bool factored = false;     // whether `products` are x[right_e] sum_e c_e x[left_e], see `outputs`
     bool alike = true;         // whether all members have these rows; else they are of no use
     Rows products, linear, gradient, factors, outputs;
-    std::vector<N> offsets;
+    std::vector<Stored<N>> offsets;
 
     template <class C>
     NOINLINE SeriesRows(const Field& field, const C& constants, int64_t order)
@@ -80,11 +80,11 @@ struct SeriesRows {
 
     // Merge entries of the same series, and drop those that cancel.
     void merge(SparseSumOf<N>& row) {
-        std::map<std::pair<int64_t, int64_t>, N> sums;
-        for (const auto& entry : row) sums[{entry.left, entry.right}] += entry.weight;
+        std::map<std::pair<int64_t, int64_t>, Stored<N>> sums;
+        for (const auto& entry : row) add<N>(sums[{entry.left, entry.right}], entry.weight);
         row.clear();
         for (const auto& [positions, weight] : sums)
-            if (!holds(weight == N(0.0))) row.push_back({weight, positions.first, positions.second});
+            if (!holds(N(weight) == N(0.0))) row.push_back({weight, positions.first, positions.second});
     }
 
     template <class C>
@@ -93,7 +93,7 @@ struct SeriesRows {
             if (terms.kind[k] == LINEAR)
                 for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row) {
                     const uint32_t i = terms.target[row];
-                    offsets[i] += constants.template number_at<N>(terms.offset, row);
+                    add<N>(offsets[i], constants.template number_at<N>(terms.offset, row));
                     for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
                         gradient[i].push_back({constants.template number_at<N>(terms.weight, e),
                                                 int64_t(terms.column[e]), 0});
@@ -120,7 +120,7 @@ struct SeriesRows {
         }
         each_derivative(terms, constants, [&](int64_t i, const N& weight, const std::vector<int64_t>& rest) {
             if (rest.empty())
-                offsets[i] += weight;
+                add<N>(offsets[i], weight);
             else
                 gradient[i].push_back({weight, rest.size() == 1 ? rest[0] : known.at(rest), 0});
         });
@@ -150,7 +150,7 @@ struct SeriesRows {
         for (size_t r = 0; r < pairs.size(); ++r) {
             SumOfProductsOf<N> row;
             for (const auto& [weight, i, j] : pairs[r]) row[{i, j}] = weight;
-            for (const auto& product : coadjoint::factored(row)) {
+            for (const auto& product : coadjoint::factored<N>(row)) {
                 size_t place = 0;
                 while (place < found.size() && !same(found[place], product)) ++place;
                 totals[r].push_back({product.scale, int64_t(place), 0});
@@ -178,9 +178,9 @@ struct SeriesRows {
         if (one.coordinate != other.coordinate || one.sum.size() != other.sum.size()) return false;
         for (auto a = one.sum.begin(), b = other.sum.begin(); a != one.sum.end(); ++a, ++b)
             if (a->first != b->first) return false;
-        auto equal = one.scale == one.scale;
+        auto equal = N(0.0) == N(0.0);
         for (auto a = one.sum.begin(), b = other.sum.begin(); a != one.sum.end(); ++a, ++b)
-            equal = equal & (a->second == b->second);
+            equal = equal & (N(a->second) == N(b->second));
         return holds(equal);
     }
 
@@ -195,9 +195,9 @@ struct SeriesRows {
         for (int64_t r = 0; r < n; ++r) {
             for (const auto& entry : products[r]) {
                 for (const auto& weighted : gradient[entry.right])
-                    pairs[r].push_back({entry.weight * weighted.weight, std::min(entry.left, weighted.left),
+                    pairs[r].push_back({N(entry.weight) * N(weighted.weight), std::min(entry.left, weighted.left),
                                         std::max(entry.left, weighted.left)});
-                single[r].push_back({entry.weight * offsets[entry.right], entry.left, 0});
+                single[r].push_back({N(entry.weight) * N(offsets[entry.right]), entry.left, 0});
             }
             merge(pairs[r]), merge(single[r]);
         }
