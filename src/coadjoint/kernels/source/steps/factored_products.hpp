@@ -50,14 +50,14 @@ std::vector<FactoredProduct<N>> factored(SumOfProductsOf<N> left, int64_t avoide
             if (count > counts[common] || (count == counts[common] && common == avoided)) common = i;
         FactoredProduct<N> product{N(1.0), common, {}};
         for (auto it = left.begin(); it != left.end();) {
-            std::vector<int64_t> rest = it->first;
-            const auto place = std::find(rest.begin(), rest.end(), common);
-            if (place == rest.end()) {
+            const auto place = std::find(it->first.begin(), it->first.end(), common);
+            if (place == it->first.end()) {
                 ++it;
                 continue;
             }
-            rest.erase(place);
-            product.sum[rest] = it->second;
+            std::vector<int64_t> rest(it->first.begin(), place);
+            rest.insert(rest.end(), place + 1, it->first.end());
+            product.sum[std::move(rest)] = it->second;
             it = left.erase(it);
         }
         product.scale = scale_of<N>(product.sum);

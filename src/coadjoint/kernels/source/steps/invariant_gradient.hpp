@@ -34,6 +34,11 @@ struct InvariantGradient {
         for (uint32_t k = watch.first[i]; k < watch.first[i + 1]; ++k) read(watch.terms, constants, k);
     }
 
+    N offset_of(int64_t i) const {
+        const auto found = offset.find(i);
+        return found == offset.end() ? N(0.0) : N(found->second);
+    }
+
     // The linear sums of the W components from `low` on, all of one length, of which the component itself comes first if
     // it is in one of them: an entry of weight zero pads the others.
     template <int W>

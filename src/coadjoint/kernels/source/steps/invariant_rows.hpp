@@ -195,10 +195,10 @@ struct InvariantRows {
             there.resize((block.size() + 1) * W, false);
             for (; it != gradient.linear.end() && it->first / W == b; ++it) {
                 const int64_t lane = it->first % W, at = int64_t(block.size()) * W + lane;
-                offsets[at] = gradient.offset[it->first];
+                offsets[at] = gradient.offset_of(it->first);
                 there[at] = true;
                 second_derivative[0] = larger(second_derivative[0], sum_of_sizes(lanes[lane]));
-                longer[lane] = gradient.products[it->first];
+                if (!gradient.products.empty()) longer[lane].swap(gradient.products[it->first]);
                 for (const auto& [factors, some] : longer[lane]) {
                     double all = 0.0;
                     for (const auto& [product, weight] : some) all += double(factors) * std::fabs(weight);

@@ -108,8 +108,7 @@ class ProjectionLanes {
         const auto block = gradient.template block<W>(0, diagonal);
         invariants.push_back({gradient.constant, A(0.0), int64_t(weights.size()), int64_t(block[0].size()), diagonal});
         for (int64_t c = 0; c < n; ++c) {
-            const auto offset = gradient.offset.find(c);
-            offsets.push_back(offset == gradient.offset.end() ? A(0.0) : A(offset->second));
+            offsets.push_back(gradient.offset_of(c));
             for (const auto& entry : block[c]) weights.push_back(entry.weight), lefts.push_back(entry.left);
             invariants.back().curvature = larger(invariants.back().curvature, sum_of_sizes(block[c]));
         }

@@ -150,15 +150,15 @@ struct SeriesRows {
         for (size_t r = 0; r < pairs.size(); ++r) {
             SumOfProductsOf<N> row;
             for (const auto& [weight, i, j] : pairs[r]) row[{i, j}] = weight;
-            for (const auto& product : coadjoint::factored<N>(row)) {
+            for (auto& product : coadjoint::factored<N>(std::move(row))) {
                 size_t place = 0;
                 while (place < found.size() && !same(found[place], product)) ++place;
                 totals[r].push_back({product.scale, int64_t(place), 0});
                 if (place < found.size()) continue;
-                found.push_back(product);
                 sums.emplace_back();
                 for (const auto& [other, weight] : product.sum)
                     sums.back().push_back({weight, other[0], product.coordinate});
+                found.push_back(std::move(product));
             }
         }
         const int64_t count = int64_t(sums.size());
