@@ -38,6 +38,9 @@ CASES: dict[str, tuple[Callable[[float, int], list[co.LiePoissonSystem]], Any]] 
     "heavy top, Splitting(4)": (tops, co.Splitting(order=4)),
     "heavy top, GaussLegendre(2)": (tops, co.GaussLegendre(2)),
     "degree four, Splitting(4)": (polynomials, co.Splitting(order=4)),
+    "heavy top, Taylor(12)": (tops, co.Taylor(12)),
+    "degree four, Taylor(12)": (polynomials, co.Taylor(12)),
+    "heavy top, own steps": (tops, co.Taylor(tolerance=1e-9)),
 }
 
 

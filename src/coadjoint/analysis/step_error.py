@@ -27,7 +27,7 @@ from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.protocol import forces_of, is_batch, member_of, rows_of, states_of
+from coadjoint.systems.protocol import forces_of, is_batch, member_of, members_of, rows_of, states_of
 
 Floats = NDArray[np.float64]
 
@@ -134,11 +134,16 @@ class _Measured:
         # Rounding is that of this thread.
         self.alone = prepared.in_one_thread()
         self.prepared = prepared if sum(states.size for _, states, _ in points) >= THREADED else self.alone
+        runs: tuple[Preparation, ...] = (self.prepared, self.alone)
         states = [states for _, states, _ in points]
-        if is_batch(system) or member_of(system).hamiltonian.timed or forces_of(system):
-            step = Step(*map(np.stack, zip(*(self._step(None, x, t) for t, x, _ in points), strict=True)))
+        if any(one.hamiltonian.timed or forces_of(one) for one in members_of(prepared.system)):
+            step = Step(*map(np.stack, zip(*(self._step(runs, x, t) for t, x, _ in points), strict=True)))
         else:
-            step = self._step(None, np.concatenate(states), points[0][0])
+            # The members at all points side by side.
+            if is_batch(system):
+                repeated = np.tile(np.arange(len(members)), len(points))
+                runs = tuple(run.sampled(repeated) for run in dict.fromkeys(runs))
+            step = self._step(runs, np.concatenate(states), points[0][0])
             step = Step(*(part.reshape(len(points), -1, self.groups.count) for part in step))
         norms = self.groups.norms(states[0][None] if len(points) == 1 else np.stack(states))
         held = np.stack([held for _, _, held in points])
@@ -148,9 +153,11 @@ class _Measured:
         self.rounding = step.rounding.max(axis=0)
         self.weights = self._weights()
 
-    def _step(self, member: int | None, states: Floats, t: float) -> Step:
-        """Measure a step from states; of a member with its known rounding, and zero if it cannot be repeated."""
-        h, groups, prepared = self.h, self.groups, self.prepared if member is None else self._of_member(member)
+    def _step(
+        self, runs: tuple[Preparation, ...], states: Floats, t: float, known_rounding: Floats | None = None
+    ) -> Step:
+        """Measure a step from states, zero if it cannot be repeated; rounding by the last run unless it is known."""
+        h, groups, prepared = self.h, self.groups, runs[0]
         middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
         change = groups.norms(middle - states)
         # Without the arrays of this run, of a large state.
@@ -161,13 +168,13 @@ class _Measured:
         factor = 1.0 / (1.0 - 0.5**self.method.order)
         errors = factor * groups.norms(full - halved)
         changes = np.maximum(groups.norms(full - states), change)
-        if member is None:
+        if known_rounding is None:
             halved, full = None, full.copy()
-            (up,) = _run(self.alone, states, whole, advance_up)
+            (up,) = _run(runs[-1], states, whole, advance_up)
             rounding = groups.norms(up - full)
             rounding[~np.isfinite(rounding)] = 0.0
         else:
-            rounding = self.rounding[member]
+            rounding = known_rounding
         sizes = groups.norms(states)
         # If a step loses the largest group too, it is so large that it amplifies rounding.
         amplified = np.where(sizes == sizes.max(axis=1, keepdims=True), rounding > WARNED * sizes, False)
@@ -375,7 +382,7 @@ class _Measured:
 
     def _error_of(self, m: int, state: Floats, t: float) -> float:
         """Return the error of a step of a chosen member from a state (1, n), relative to the change in it."""
-        step = self._step(m, state, t)
+        step = self._step((self._of_member(m),), state, t, self.rounding[m])
         errors, changes = (np.sum((part * self.weights[m]) ** 2, axis=1) for part in (step.errors, step.changes))
         return float(_ratios(errors, changes)[0])
 

@@ -17,9 +17,19 @@ struct TaylorLanes final : LaneStep {
     SeriesLanes<W, A> series;
     ProjectionLanes<W, A> projection;
 
-    TaylorLanes(const SeriesField<W>& field, int64_t order, Projection<W, MemberConstants>& projection)
-        : n(field.n), series(field, order), projection(projection, field.n) {
+    template <class C>
+    TaylorLanes(const SeriesRows<W, A>& rows, const StepTables& tables, const C& constants)
+        : n(rows.n), series(rows, tables.whole[0]), projection(tables.restored, constants, n) {
         work = series.work() + 8 * NATIVE * n;
+    }
+
+    // The step of members with these constants; null if they have other rows, or read more than the cache holds.
+    template <class C>
+    static std::unique_ptr<LaneStep> of(const StepTables& tables, const C& constants) {
+        const SeriesRows<W, A> rows(tables.field, constants, tables.whole[0]);
+        if (!rows.alike) return nullptr;
+        auto step = std::make_unique<TaylorLanes>(rows, tables, constants);
+        return step->series.working_set() > LARGEST_WORKING_SET ? nullptr : std::move(step);
     }
 
     void read(int lane, const double* memory) override { projection.read(lane, memory); }
@@ -28,7 +38,8 @@ struct TaylorLanes final : LaneStep {
     void step(A* x, A* dx, const A& h, const int64_t* active) override {
         A selected(0.0);
         for (int lane = 0; lane < NATIVE; ++lane)
-            if (active[lane]) projection.begin(lane, x), set_lane(selected, lane, 1.0);
+            if (active[lane]) set_lane(selected, lane, 1.0);
+        projection.begin(x, selected > A(0.0));
         series.expand(x, h);
         for (int64_t i = 0; i < n; ++i) add_to(x[i], dx[i], series.increment(i));
         const auto restored = projection.restore(x, dx, selected > A(0.0));
@@ -77,12 +88,10 @@ struct Taylor final : StepScheme {
         return group ? rotate(x, g, dg, h) : DONE;
     }
 
-    std::unique_ptr<LaneStep> lane_step() override {
+    std::unique_ptr<LaneStep> lane_step(const StepTables& tables, const LaneConstants* own) override {
         // Two lanes are not faster than the rows of one member.
         if (group || NATIVE < 4) return nullptr;
-        auto lane_step = std::make_unique<TaylorLanes<W>>(series.field, series.order, projection);
-        if (lane_step->series.working_set() > LARGEST_WORKING_SET) return nullptr;
-        return lane_step;
+        return own ? TaylorLanes<W>::of(tables, *own) : TaylorLanes<W>::of(tables, MemberConstants{1, 0});
     }
 
     StepSeries series_of_step() const override {

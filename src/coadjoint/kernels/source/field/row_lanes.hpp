@@ -2,6 +2,7 @@
 // coordinates, else eight.
 #pragma once
 
+#include <type_traits>
 #include <vector>
 
 #include "numbers/aligned_array.hpp"
@@ -130,14 +131,31 @@ INLINE double sum_of_lanes(const Lanes<W>& a) {
 #endif
 }
 
-// Sparse sums, sum_e weight_e x[left_e] (y[right_e]), the rows in blocks of W; shorter rows of a block are padded with
-// entries of weight zero.
-struct Entry {
-    double weight;
+// Lanes without their alignment, since the memory of containers that are aligned takes long to find.
+template <class A>
+struct Unaligned {
+    double numbers[Numbers<A>::lanes] = {};
+    Unaligned() = default;
+    INLINE Unaligned(const A& a) { store(numbers, a); }
+    INLINE operator A() const { return load<A>(numbers); }
+};
+template <class N>
+using Stored = std::conditional_t<std::is_same_v<N, double>, double, Unaligned<N>>;
+template <class N>
+void add(Stored<N>& sum, const N& more) { sum = N(sum) + more; }
+
+// Sparse sums, sum_e weight_e x[left_e] (y[right_e]), of one member, or of members as lanes.
+template <class N>
+struct EntryOf {
+    Stored<N> weight;
     int64_t left, right;
 };
-typedef std::vector<Entry> SparseSum;
+template <class N>
+using SparseSumOf = std::vector<EntryOf<N>>;
+typedef EntryOf<double> Entry;
+typedef SparseSumOf<double> SparseSum;
 
+// The rows in blocks of W; shorter rows of a block are padded with entries of weight zero.
 template <int W>
 struct Sums {
     // One entry of each row of a block.
@@ -167,7 +185,8 @@ struct Sums {
     }
 
     // The longest row of the block that begins with row `low`.
-    static int64_t longest(const std::vector<SparseSum>& rows, size_t low) {
+    template <class N>
+    static int64_t longest(const std::vector<SparseSumOf<N>>& rows, size_t low) {
         size_t entries = 0;
         for (size_t r = low; r < std::min(low + W, rows.size()); ++r) entries = std::max(entries, rows[r].size());
         return int64_t(entries);

@@ -11,6 +11,17 @@ struct SharedConstants {
     static INLINE A number_at(const double* from, int64_t position) { return A(from[position]); }
     static INLINE int64_t address(const int64_t* from, int64_t position, int) { return from[position]; }
     static INLINE int used(int lanes) { return lanes; }
+    static INLINE SharedConstants of_lane(int) { return {}; }
+};
+
+// The constants of one of the members below, the same in every lane.
+struct MemberConstants {
+    int64_t stride, first;
+    template <class A>
+    INLINE A number_at(const double* from, int64_t position) const { return A(from[position * stride + first]); }
+    INLINE int64_t address(const int64_t* from, int64_t position, int) const { return from[position * stride + first]; }
+    static INLINE int used(int lanes) { return lanes; }
+    INLINE MemberConstants of_lane(int) const { return *this; }
 };
 
 // Constants that differ by member: a row of `stride` numbers for each entry of a table. The lanes begin at `first`.
@@ -22,15 +33,7 @@ struct LaneConstants {
         return from[position * stride + first + lane];
     }
     static INLINE int used(int lanes) { return lanes; }
-};
-
-// The constants of one such member, the same in every lane.
-struct MemberConstants {
-    int64_t stride, first;
-    template <class A>
-    INLINE A number_at(const double* from, int64_t position) const { return A(from[position * stride + first]); }
-    INLINE int64_t address(const int64_t* from, int64_t position, int) const { return from[position * stride + first]; }
-    static INLINE int used(int lanes) { return lanes; }
+    INLINE MemberConstants of_lane(int lane) const { return {stride, first + lane}; }
 };
 
 // Constants of which only the first lanes are used; functions of the user are not called for the others.

@@ -123,14 +123,9 @@ struct RungeKuttaLanes {
         lane_group.write_slopes(false, loop.memory_of(member) + 1, lane);
     }
 
-    MemberConstants member_constants(const LaneConstants& varied, int lane) const {
-        return MemberConstants{varied.stride, varied.first + lane};
-    }
-    SharedConstants member_constants(const SharedConstants&, int) const { return SharedConstants{}; }
-
     // Solve alone for one member that failed as a lane.
     NOINLINE bool alone(int lane, double t, double h, int64_t part) {
-        if (!single[lane]) single[lane] = single_of(loop.tables, member_constants(constants, lane));
+        if (!single[lane]) single[lane] = single_of(loop.tables, constants.of_lane(lane));
         Single& one = *single[lane];
         auto take = [&](double* to, const A* from, int64_t length) {
             for (int64_t i = 0; i < length; ++i) to[i] = lane_of(from[i], lane);

@@ -11,6 +11,8 @@ namespace coadjoint {
 // `declared` is `extern`, or empty in compiled_series.cpp.
 #define COMPILED_CLASSES(declared, W)                                                                      \
     declared template SeriesField<W>::SeriesField(const Field&, const MemberConstants&, int64_t);          \
+    declared template SeriesRows<W, Lanes<NATIVE>>::SeriesRows(const Field&, const MemberConstants&, int64_t); \
+    declared template SeriesRows<W, Lanes<NATIVE>>::SeriesRows(const Field&, const LaneConstants&, int64_t);   \
     declared template GroupSeries<W>::GroupSeries(const GroupField&, const MemberConstants&, int64_t);     \
     declared template struct GroupSeries<W>;                                                               \
     declared template struct InvariantRows<W, MemberConstants>;                                            \

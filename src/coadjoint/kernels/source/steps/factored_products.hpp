@@ -5,33 +5,42 @@
 #include <map>
 #include <vector>
 
-#include "numbers/lanes.hpp"
+#include "field/row_lanes.hpp"
 
 namespace coadjoint {
 
-typedef std::map<std::vector<int64_t>, double> SumOfProducts;  // the coordinates of a product in order, and its weight
+// The coordinates of a product in order, and its weight: a number of one member, or of members as lanes.
+template <class N>
+using SumOfProductsOf = std::map<std::vector<int64_t>, Stored<N>>;
+typedef SumOfProductsOf<double> SumOfProducts;
 
 // scale x[coordinate] sum
+template <class N>
 struct FactoredProduct {
-    double scale;
+    Stored<N> scale;
     int64_t coordinate;
-    SumOfProducts sum;
+    SumOfProductsOf<N> sum;
 };
 
 // The first weight of a sum without its digits, unless others would lose some of theirs in a division by it.
-inline double scale_of(const SumOfProducts& sum) {
-    const double first = sum.begin()->second;
+template <class N>
+N scale_of(const SumOfProductsOf<N>& sum) {
+    const N first = sum.begin()->second;
     if (sum.size() == 1) return first;
-    const double scale = std::copysign(leading_power(first), first);
-    for (const auto& [factors, weight] : sum)
-        if (!(weight / scale * scale == weight)) return 1.0;
-    return scale;
+    const N power = leading_power(first), scale = select(first < N(0.0), -power, power);
+    auto exact = first == first;
+    for (const auto& [factors, stored] : sum) {
+        const N weight = stored;
+        exact = exact & (weight / scale * scale == weight);
+    }
+    return select(exact, scale, N(1.0));
 }
 
 // Divide products by the coordinate that most of them contain, until none is left; of several, by another one than
 // `avoided`. Sums are scaled so that more of them are equal, by powers of two, so that nothing is rounded.
-inline std::vector<FactoredProduct> factored(SumOfProducts left, int64_t avoided = -1) {
-    std::vector<FactoredProduct> found;
+template <class N>
+std::vector<FactoredProduct<N>> factored(SumOfProductsOf<N> left, int64_t avoided = -1) {
+    std::vector<FactoredProduct<N>> found;
     while (!left.empty()) {
         std::map<int64_t, int64_t> counts;
         for (const auto& [factors, weight] : left)
@@ -39,21 +48,21 @@ inline std::vector<FactoredProduct> factored(SumOfProducts left, int64_t avoided
         int64_t common = counts.begin()->first;
         for (const auto& [i, count] : counts)
             if (count > counts[common] || (count == counts[common] && common == avoided)) common = i;
-        FactoredProduct product{1.0, common, {}};
+        FactoredProduct<N> product{N(1.0), common, {}};
         for (auto it = left.begin(); it != left.end();) {
-            std::vector<int64_t> rest = it->first;
-            const auto place = std::find(rest.begin(), rest.end(), common);
-            if (place == rest.end()) {
+            const auto place = std::find(it->first.begin(), it->first.end(), common);
+            if (place == it->first.end()) {
                 ++it;
                 continue;
             }
-            rest.erase(place);
-            product.sum[rest] = it->second;
+            std::vector<int64_t> rest(it->first.begin(), place);
+            rest.insert(rest.end(), place + 1, it->first.end());
+            product.sum[std::move(rest)] = it->second;
             it = left.erase(it);
         }
-        product.scale = scale_of(product.sum);
-        for (auto& [factors, weight] : product.sum) weight /= product.scale;
-        found.push_back(product);
+        product.scale = scale_of<N>(product.sum);
+        for (auto& [factors, weight] : product.sum) weight = N(weight) / N(product.scale);
+        found.push_back(std::move(product));
     }
     return found;
 }

@@ -6,12 +6,10 @@
 
 #include "field/row_lanes.hpp"
 #include "numbers/sparse_factors.hpp"
-#include "recording/watching.hpp"
+#include "steps/invariant_gradient.hpp"
 #include "steps/product_rows.hpp"
 
 namespace coadjoint {
-
-constexpr uint32_t MOST_FACTORS = 8;  // products of more factors are not written out
 
 // The invariants of a table, from the last to the first. The first is the energy, which is coupled to most of the
 // others. Each invariant has a row of lanes for every block of coordinates on which it depends. The gradient is a
@@ -180,52 +178,33 @@ struct InvariantRows {
         return false;
     }
 
-    // The gradient of an invariant, by coordinate.
-    struct Gradient {
-        std::map<int64_t, SparseSum> linear;
-        std::map<int64_t, typename ProductRows<W>::Sum> products;
-        std::map<int64_t, double> offset;
-    };
-
     // Construct the rows of invariant i.
     void lay_out(int64_t i, int64_t n) {
-        Invariant found{int64_t(block.size()), 0, constants.template number_at<double>(watch.constant, i), {}};
-        Gradient gradient;
-        for (uint32_t k = watch.first[i]; k < watch.first[i + 1]; ++k) read(k, gradient, found);
+        InvariantGradient<double> gradient(watch, constants, i);
+        Invariant found{int64_t(block.size()), 0, gradient.constant, gradient.terms};
+        bounded &= found.terms.empty();
         if (n <= MOST_HELD * W)
             for (int64_t b = 0; b < n; b += W) gradient.linear[b];  // every block has a row of every invariant
         std::map<size_t, double> second_derivative;
-        auto& sums = gradient.linear;
-        for (auto it = sums.begin(); it != sums.end();) {
+        for (auto it = gradient.linear.begin(); it != gradient.linear.end();) {
             const int64_t b = it->first / W;
-            std::vector<SparseSum> lanes(W);
+            bool diagonal;
+            const std::vector<SparseSum> lanes = gradient.template block<W>(b * W, diagonal);
             std::vector<typename ProductRows<W>::Sum> longer(W);
             offsets.resize((block.size() + 1) * W, 0.0);
             there.resize((block.size() + 1) * W, false);
-            bool diagonal = false;
-            for (; it != sums.end() && it->first / W == b; ++it) {
+            for (; it != gradient.linear.end() && it->first / W == b; ++it) {
                 const int64_t lane = it->first % W, at = int64_t(block.size()) * W + lane;
-                SparseSum& sum = it->second;
-                // The coordinate itself first.
-                std::stable_partition(sum.begin(), sum.end(), [&](const Entry& e) { return e.left == it->first; });
-                diagonal |= !sum.empty() && sum.front().left == it->first;
-                offsets[at] = gradient.offset.count(it->first) ? gradient.offset[it->first] : 0.0;
+                offsets[at] = gradient.offset_of(it->first);
                 there[at] = true;
-                double total = 0.0;
-                for (const Entry& entry : sum) total += std::fabs(entry.weight);
-                second_derivative[0] = larger(second_derivative[0], total);
-                lanes[lane] = sum;
-                longer[lane] = gradient.products[it->first];
+                second_derivative[0] = larger(second_derivative[0], sum_of_sizes(lanes[lane]));
+                if (!gradient.products.empty()) longer[lane].swap(gradient.products[it->first]);
                 for (const auto& [factors, some] : longer[lane]) {
                     double all = 0.0;
                     for (const auto& [product, weight] : some) all += double(factors) * std::fabs(weight);
                     second_derivative[factors - 1] = larger(second_derivative[factors - 1], all);
                 }
             }
-            if (diagonal)
-                for (int lane = 0; lane < W; ++lane)
-                    if (SparseSum& sum = lanes[lane]; sum.empty() || sum.front().left != b * W + lane)
-                        sum.insert(sum.begin(), Entry{0.0, b * W + lane, 0});
             diagonal_vectors.push_back(diagonal);
             linear.add(lanes), products.add(longer, b * W);
             block.push_back(b);
@@ -239,53 +218,6 @@ struct InvariantRows {
         second_derivatives.emplace_back(second_derivative.begin(), second_derivative.end());
         found.last = int64_t(block.size());
         invariants.push_back(found);
-    }
-
-    // Add the gradient of a term, written out unless a product has too many factors.
-    void read(uint32_t k, Gradient& gradient, Invariant& found) {
-        const Terms& terms = watch.terms;
-        for (uint32_t row = terms.row[k]; row < terms.row[k + 1]; ++row) {
-            SparseSum& sum = gradient.linear[terms.target[row]];
-            if (terms.kind[k] != LINEAR) continue;
-            gradient.offset[terms.target[row]] += constants.template number_at<double>(terms.offset, row);
-            for (uint32_t e = terms.entry[row]; e < terms.entry[row + 1]; ++e)
-                sum.push_back({constants.template number_at<double>(terms.weight, e), int64_t(terms.column[e]), 0});
-        }
-        if (terms.kind[k] == LINEAR) return;
-        std::vector<std::vector<int64_t>> monomials;
-        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
-            std::vector<int64_t> factors;
-            for (uint32_t f = terms.factor[monomial]; f < terms.factor[monomial + 1]; ++f) {
-                if (factors.size() + terms.exponent[f] > MOST_FACTORS) {
-                    found.terms.push_back(k), bounded = false;
-                    return;
-                }
-                factors.insert(factors.end(), terms.exponent[f], terms.target[terms.factor_row[f]]);
-            }
-            monomials.push_back(factors);
-        }
-        for (size_t m = 0; m < monomials.size(); ++m) {
-            const double weight = constants.template number_at<double>(terms.coefficient, terms.monomial[k] + m);
-            if (monomials[m].empty()) found.constant += weight;
-            differentiate(monomials[m], weight, gradient);
-        }
-    }
-
-    // Add the derivatives of a product; equal factors are adjacent.
-    static void differentiate(const std::vector<int64_t>& factors, double weight, Gradient& gradient) {
-        for (size_t f = 0, next; f < factors.size(); f = next) {
-            const int64_t i = factors[f];
-            for (next = f + 1; next < factors.size() && factors[next] == i;) ++next;
-            std::vector<int64_t> rest = factors;
-            rest.erase(rest.begin() + int64_t(f));
-            const double times = weight * double(next - f);
-            if (rest.empty())
-                gradient.offset[i] += times;
-            else if (rest.size() == 1)
-                gradient.linear[i].push_back({times, rest[0], 0});
-            else
-                gradient.products[i][rest.size()][rest] += times;
-        }
     }
 
     void couple(const SparseFactors& factors) {

@@ -114,7 +114,7 @@ struct ProductRows {
         std::vector<SparseSum> totals(W);
         std::map<SumOfProducts, int64_t> indices;
         for (int lane = 0; lane < W; ++lane) {
-            for (const auto& [scale, coordinate, sum] : factored(rows[lane], low + lane)) {
+            for (const auto& [scale, coordinate, sum] : factored<double>(rows[lane], low + lane)) {
                 const auto [place, fresh] = indices.insert({sum, int64_t(sums.size())});
                 if (fresh) sums.push_back(sum);
                 totals[lane].push_back({scale, coordinate, place->second});

@@ -2,11 +2,15 @@
 // bits.
 #pragma once
 
+#include <memory>
+#include <type_traits>
+
+#include "numbers/constants.hpp"
 #include "steps/projection.hpp"
 
 namespace coadjoint {
 
-// Few quadratic invariants have lanes. For others each member is projected alone.
+// Few quadratic invariants have lanes, with coefficients of their own. For others each member is projected alone.
 template <int W, class A>
 class ProjectionLanes {
   public:
@@ -15,9 +19,17 @@ class ProjectionLanes {
     static constexpr int lanes = Numbers<A>::lanes;
     A corrections{0.0}, residual{0.0};
 
-    ProjectionLanes(Projection<W, MemberConstants>& one, int64_t n)
-        : one(one), n(n), size(int64_t(one.size)), few(one.rows.few && one.rows.quadratic && n <= W), targets(2 * size),
-          slopes(size * n), unused(few ? n : 0), row(blocks_of<W>(n)), remainder(blocks_of<W>(n)), numbers(2 * size) {}
+    template <class C>
+    ProjectionLanes(const Watch& watch, const C& constants, int64_t n)
+        : n(n), size(watch.size), targets(2 * size), slopes(size * n), unused(n), row(blocks_of<W>(n)),
+          remainder(blocks_of<W>(n)), numbers(2 * size) {
+        bool few = size <= 4 && n <= W;
+        invariants.reserve(few ? size : 0);
+        for (int64_t i = size; few && i-- > 0;) few = add(InvariantGradient<A>(watch, constants, i));
+        if (few) return;
+        for (int lane = 0; lane < (std::is_same_v<C, MemberConstants> ? 1 : lanes); ++lane)
+            alone.push_back(std::make_unique<Projection<W, MemberConstants>>(watch, constants.of_lane(lane), n));
+    }
 
     // Load and store the memory of a member.
     void read(int lane, const double* memory) {
@@ -27,19 +39,28 @@ class ProjectionLanes {
         for (int64_t a = 0; a < 2 * size; ++a) memory[a] = lane_of(targets.at[a], lane);
     }
 
-    // The target values of a member without a memory.
-    void begin(int lane, const A* x) {
-        if (size == 0 || lane_of(targets.at[0], lane) == lane_of(targets.at[0], lane)) return;
-        take_row(lane, x, row.at);
-        one.begin(row.at, numbers.data());
-        read(lane, numbers.data());
+    // The target values of active members without a memory.
+    void begin(const A* x, const Mask& active) {
+        if (size == 0) return;
+        const Mask fresh = active & !(targets.at[0] == targets.at[0]);
+        if (!any(fresh)) return;
+        for (int lane = 0; lane < lanes && !alone.empty(); ++lane) {
+            if (!at(fresh, lane)) continue;
+            take_row(lane, x, row.at);
+            of(lane).begin(row.at, numbers.data());
+            read(lane, numbers.data());
+        }
+        for (size_t a = 0; a < invariants.size(); ++a) {
+            targets.at[a] = select(fresh, value(a, x), targets.at[a]);
+            targets.at[size + a] = select(fresh, A(EXACT) * terms_of(a, x), targets.at[size + a]);
+        }
     }
 
     // Move x + dx of the active members; false without convergence.
     Mask restore(A* x, A* dx, const Mask& active) {
         corrections = residual = A(0.0);
         if (size == 0) return active;
-        if (few) {
+        if (alone.empty()) {
             if (size == 1) return restore_few<1>(x, dx, active);
             if (size == 2) return restore_few<2>(x, dx, active);
             if (size == 3) return restore_few<3>(x, dx, active);
@@ -48,6 +69,7 @@ class ProjectionLanes {
         A restored(0.0);
         for (int lane = 0; lane < lanes; ++lane) {
             if (!at(active, lane)) continue;
+            auto& one = of(lane);
             take_row(lane, x, row.at), take_row(lane, dx, remainder.at);
             write(lane, numbers.data());
             set_lane(restored, lane, one.restore(row.at, remainder.at, blocks_of<W>(n), numbers.data()));
@@ -62,12 +84,36 @@ class ProjectionLanes {
     }
 
   private:
-    Projection<W, MemberConstants>& one;
+    // As `InvariantRows`: the components of the gradient have `length` entries each, from `first` on, of which the first
+    // is the coordinate itself if it is `diagonal`; `curvature` bounds the second derivatives.
+    struct Quadratic {
+        A constant, curvature;
+        int64_t first, length, diagonal;
+    };
     const int64_t n, size;
-    const bool few;
+    std::vector<Quadratic> invariants;
+    std::vector<Stored<A>> offsets, weights;
+    std::vector<int64_t> lefts;
+    std::vector<std::unique_ptr<Projection<W, MemberConstants>>> alone;  // of every member, or of all; none for few
     AlignedArray<A> targets, slopes, unused;
     AlignedArray<Row> row, remainder;
     std::vector<double> numbers;
+
+    Projection<W, MemberConstants>& of(int lane) { return *alone[alone.size() == 1 ? 0 : lane]; }
+
+    // Add an invariant; false if it is not quadratic.
+    bool add(const InvariantGradient<A>& gradient) {
+        if (!gradient.terms.empty() || !gradient.products.empty()) return false;
+        bool diagonal;
+        const auto block = gradient.template block<W>(0, diagonal);
+        invariants.push_back({gradient.constant, A(0.0), int64_t(weights.size()), int64_t(block[0].size()), diagonal});
+        for (int64_t c = 0; c < n; ++c) {
+            offsets.push_back(gradient.offset_of(c));
+            for (const auto& entry : block[c]) weights.push_back(entry.weight), lefts.push_back(entry.left);
+            invariants.back().curvature = larger(invariants.back().curvature, sum_of_sizes(block[c]));
+        }
+        return true;
+    }
 
     // Beyond the last coordinate there are zeros, and no data of the previous member.
     void take_row(int lane, const A* from, Row* to) const {
@@ -88,8 +134,7 @@ class ProjectionLanes {
     template <int R>
     NOINLINE Mask restore_few(A* x, A* dx, const Mask& active) {
         A defect[R], L[R][R], inverse[R];
-        Mask done = active & evaluate_defects<R>(x, slopes.at, defect, residual, active), failed = active & !active;
-        Mask running = active & !done;
+        Mask done = active & evaluate_defects<R>(x, slopes.at, defect, residual, active), running = active & !done;
         if (!any(running)) return done;
         for (int i = 0; i < R; ++i)
             for (int j = 0; j <= i; ++j)
@@ -127,19 +172,14 @@ class ProjectionLanes {
             const A product = sum([&](int64_t c) { return moved[c]; }) * sum([&](int64_t c) { return absolute(total[c]); });
             Mask found = running;
             for (int64_t a = 0; a < R; ++a)
-                found = found & (product * A(one.rows.second_derivative(a, 0.0)) <= A(0.25) * targets.at[R + a]);
+                found = found & (product * invariants[a].curvature <= A(0.25) * targets.at[R + a]);
             done = done | found, running = running & !found;
             if (!any(running)) return done;
             A now(0.0);
             found = running & evaluate_defects<R>(x, nullptr, defect, now, running);
             residual = select(running, now, residual);
             const Mask slow = running & !found & (residual >= A(0.5) * before);
-            for (int lane = 0; lane < lanes; ++lane)
-                if (at(slow, lane) && settled(lane, x)) {
-                    A here(0.0);
-                    set_lane(here, lane, 1.0);
-                    found = found | (here == A(1.0));
-                }
+            if (any(slow)) found = found | (slow & settled(x));
             done = done | found, running = running & !found;
             if (!any(running)) return done;
         }
@@ -147,10 +187,12 @@ class ProjectionLanes {
         return done;
     }
 
-    NOINLINE bool settled(int lane, const A* x) {
-        take_row(lane, x, row.at);
-        write(lane, numbers.data());
-        return one.settled(row.at, numbers.data());
+    // As `Projection::settled`.
+    NOINLINE Mask settled(const A* x) const {
+        Mask all = x[0] == x[0];
+        for (int64_t a = 0; a < size; ++a)
+            all = all & (absolute(targets.at[a] - value(a, x)) <= A(double(PROJECTION_STAGNANT) * EXACT) * terms_of(a, x));
+        return all;
     }
 
     // The defects, and whether they are within rounding; the gradients, if there is memory for them.
@@ -160,10 +202,9 @@ class ProjectionLanes {
         total = A(0.0);
         for (int i = 0; i < R; ++i) {
             A* const slope = gradients ? gradients + i * n : unused.at;
-            const double* const offset = one.rows.offsets.data() + i * W;
             for (int64_t c = 0; c < n; ++c) slope[c] = slope_of(i, c, x);
-            defect[i] = targets.at[i] - (A(one.rows.invariants[i].constant) +
-                                         A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + A(offset[c])); }));
+            defect[i] = targets.at[i] - (invariants[i].constant +
+                                         A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + A(offsets[i * n + c])); }));
             every = every & rounding_alone(i, defect[i], x, targets.at[R + i], active);
             total = total + absolute(defect[i]);
         }
@@ -172,28 +213,39 @@ class ProjectionLanes {
 
     // As `InvariantRows::slope`, for one coordinate.
     INLINE A slope_of(int64_t i, int64_t c, const A* x) const {
-        const auto& linear = one.rows.linear;
-        A total(one.rows.offsets[i * W + c]);
-        int64_t e = linear.first[i];
-        for (const int64_t stop = e + one.rows.diagonal_vectors[i]; e < stop; ++e)
-            total = fma(A(linear.at.at[e].weight[int(c)]), x[c], total);
-        for (; e < linear.first[i + 1]; ++e)
-            total = fma(A(linear.at.at[e].weight[int(c)]), x[linear.at.at[e].left.lane[c]], total);
+        const Quadratic& one = invariants[i];
+        const Stored<A>* const weight = weights.data() + one.first + c * one.length;
+        const int64_t* const left = lefts.data() + one.first + c * one.length;
+        A total = offsets[i * n + c];
+        int64_t e = 0;
+        for (; e < one.diagonal; ++e) total = fma(A(weight[e]), x[c], total);
+        for (; e < one.length; ++e) total = fma(A(weight[e]), x[left[e]], total);
         return total;
+    }
+
+    // As `InvariantRows::value`.
+    NOINLINE A value(int64_t i, const A* x) const {
+        return invariants[i].constant +
+               A(0.5) * sum([&](int64_t c) { return fma(x[c], slope_of(i, c, x) + A(offsets[i * n + c]), A(0.0)); });
+    }
+
+    // As `InvariantRows::terms_of`.
+    NOINLINE A terms_of(int64_t i, const A* x) const {
+        const Quadratic& one = invariants[i];
+        return sum([&](int64_t c) {
+            A rising = absolute(A(offsets[i * n + c]));
+            for (int64_t e = one.first + c * one.length; e < one.first + (c + 1) * one.length; ++e)
+                rising = fma(absolute(A(weights[e])), absolute(x[lefts[e]]), rising);
+            return absolute(x[c]) * rising;
+        });
     }
 
     INLINE Mask rounding_alone(int64_t a, const A& defect, const A* x, A& least, const Mask& active) {
         const A size_of = absolute(defect);
-        Mask small = size_of <= least;
-        const Mask near = active & !small & (size_of <= A(0x1p4) * least);
-        if (__builtin_expect(any(near), 0))
-            for (int lane = 0; lane < lanes; ++lane)
-                if (at(near, lane)) {
-                    take_row(lane, x, row.at);
-                    set_lane(least, lane, larger(lane_of(least, lane), EXACT * one.rows.terms_of(a, row.at)));
-                    small = size_of <= least;
-                }
-        return small;
+        const Mask small = size_of <= least, near = active & !small & (size_of <= A(0x1p4) * least);
+        if (__builtin_expect(!any(near), 1)) return small;
+        least = select(near, larger(least, A(EXACT) * terms_of(a, x)), least);
+        return size_of <= least;
     }
 };
 

@@ -1,41 +1,35 @@
 // The Taylor series of members as lanes, with the operations of `series.hpp`, row by row: the same bits.
 #pragma once
 
-#include "steps/series.hpp"
+#include "steps/series_rows.hpp"
 
 namespace coadjoint {
 
-// Every row of a series is a row of members; series are stored one after the other, order by order.
+// Every row of a series is a row of members; series are stored one after the other, order by order. The members have
+// weights of their own.
 template <int W, class A>
 class SeriesLanes {
   public:
-    static constexpr int V = SeriesField<W>::V;
-    const SeriesField<W>& field;
+    static constexpr int V = SeriesRows<W, A>::V;
     const int64_t n, order;
 
-    SeriesLanes(const SeriesField<W>& field, int64_t order)
-        : field(field), n(field.n), order(order), positions(field.extended * V, -1) {
+    SeriesLanes(const SeriesRows<W, A>& rows, int64_t order)
+        : n(rows.n), order(order), written_out(rows.written_out), factored(rows.factored), offsets(rows.offsets),
+          positions(rows.extended * V, -1) {
         for (int64_t i = 0; i < n; ++i) positions[i] = i;
         int64_t count = n;
-        for (int64_t b = 0; b < field.factors.blocks; ++b)
-            for (int lane = 0; lane < V; ++lane) {
-                const auto& product = field.factors.at.at[b];
-                if (product.weight[lane] == 0.0) continue;
-                positions[(field.blocks + b) * V + lane] = count++;
-                made.push_back({1.0, series_of(product.left.lane[lane]), series_of(product.right.lane[lane])});
+        for (size_t i = 0; i < rows.factors.size(); ++i)
+            for (const auto& [weight, left, right] : rows.factors[i]) {
+                positions[rows.blocks * V + int64_t(i)] = count++;
+                made.push_back({series_of(left), series_of(right)});
             }
         const auto series_at = [this](int64_t position) { return series_of(position); };
-        read(field.products, products, product_rows, series_at);
-        read(field.gradient, gradients, gradient_rows, series_at);
-        if (field.written_out) read(field.linear, linear, linear_rows, series_at);
-        if (field.factored) {
-            read(field.outputs, outputs, output_rows, [](int64_t product) { return product; });
-            // Empty rows pad the last vector of products.
-            product_rows.erase(std::find(product_rows.begin(), product_rows.end(), int64_t(products.size())) + 1,
-                               product_rows.end());
-        }
+        products.read(rows.products, series_at);
+        gradients.read(rows.gradient, series_at);
+        linear.read(rows.linear, series_at);
+        outputs.read(rows.outputs, [](int64_t product) { return product; });
         series.clear(count * (order + 1));
-        slopes.clear(field.written_out ? 0 : n * (order + 1));
+        slopes.clear(written_out ? 0 : n * (order + 1));
         weighted.clear(series_of_products() * (order + 1));
         results.clear(series_of_products());
         later.clear(2 * std::max(n, series_of_products())), made_later.clear(2 * int64_t(made.size()));
@@ -44,15 +38,15 @@ class SeriesLanes {
 
     // Approximate number of multiplications of the coefficients of all members.
     int64_t work() const {
-        int64_t entries = int64_t(gradients.size() + linear.size());
-        if (field.factored) entries += int64_t(products.size() + outputs.size());
+        int64_t entries = gradients.size() + linear.size();
+        if (factored) entries += products.size() + outputs.size();
         return order * Numbers<A>::lanes * (entries + order * (series_of_products() + int64_t(made.size())));
     }
 
     // Approximate number of bytes that are read repeatedly.
     int64_t working_set() const {
-        const int64_t gradients = field.written_out ? 0 : n;
-        return int64_t(sizeof(A)) * order * (n + int64_t(made.size()) + series_of_products() + gradients);
+        const int64_t slopes = written_out ? 0 : n;
+        return int64_t(sizeof(A)) * order * (n + int64_t(made.size()) + series_of_products() + slopes);
     }
 
     // Set the coefficients x_1 h, ..., x_p h^p of the motions from x.
@@ -62,11 +56,11 @@ class SeriesLanes {
             for (int64_t k = 0; k < order; ++k) lengths.at[k] = h / A(double(k + 1));
         for (int64_t k = 0; k < order; ++k) {
             make_products(k);
-            if (!field.written_out) take_slopes(k);
-            if (field.factored)
+            if (!written_out) take_slopes(k);
+            if (factored)
                 factored_coefficient(k, lengths.at[k]);
             else
-                coefficient(k, lengths.at[k], field.written_out ? series.at : slopes.at);
+                coefficient(k, lengths.at[k], written_out ? series.at : slopes.at);
         }
     }
 
@@ -76,30 +70,42 @@ class SeriesLanes {
     }
 
   private:
+    // Where the series of two factors begin.
+    struct Factors {
+        int64_t left, right;
+    };
+    // Sparse sums, one row after the other.
+    struct SumsOfMembers {
+        std::vector<int64_t> first{0};
+        std::vector<Factors> at;
+        AlignedArray<A> weight{0};
+
+        int64_t size() const { return int64_t(at.size()); }
+
+        template <class At>
+        void read(const typename SeriesRows<W, A>::Rows& rows, At place) {
+            for (const auto& row : rows) {
+                for (const auto& entry : row) at.push_back({place(entry.left), place(entry.right)});
+                first.push_back(size());
+            }
+            weight.clear(size());
+            A* to = weight.at;
+            for (const auto& row : rows)
+                for (const auto& entry : row) *to++ = entry.weight;
+        }
+    };
+    const bool written_out, factored;
+    const std::vector<Stored<A>> offsets;
     std::vector<int64_t> positions;  // indices of the rows of the field
-    std::vector<int64_t> product_rows, gradient_rows, linear_rows, output_rows;
-    std::vector<Entry> products, gradients, linear, outputs, made;
+    SumsOfMembers products, gradients, linear, outputs;
+    std::vector<Factors> made;
     AlignedArray<A> series{0}, slopes{0}, weighted{0}, results{0}, later{0}, made_later{0}, lengths{0};
 
     INLINE A* of(int64_t i) const { return series.at + i * (order + 1); }
     int64_t series_of(int64_t position) const { return positions[position] * (order + 1); }
 
     // The number of products whose factors are series; factored ones are rows.
-    int64_t series_of_products() const { return int64_t(field.factored ? product_rows.size() - 1 : products.size()); }
-
-    // The entries of every row, without those that only pad a vector.
-    template <class At>
-    void read(const Sums<V>& sums, std::vector<Entry>& entries, std::vector<int64_t>& first, At at) const {
-        first.assign(1, 0);
-        for (int64_t i = 0; i < sums.blocks * V; ++i) {
-            int64_t last = sums.first[i / V + 1];
-            while (last > sums.first[i / V] && sums.at.at[last - 1].weight[int(i % V)] == 0.0) --last;
-            for (int64_t e = sums.first[i / V]; e < last; ++e)
-                entries.push_back({sums.at.at[e].weight[int(i % V)], at(sums.at.at[e].left.lane[i % V]),
-                                   at(sums.at.at[e].right.lane[i % V])});
-            first.push_back(int64_t(entries.size()));
-        }
-    }
+    int64_t series_of_products() const { return factored ? int64_t(products.first.size()) - 1 : products.size(); }
 
     INLINE A every_fourth(int64_t i, int64_t first) const {
         A sum(0.0);
@@ -147,38 +153,38 @@ class SeriesLanes {
 
     NOINLINE void coefficient(int64_t k, const A& length, const A* others) {
         for (int64_t i = 0; i < n; ++i) {
-            const int64_t first = product_rows[i], last = product_rows[i + 1];
+            const int64_t first = products.first[i], last = products.first[i + 1];
             A even, odd;
             begin(first, last, k, later.at + 2 * i, even, odd, [&](int64_t e) { return weighted.at + e * (order + 1); },
-                  [&](int64_t e) { return others + products[e].right; });
+                  [&](int64_t e) { return others + products.at[e].right; });
             even = length * even, odd = length * odd;
             for (int64_t e = first; e < last; ++e) {
-                const A* const right = others + products[e].right;
-                const A y = series.at[products[e].left + k], z = right[k];
-                const A weight(products[e].weight);
+                const A* const right = others + products.at[e].right;
+                const A y = series.at[products.at[e].left + k], z = right[k];
+                const A weight = products.weight.at[e];
                 A* const from = weighted.at + e * (order + 1);
                 from[k] = weight * y;
                 if (k > 0) odd = fma(y, length * (weight * right[0]), odd);
                 even = fma(length * from[0], z, even);
             }
-            if (field.written_out)
-                for (int64_t e = linear_rows[i]; e < linear_rows[i + 1]; ++e)
-                    odd = fma(length * A(linear[e].weight), series.at[linear[e].left + k], odd);
+            if (written_out)
+                for (int64_t e = linear.first[i]; e < linear.first[i + 1]; ++e)
+                    odd = fma(length * linear.weight.at[e], series.at[linear.at[e].left + k], odd);
             of(i)[k + 1] = even + odd;
         }
     }
 
     NOINLINE void factored_coefficient(int64_t k, const A& length) {
         for (int64_t p = 0; p < series_of_products(); ++p) {
-            const int64_t first = product_rows[p], last = product_rows[p + 1];
-            const A* const left = series.at + products[first].right;
+            const int64_t first = products.first[p], last = products.first[p + 1];
+            const A* const left = series.at + products.at[first].right;
             A* const right = weighted.at + p * (order + 1);
             A even, odd;
             begin(first, first + 1, k, later.at + 2 * p, even, odd, [&](int64_t) { return left; },
                   [&](int64_t) { return right; });
-            A now = A(products[first].weight) * series.at[products[first].left + k];
+            A now = products.weight.at[first] * series.at[products.at[first].left + k];
             for (int64_t e = first + 1; e < last; ++e)
-                now = fma(A(products[e].weight), series.at[products[e].left + k], now);
+                now = fma(products.weight.at[e], series.at[products.at[e].left + k], now);
             right[k] = now;
             A sum = length * (even + odd);
             if (k > 0) sum = fma(length * right[0], left[k], sum);
@@ -186,23 +192,23 @@ class SeriesLanes {
         }
         for (int64_t i = 0; i < n; ++i) {
             A sum(0.0);
-            for (int64_t e = linear_rows[i]; e < linear_rows[i + 1]; ++e)
-                sum = fma(length * A(linear[e].weight), series.at[linear[e].left + k], sum);
-            for (int64_t e = output_rows[i]; e < output_rows[i + 1]; ++e)
-                sum = fma(A(outputs[e].weight), results.at[outputs[e].left], sum);
+            for (int64_t e = linear.first[i]; e < linear.first[i + 1]; ++e)
+                sum = fma(length * linear.weight.at[e], series.at[linear.at[e].left + k], sum);
+            for (int64_t e = outputs.first[i]; e < outputs.first[i + 1]; ++e)
+                sum = fma(outputs.weight.at[e], results.at[outputs.at[e].left], sum);
             of(i)[k + 1] = sum;
         }
     }
 
     INLINE void take_slopes(int64_t k) {
         for (int64_t i = 0; i < n; ++i) {
-            A even = A(k ? 0.0 : field.offsets[i]), odd(0.0);
-            int64_t e = gradient_rows[i];
-            for (; e + 1 < gradient_rows[i + 1]; e += 2) {
-                even = fma(A(gradients[e].weight), series.at[gradients[e].left + k], even);
-                odd = fma(A(gradients[e + 1].weight), series.at[gradients[e + 1].left + k], odd);
+            A even = k ? A(0.0) : A(offsets[i]), odd(0.0);
+            int64_t e = gradients.first[i];
+            for (; e + 1 < gradients.first[i + 1]; e += 2) {
+                even = fma(gradients.weight.at[e], series.at[gradients.at[e].left + k], even);
+                odd = fma(gradients.weight.at[e + 1], series.at[gradients.at[e + 1].left + k], odd);
             }
-            if (e < gradient_rows[i + 1]) even = fma(A(gradients[e].weight), series.at[gradients[e].left + k], even);
+            if (e < gradients.first[i + 1]) even = fma(gradients.weight.at[e], series.at[gradients.at[e].left + k], even);
             slopes.at[i * (order + 1) + k] = even + odd;
         }
     }

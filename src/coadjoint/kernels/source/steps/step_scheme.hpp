@@ -39,9 +39,9 @@ struct StepScheme {
     // Take one step of length h from time t in place, with compensations dx and dgroup; return a status. Both are
     // aligned rows of eight, zero beyond the last coordinate. The group element is transposed.
     virtual int64_t step(double* x, double* dx, double* group, double* dgroup, double t, double h) = 0;
-    // The same step of members as lanes with the constants of this one, which must outlive it; null if lanes are no
-    // faster.
-    virtual std::unique_ptr<LaneStep> lane_step() { return nullptr; }
+    // The same step of members as lanes, with constants of their `own` or those of these tables, which must outlive it;
+    // null if lanes are no faster, or if the members take different operations.
+    virtual std::unique_ptr<LaneStep> lane_step(const StepTables&, const LaneConstants* /* own */) { return nullptr; }
     // The Taylor series of the motion over the last step, if the scheme has one.
     virtual StepSeries series_of_step() const { return {}; }
 };

@@ -45,18 +45,19 @@ static CachedStep cached_step(const Stepping& tables, bool as_lanes) {
         entry.scheme = made(tables, MemberConstants{1, 0});
         entry.serial = serial;
     }
-    if (as_lanes && !entry.lane_step) entry.lane_step = entry.scheme->lane_step();
+    if (as_lanes && !entry.lane_step) entry.lane_step = entry.scheme->lane_step(tables.tables, nullptr);
     return entry;
 }
 
 // Members as lanes; the last one fills unused lanes.
-static void advance_lanes(const Loop<Stepping>& loop, LaneStep& lane_step, const int64_t* members, int64_t count) {
+template <class C>
+static void advance_lanes(const Loop<Stepping>& loop, LaneStep& lane_step, const C& constants, const int64_t* members,
+                          int64_t count) {
     typedef LaneStep::A A;
     const Stepping& tables = loop.tables;
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t n = arrays.size;
-    const SharedConstants constants;
     AlignedArray<A> momentum(2 * n);
     A *x = momentum.at, *dx = x + n, h(0.0);
     int64_t active[NATIVE] = {}, moving[NATIVE] = {}, left = 0;  // events end the recording, but not the steps
@@ -68,7 +69,7 @@ static void advance_lanes(const Loop<Stepping>& loop, LaneStep& lane_step, const
         if (arrays.memory_size) lane_step.read(lane, loop.memory_of(member));
         if (lane < count) left += active[lane] = moving[lane] = arrays.status[member] == DONE;
     }
-    LaneRecorder<A, SharedConstants> recorder(loop.watch, arrays, schedule, loop.k0, constants, members, active, count);
+    LaneRecorder<A, C> recorder(loop.watch, arrays, schedule, loop.k0, constants, members, active, count);
     auto store_lane = [&](int lane) {
         write_lane(x, arrays.momenta, n, members[lane], lane);
         write_lane(dx, arrays.errors, n, members[lane], lane);
@@ -142,21 +143,16 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
     const int64_t watched = work_of_terms(watch.terms, 0, watch.terms.size);
     std::unique_ptr<StepScheme> unshared;
     // Events are located by the series of a step, which only single members have.
-    const bool as_lanes = range.last - range.first >= MIN_FILLED_LANES && !schedule.events;
+    const bool as_lanes =
+        range.last - range.first >= MIN_FILLED_LANES && n <= LARGEST_CACHED && !schedule.events;
     const CachedStep shared = range.stride || n > LARGEST_CACHED ? CachedStep{} : cached_step(tables, as_lanes);
     StepScheme* scheme = shared.scheme.get();
     AlreadyFinished nothing;
     MemberRecorder<double, MemberConstants, AlreadyFinished> recorder(watch, arrays, schedule, MemberConstants{1, 0},
                                                                       nothing);
-    int64_t position = range.first;
-    if (as_lanes && shared.lane_step)
-        for (int64_t count; range.last - position >= MIN_FILLED_LANES; position += count) {
-            count = std::min<int64_t>(NATIVE, range.last - position);
-            advance_lanes(loop, *shared.lane_step, range.members + position, count);
-        }
-    for (; position < range.last; ++position) {
+    const auto advance_alone = [&](int64_t position) {
         const int64_t member = range.members[position];
-        if (arrays.status[member] != DONE) continue;
+        if (arrays.status[member] != DONE) return;
         const MemberConstants constants{range.stride ? range.stride : 1, range.stride ? position : 0};
         if (range.stride || !scheme) {
             unshared = made(tables, constants);
@@ -201,6 +197,23 @@ static void advance(const Loop<Stepping>& loop, const MemberRange& range) {
         }
         std::copy_n(x, n, arrays.momenta + member * n);
         std::copy_n(dx, n, arrays.errors + member * n);
+    };
+    for (int64_t position = range.first, last; position < range.last; position = last) {
+        last = std::min<int64_t>(position + NATIVE, range.last);
+        if (as_lanes && last - position >= MIN_FILLED_LANES) {
+            const int64_t* const members = range.members + position;
+            if (shared.lane_step) {
+                advance_lanes(loop, *shared.lane_step, SharedConstants{}, members, last - position);
+                continue;
+            }
+            const LaneConstants own{range.stride, position};
+            if (range.stride && !scheme) scheme = (unshared = made(tables, own.of_lane(0))).get();
+            if (const auto lane_step = range.stride ? scheme->lane_step(tables.tables, &own) : nullptr) {
+                advance_lanes(loop, *lane_step, own, members, last - position);
+                continue;
+            }
+        }
+        for (; position < last; ++position) advance_alone(position);
     }
 }
 
