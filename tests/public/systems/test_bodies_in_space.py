@@ -155,6 +155,26 @@ def test_ellipsoids_to_fourth_order():
     assert 1e-5 < abs(pair.energy(x0) / other.energy(x0) - 1) < 1e-1
 
 
+@pytest.mark.parametrize("order", [2, 4])
+def test_derivatives_by_masses_inertias_and_G_are_those_of_units(order):
+    """With units of mass, momenta and 1/G change and motions do not; G in units of time is that of velocities."""
+    pair = S.gravitating_bodies(((0.2, 0.4, 0.5), (0.4, 0.6, 0.8)), MASSES, 0.8, order)
+    x0 = pair.state(PLACES, SPEEDS, TURNED, SPINS)
+    ready, moving = co.prepare(pair, co.Splitting(order=8), step=1 / 32), np.ones(pair.dim)
+    moving[[*range(3, 12), *range(15, 24), *range(30, 37)]] = 0.0  # axes, positions and z
+    shapes, masses, G = (np.array(ready.parameters[name]) for name in ("inertias", "masses", "G"))
+    sol, tangents = ready.jvp(x0, (0, 2), {"x0": moving * x0, "inertias": shapes, "masses": masses, "G": -G}, 16)
+    assert tangents.rule == dict.fromkeys(("inertias", "masses", "G"), "exact")
+    np.testing.assert_allclose(tangents.x, moving * sol.x, rtol=0, atol=1e-12)
+    _, tangents = ready.jvp(x0, (0, 2), {"x0": moving * x0, "G": 2 * G}, 16)
+    expected = sol.t[:, None] * pair.vector_field(sol.x) + moving * sol.x
+    np.testing.assert_allclose(tangents.x, expected, rtol=0, atol=1e-10)
+    weights = np.cos(np.arange(sol.x.size)).reshape(sol.x.shape)
+    gradient = ready.vjp(x0, (0, 2), 16)[1](weights)
+    along = gradient["x0"] @ (moving * x0) + 2 * G * gradient["G"]
+    np.testing.assert_allclose(along, (weights * tangents.x).sum(), rtol=1e-11)
+
+
 def pendulum(amplitude, rate, t):
     """The angle of a pendulum, phi'' = -rate^2 sin(phi), that starts at rest at an angle."""
     k = np.sin(amplitude / 2) ** 2
