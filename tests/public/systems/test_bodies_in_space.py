@@ -107,10 +107,12 @@ def test_two_spheres_are_keplers_problem(order):
     shares = np.array([-m2, m1])[:, None] / (m1 + m2)
     drifting = np.array([0.1, -0.2, 0.3])
     x0 = pair.state(shares * [r, 0, 0], shares * [0, v, 0] + drifting, angular_velocities=SPINS)
-    sol = co.integrate(pair, x0, (0, 20), 0.02, splitting(8), save_every=100)
+    sol = co.integrate(pair, x0, (0, 20), 0.01, splitting(8), save_every=200)
     for t, (first, second) in zip(sol.t, sol.positions, strict=True):
-        np.testing.assert_allclose(second - first, kepler_position(a, e, n, t), rtol=0, atol=1e-10)
-        np.testing.assert_allclose((m1 * first + m2 * second) / (m1 + m2), t * drifting, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(second - first, kepler_position(a, e, n, t), rtol=0, atol=1e-12)
+        np.testing.assert_allclose(
+            (m1 * first + m2 * second) / (m1 + m2), t * drifting, rtol=0, atol=4e-12
+        )  # 30000 flows
     if order:
         np.testing.assert_allclose(sol.angular_velocity, np.broadcast_to(SPINS, sol.angular_velocity.shape), rtol=1e-13)
 
