@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coefficients import Coefficients, Monomials
 from coadjoint.systems.energy_derivatives import EnergyDerivative, FunctionDerivative
-from coadjoint.systems.hamiltonians.function_of_constants import FunctionOfConstants
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.parameter_differences import sizes_of_entries
 from coadjoint.systems.user_functions import callable_from_compiled
 

@@ -18,8 +18,12 @@ from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 from coadjoint.systems.energy_steps import derivative_by_steps, functions_by_steps
 from coadjoint.systems.force_parameters import force_numbers, force_parameters, real_numbers, with_force_values
 from coadjoint.systems.forced import ForcedSystem
-from coadjoint.systems.hamiltonians.function_of_constants import FunctionOfConstants
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import (
+    FunctionOfConstants,
+    HamiltonianLike,
+    PolynomialHamiltonian,
+    as_hamiltonian,
+)
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import EnergyDifferences, moved_entry

@@ -15,7 +15,7 @@ import numpy as np
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry
-from coadjoint.systems.hamiltonians.function_of_constants import FunctionOfConstants
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 
 Builder = TypeVar("Builder", bound=Callable[..., Any])
 

@@ -19,7 +19,7 @@ from coadjoint.systems.bodies.body_inertia import anisotropic_part, read_inertia
 from coadjoint.systems.bodies.body_systems import BodiesSystem
 from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.hamiltonians.function_of_constants import FunctionOfConstants
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import is_integer

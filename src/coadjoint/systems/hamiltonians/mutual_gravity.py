@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.hamiltonians.function_of_constants import FunctionOfConstants
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity_fourth import fourth_order_terms
 from coadjoint.systems.user_functions import callable_from_compiled
 
