@@ -32,6 +32,7 @@ SECTIONS = {
     "lyapunov": "Tangent vectors",
     "derivatives": "Derivatives of runs",
     "derivatives_beside": "Gradients beside other solvers",
+    "two_bodies": "Two asteroids beside Runge-Kutta methods",
     "systems": "The ready-made systems",
     "work_against_precision": "Work against precision",
     "automatic_parts": "Automatic parts",

@@ -20,8 +20,8 @@ from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.table import Program
-from coadjoint.program.term_table import Terms, TermTable
-from coadjoint.systems.energy_derivatives import EnergyDerivative
+from coadjoint.program.term_table import FUNCTION, Terms, TermTable
+from coadjoint.systems.energy_derivatives import EnergyDerivative, FunctionDerivative
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
@@ -40,6 +40,10 @@ class CoefficientMap(NamedTuple):
         """Construct from (coefficient, entry, factor)."""
         table = np.array(triplets, dtype=object).reshape(-1, 3)
         return cls(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2].astype(np.float64))
+
+    def joined(self, other: CoefficientMap) -> CoefficientMap:
+        """Return both."""
+        return CoefficientMap(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
     def split(self, sizes: Mapping[str, int]) -> dict[str, CoefficientMap]:
         """Return the parts that belong to parameters of these numbers of entries, one after the other."""
@@ -65,13 +69,14 @@ class CoefficientMap(NamedTuple):
 class AddedPart(NamedTuple):
     """A program with one more part, the last one, which moves nothing.
 
-    `rows` and `terms` are those of all parts, `share` the end of the added one; `state` and `group` contain the
-    generators of its angles, and `coefficients` are those of `terms_of`. `counts` are the numbers of offsets, weights
-    and coefficients of the program and of the added part.
+    `rows` and `terms` are those of all parts. The added one has as many `shares`, the last ones with `functions`;
+    `state` and `group` contain the generators of its angles, and `coefficients` are those of `terms_of`. `counts` are
+    the numbers of offsets, weights and coefficients of the program and of the added part.
     """
 
     rows: Rows
     terms: Terms
+    functions: tuple[FunctionDerivative, ...]
     shares: int
     angles: int
     state: Action
@@ -116,8 +121,9 @@ def with_added_part(
         representation = None if isinstance(group, str) else group
         of_group = extended(program.group, BasisMatrices.on_group(system.algebra, representation))
     return AddedPart(
-        rows=_rows(program, method),
+        rows=_rows(program, method, _position(program, G)),
         terms=terms,
+        functions=G.functions,
         shares=added.size,
         angles=len(target),
         state=extended(program.state, BasisMatrices.coadjoint(system.algebra)),
@@ -127,10 +133,22 @@ def with_added_part(
     )
 
 
-def _rows(program: Program, method: Swept) -> Rows:
-    """Return the rows with the added part next to the first one: inside of sweeps, where no rows are joined."""
+def _position(program: Program, G: EnergyDerivative) -> int:
+    """Return the position of the added part in the order of parts: inside of sweeps, where no rows are joined.
+
+    Next to the function that G has derivatives of, with which these commute: they are those of the computed map.
+    """
+    last = len(program.parts) - 1
+    if not G.functions:
+        return max(0, min(1, last))
+    called = {int(k) for k in np.flatnonzero(program.terms.kind == FUNCTION)}
+    of_part = [part for part in range(last + 1) if called & {*range(*program.parts.share[part : part + 2].tolist())}]
+    return max(0, min(of_part[0] + 1, last))
+
+
+def _rows(program: Program, method: Swept, position: int) -> Rows:
+    """Return the rows with the added part at a position."""
     count = len(program.parts)
-    position = min(1, count - 1) if count else 0
     rules = JoinRules.from_parts(program.parts, program.frequency)
     rules = JoinRules(*(np.insert(column, position, False) for column in rules))
     rows = rows_of(method, rules, program.sign, float)
@@ -157,15 +175,20 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
         polynomial = Polynomial(dict.fromkeys(exponents, 1.0))
         table.add_polynomial(sorted({k for one in others for k in one.coordinates}), polynomial)
         place = {powers: k for k, powers in enumerate(polynomial.monomials)}
+    by_functions = [function.entries for function in G.functions]
+    for function in G.functions:
+        table.add_by_coefficients(function.coordinates.tolist(), len(function.entries))
     terms = table.table(float)
     weights = len(terms.offset)
     monomials = weights + len(terms.weight)
+    of_functions = np.concatenate([np.zeros(0, dtype=np.int64), *by_functions])
     return terms._replace(coefficient=0.0 * terms.coefficient), CoefficientMap(
         np.concatenate(
             [
                 np.searchsorted(used, G.linear),
                 weights + cell,
                 np.array([monomials + place[powers] for powers in exponents], dtype=np.int64),
+                monomials + len(place) + np.arange(len(of_functions)),
             ]
         ),
         np.concatenate(
@@ -174,10 +197,17 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
                 G.quadratic_entry,
                 G.quadratic_entry,
                 np.array([one.entry for one in others], dtype=np.int64),
+                of_functions,
             ]
         ),
         np.concatenate(
-            [G.linear_factor, G.quadratic_factor, G.quadratic_factor, np.array([one.factor for one in others])]
+            [
+                G.linear_factor,
+                G.quadratic_factor,
+                G.quadratic_factor,
+                np.array([one.factor for one in others]),
+                np.ones(len(of_functions)),
+            ]
         ),
     )
 

@@ -23,7 +23,8 @@ class Terms(NamedTuple):
 
     A row of a LINEAR term is ``offset + weight . x`` for the coordinate `target`; the value of the term is the sum of
     x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows; a FUNCTION term calls
-    compiled (in the reference interpreter: Python) functions of y = x[target].
+    compiled (in the reference interpreter: Python) functions of y = x[target]. In derivatives of the energy it may have
+    coefficients, as monomials without factors.
 
     With `repeated`, for kernels that compute values and flows, row r has the entries of shape[r], with columns relative
     to target[r], modulo 2^32; `offset` has a number for each shape if `repeated` is 2, else for each row.
@@ -112,6 +113,12 @@ class TermTable:
             self._exponent.extend(e for _, e in present)
             self._factor.append(len(self._exponent))
         self._add_empty_rows(POLYNOMIAL, coordinates)
+
+    def add_by_coefficients(self, coordinates: Sequence[int], count: int) -> None:
+        """Add a FUNCTION term with `count` coefficients of zero, by which it is differentiated."""
+        self._coefficient.extend([0.0] * count)
+        self._factor.extend([len(self._exponent)] * count)
+        self._add_empty_rows(FUNCTION, coordinates)
 
     def add(self, term: Term) -> None:
         """Add a whole term of a Hamiltonian, over all coordinates."""

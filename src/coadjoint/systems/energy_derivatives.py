@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,8 +22,17 @@ class Monomial(NamedTuple):
     factor: float
 
 
+class FunctionDerivative(NamedTuple):
+    """Functions in dH/dp: value(y) and gradient(y), with y = x[coordinates], by each of some `entries`."""
+
+    coordinates: Integers
+    entries: Integers
+    value: Callable[[Any], Any]
+    gradient: Callable[[Any], Any]
+
+
 class EnergyDerivative(NamedTuple):
-    """dH/dp for the entries p of a parameter: monomials of the first and second degree by columns, and the others.
+    """dH/dp for the entries p of a parameter: monomials of first and second degree by columns, others, and functions.
 
     There are `size` entries. Monomial k of the first degree is linear_factor[k] x[linear[k]], in the derivative by
     linear_entry[k]; of the second quadratic_factor[k] x[quadratic[k, 0]] x[quadratic[k, 1]], by quadratic_entry[k].
@@ -37,6 +46,7 @@ class EnergyDerivative(NamedTuple):
     quadratic_entry: Integers
     quadratic_factor: Floats
     others: tuple[Monomial, ...] = ()
+    functions: tuple[FunctionDerivative, ...] = ()
 
     @classmethod
     def of_monomials(cls, size: int, monomials: Sequence[Monomial] = ()) -> EnergyDerivative:
@@ -96,6 +106,7 @@ class EnergyDerivative(NamedTuple):
                 linear_entry=piece.linear_entry + start,
                 quadratic_entry=piece.quadratic_entry + start,
                 others=tuple(one._replace(entry=one.entry + start) for one in piece.others),
+                functions=tuple(one._replace(entries=one.entries + start) for one in piece.functions),
             )
             for start, piece in zip(starts[:-1], pieces, strict=True)
         ]
@@ -112,14 +123,20 @@ class EnergyDerivative(NamedTuple):
             quadratic_entry=column("quadratic_entry"),
             quadratic_factor=column("quadratic_factor"),
             others=tuple(one for piece in moved for one in piece.others),
+            functions=tuple(one for piece in moved for one in piece.functions),
         )
+
+    @property
+    def of_functions(self) -> EnergyDerivative:
+        """The functions alone."""
+        return self.of_monomials(self.size)._replace(functions=self.functions)
 
     @property
     def monomials(self) -> tuple[Any, ...]:
         """The monomials without their factors; energies of the same ones have tables of one structure."""
         columns = (self.linear, self.linear_entry, self.quadratic, self.quadratic_entry)
         others = (one[:2] for one in self.others)
-        return self.size, *(column.tobytes() for column in columns), *others
+        return self.size, *(column.tobytes() for column in columns), *others, *(one.gradient for one in self.functions)
 
     def along(self, x: Floats, w: Floats) -> Floats:
         """Return the derivatives of dH/dp at a state (n,) along w, shape (size,)."""
@@ -131,6 +148,8 @@ class EnergyDerivative(NamedTuple):
             for k, coordinate in enumerate(one.coordinates):
                 rest = one.coordinates[:k] + one.coordinates[k + 1 :]
                 total[one.entry] += one.factor * w[coordinate] * np.prod(x[list(rest)])
+        for function in self.functions:
+            total[function.entries] += function.gradient(x[function.coordinates]) @ w[function.coordinates]
         return total
 
     def at(self, x: Floats) -> Floats:
@@ -142,4 +161,6 @@ class EnergyDerivative(NamedTuple):
         np.add.at(total, self.quadratic_entry, self.quadratic_factor[:, None] * flat.T[i] * flat.T[j])
         for one in self.others:
             total[one.entry] += one.factor * np.prod(flat[:, list(one.coordinates)], axis=1)
+        for function in self.functions:
+            total[function.entries] += np.array([function.value(y) for y in flat[:, function.coordinates]]).T
         return total.T.reshape(*x.shape[:-1], self.size)

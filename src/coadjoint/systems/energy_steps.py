@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coefficients import Coefficients, Monomials
-from coadjoint.systems.energy_derivatives import EnergyDerivative
+from coadjoint.systems.energy_derivatives import EnergyDerivative, FunctionDerivative
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.parameter_differences import sizes_of_entries
+from coadjoint.systems.user_functions import callable_from_compiled
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -32,8 +35,7 @@ def derivative_by_steps(
     The coefficients are an analytic function of the parameter. Of a symmetric matrix, half of a change is that of the
     mirror image.
     """
-    _, exponents = np.frexp(sizes_of_entries(value))
-    steps = np.ldexp(1.0, np.maximum(exponents + STEP_EXPONENT, LEAST_EXPONENT))
+    steps = _steps(value)
 
     def changes(directions: Floats) -> Coefficients:
         """Return the imaginary parts of the coefficients."""
@@ -55,6 +57,43 @@ def derivative_by_steps(
         direction[index] = 0.0
         pieces.append((np.full(len(values), entry), Coefficients(monomials, values / steps[index])))
     return EnergyDerivative.of_coefficients(value.size, pieces)
+
+
+def functions_by_steps(
+    function_at: Callable[[NDArray[np.complex128]], FunctionOfConstants], value: Floats
+) -> tuple[FunctionDerivative, ...]:
+    """Return the derivative of a function by those entries of a parameter on which its constants depend, if any."""
+    all_steps, moved, entries = _steps(value), [], []
+    for entry, index in enumerate(np.ndindex(value.shape)):
+        here = np.array(value, dtype=np.complex128)
+        here[index] += 1j * all_steps[index]
+        function = function_at(here)
+        if function.constants.imag.any():
+            moved.append(function.constants)
+            entries.append(entry)
+    if not entries:
+        return ()
+    constants, steps, count = np.array(moved), all_steps.ravel()[entries], len(entries)
+    values, slopes = callable_from_compiled(function.value), callable_from_compiled(function.gradient)
+
+    def by_entries(y: Any) -> Any:
+        return np.array([values(y + 0j, constants[k]).imag / steps[k] for k in range(count)])
+
+    def gradient(y: Any) -> Any:
+        result = np.zeros((count, len(y)))
+        for k in range(count):
+            change = slopes(y + 0j, constants[k])
+            for n in range(len(y)):
+                result[k, n] = change[n].imag / steps[k]
+        return result
+
+    return (FunctionDerivative(function.coordinates, np.array(entries), by_entries, gradient),)
+
+
+def _steps(value: Floats) -> Floats:
+    """Return the imaginary parts by which entries are moved."""
+    _, exponents = np.frexp(sizes_of_entries(value))
+    return np.ldexp(1.0, np.maximum(exponents + STEP_EXPONENT, LEAST_EXPONENT))
 
 
 def _changes_together(changes: Callable[[Floats], Coefficients], steps: Floats) -> tuple[Integers, Coefficients] | None:

@@ -15,9 +15,14 @@ from coadjoint.errors import unknown_name
 from coadjoint.systems.coefficients import Coefficients, coefficients_in, coefficients_of, coordinates_of
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
-from coadjoint.systems.energy_steps import derivative_by_steps
+from coadjoint.systems.energy_steps import derivative_by_steps, functions_by_steps
 from coadjoint.systems.force_parameters import force_numbers, force_parameters, real_numbers, with_force_values
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import (
+    FunctionOfConstants,
+    HamiltonianLike,
+    PolynomialHamiltonian,
+    as_hamiltonian,
+)
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import EnergyDifferences, moved_entry
@@ -211,7 +216,7 @@ def _declaration(system: Any, values: Mapping[str, Floats]) -> DeclaredEnergy | 
 
 
 def _energy(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> Any:
-    return declared.function(**{name: arguments[name] for name in (*declared.parameters, *declared.others)})
+    return declared.function(**declared.chosen(arguments))
 
 
 def _of_declared(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> dict[str, Parameter]:
@@ -223,7 +228,18 @@ def _of_declared(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> dict
 
     def parameter(name: str, value: Floats) -> Parameter:
         symmetric = name in declared.symmetric and value.ndim == 2
-        energy = partial(derivative_by_steps, partial(coefficients_at, name), value, symmetric)
+
+        def energy() -> EnergyDerivative:
+            polynomial = derivative_by_steps(partial(coefficients_at, name), value, symmetric)
+            potential = declared.potential
+            if potential is None:
+                return polynomial
+
+            def function_at(moved: NDArray[np.complex128]) -> FunctionOfConstants:
+                return potential(**declared.chosen({**arguments, **numbers, name: moved}))
+
+            return polynomial._replace(functions=functions_by_steps(function_at, value))
+
         return Parameter(value, cache(energy), symmetric)
 
     # The entries of several symmetric matrices are tied to each other.

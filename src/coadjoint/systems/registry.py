@@ -16,6 +16,7 @@ import numpy.typing as npt
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 
 Builder = TypeVar("Builder", bound=Callable[..., Any])
 
@@ -23,12 +24,20 @@ FOLDERS = ("bodies", "fluids", "lattices", "examples")
 
 
 class DeclaredEnergy(NamedTuple):
-    """A function from parameters, by name, to the energy; it may need `others` of the arguments of the builder."""
+    """A function from parameters, by name, to the energy; it may need `others` of the arguments of the builder.
+
+    `potential` is a function of the same arguments, or None.
+    """
 
     function: Callable[..., Any]
     parameters: tuple[str, ...]
     others: tuple[str, ...]
     symmetric: tuple[str, ...]
+    potential: Callable[..., FunctionOfConstants] | None
+
+    def chosen(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the arguments of the function."""
+        return {name: arguments[name] for name in (*self.parameters, *self.others)}
 
 
 _REGISTRY: dict[str, Callable[..., Any]] = {}
@@ -48,6 +57,7 @@ def ready_made(
     *,
     gallery_entry: GalleryEntry | None = None,
     energy: Callable[..., Any] | None = None,
+    potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
     unit: str = "",
     body: bool = False,
@@ -60,6 +70,7 @@ def ready_made(
     *,
     gallery_entry: GalleryEntry | None = None,
     energy: Callable[..., Any] | None = None,
+    potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
     unit: str = "",
     body: bool = False,
@@ -78,6 +89,9 @@ def ready_made(
         energy depends, as in the ``parameters`` of the system. It returns the arguments of `Quadratic`, M as (n,) or
         (n, n), in a tuple, or a mapping from exponents to coefficients, as for `Polynomial`. It is analytic, validates
         nothing, and may raise ValueError where arguments are tied to each other.
+    potential : callable, optional
+        A function of the arguments of `energy` that returns a `FunctionOfConstants`, which is added to it: what is not
+        a polynomial. Its constants are analytic functions of the parameters.
     symmetric : tuple of str, optional
         Parameters that must be symmetric where they are matrices.
     unit : str, optional
@@ -108,7 +122,7 @@ def ready_made(
         if gallery_entry is not None:
             _GALLERY_ENTRIES[wrapped.__name__] = gallery_entry
         if energy is not None:
-            _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric)
+            _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric, potential)
         if unit:
             _UNITS[wrapped.__name__] = unit
         if body:
@@ -118,7 +132,12 @@ def ready_made(
     return register if function is None else register(function)
 
 
-def _declared(builder: Callable[..., Any], energy: Callable[..., Any], symmetric: tuple[str, ...]) -> DeclaredEnergy:
+def _declared(
+    builder: Callable[..., Any],
+    energy: Callable[..., Any],
+    symmetric: tuple[str, ...],
+    potential: Callable[..., FunctionOfConstants] | None,
+) -> DeclaredEnergy:
     """Return the declaration of an energy; raise TypeError unless its arguments are those of the builder."""
     arguments, known = signature(energy).parameters, signature(builder).parameters
     others = tuple(name for name, one in arguments.items() if one.kind is Parameter.KEYWORD_ONLY)
@@ -126,7 +145,7 @@ def _declared(builder: Callable[..., Any], energy: Callable[..., Any], symmetric
     unknown = [name for name in arguments if name not in known] + [name for name in symmetric if name not in names]
     if unknown:
         raise TypeError(f"energy of {builder.__name__} has {unknown[0]}, which is none of its arguments")
-    return DeclaredEnergy(energy, names, others, tuple(symmetric))
+    return DeclaredEnergy(energy, names, others, tuple(symmetric), potential)
 
 
 def energy_of(name: str) -> DeclaredEnergy | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,6 +16,7 @@ from coadjoint.kernels.functions.compiled_functions import (
     warn_slow_compilation,
 )
 from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.systems.energy_derivatives import FunctionDerivative
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import forms_of, is_called_in_python
 
@@ -73,3 +74,22 @@ def addresses_of(
         keepalive.append(compiled)
         addresses[k] = compiled.address
     return addresses, tuple(keepalive)
+
+
+def addresses_by_coefficients(functions: Sequence[FunctionDerivative], count: int) -> tuple[NDArray[np.int64], Owners]:
+    """Compile the derivatives of functions by parameters, of the last of `count` terms; return them as above."""
+    compiled = [
+        CompiledFunction(
+            one.gradient,
+            len(one.coordinates),
+            len(one.entries) * len(one.coordinates),
+            scalar=False,
+            flat=True,
+            timed=False,
+            what="the derivative of the energy by a parameter",
+        )
+        for one in functions
+    ]
+    addresses = np.zeros(count, dtype=np.int64)
+    addresses[count - len(compiled) :] = [one.address for one in compiled]
+    return addresses, tuple(compiled)

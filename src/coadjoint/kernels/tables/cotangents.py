@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.library import interruptible_kernels
 from coadjoint.kernels.loop import CompiledLoop, StopFlag, raise_outcome
-from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_by_coefficients, addresses_of
 from coadjoint.kernels.tables.field import terms_of_field
 from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational, with_properties
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
@@ -23,6 +24,7 @@ from coadjoint.program.added_part import AddedPart
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.table import Program, dual_action
 from coadjoint.program.term_table import Terms
+from coadjoint.systems.energy_derivatives import FunctionDerivative
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
 
@@ -46,6 +48,7 @@ class RungeKuttaCotangents(NamedTuple):
     hessians: NDArray[np.int64]
     derivative: NDArray[np.int64]
     added: Terms
+    functions: NDArray[np.int64]
 
 
 class ForwardRun(NamedTuple):
@@ -136,21 +139,29 @@ def flow_cotangents(
             group=_marked_first(added.group, tables.group) if added.group is not None else tables.group,
         )
         tables = with_properties(tables)
-        hessians = np.concatenate([hessians, zeros])
+        by_coefficients, owners = addresses_by_coefficients(added.functions, added.shares)
+        hessians, keepalive = np.concatenate([hessians, by_coefficients]), (*keepalive, *owners)
     return CompiledTables(
         FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive), base.sources
     )
 
 
-def runge_kutta_cotangents(loop: CompiledLoop, system: System, added: Terms) -> CompiledTables:
-    """Return `RungeKuttaCotangents` of a loop over stages, with the terms of the derivative of the energy."""
+def runge_kutta_cotangents(
+    loop: CompiledLoop, system: System, added: Terms, functions: Sequence[FunctionDerivative]
+) -> CompiledTables:
+    """Return `RungeKuttaCotangents` of a loop over stages, with the terms of the derivative of the energy.
+
+    The last terms are those of `functions`.
+    """
     check_differentiable(system)
     base: RungeKuttaTables = loop.tables
     table = terms_of_field(system)
     hessians, keepalive = addresses_of(table.functions, base.field.terms.size, "hessian", "the Hamiltonian")
     derivative, owners = derivative_of_structure(system)
+    by_coefficients, others = addresses_by_coefficients(functions, added.size)
     return CompiledTables(
-        RungeKuttaCotangents(base, hessians, derivative, added), (*loop.keepalive, *keepalive, *owners)
+        RungeKuttaCotangents(base, hessians, derivative, added, by_coefficients),
+        (*loop.keepalive, *keepalive, *owners, *others),
     )
 
 

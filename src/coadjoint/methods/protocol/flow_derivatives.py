@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
@@ -28,26 +28,32 @@ def flow_derivatives(
 ) -> DerivativeTables:
     """Return the tables of flows and of their transposes.
 
-    Parameters that enter coefficients of the parts are differentiated there. Others, on which the forms of the parts
-    depend, are differentiated as an added part of size zero.
+    Parameters that enter coefficients of the parts are differentiated there. Functions of parameters, and parameters on
+    which the forms of the parts depend, are differentiated as an added part of size zero.
     """
     program = method.program(system, group=representation)
     found = {name: in_parts(program, G) for name, G in energies.items()}
     factors = {name: pair[1] for name, pair in found.items() if pair is not None}
     others = [name for name, pair in found.items() if pair is None]
+
+    def in_added_part(of: Mapping[str, EnergyDerivative]) -> EnergyDerivative:
+        pieces = {name: G if name in others else G.of_functions for name, G in of.items()}
+        return EnergyDerivative.joined([pieces[name] for name in energies])
+
     added = None
-    if others:
-        added = with_added_part(program, method, system, representation, _joined(energies, others))
+    if others or any(G.functions for G in energies.values()):
+        added = with_added_part(program, method, system, representation, in_added_part(energies))
 
     def numbered(in_own: Mapping[str, CoefficientMap], in_added: CoefficientMap | None) -> dict[str, CoefficientMap]:
         if added is None or in_added is None:
             return dict(in_own)
-        sizes = {name: energies[name].size for name in others}
-        return {name: added.renumbered(one) for name, one in in_own.items()} | added.split(in_added, sizes)
+        split = added.split(in_added, {name: G.size for name, G in energies.items()})
+        renumbered = {name: added.renumbered(one) for name, one in in_own.items()}
+        return {name: one.joined(renumbered[name]) if name in renumbered else one for name, one in split.items()}
 
     def maps(of_other: Mapping[str, EnergyDerivative]) -> dict[str, CoefficientMap]:
         pairs = ((name, in_parts(program, G)) for name, G in of_other.items() if name not in others)
-        in_added = terms_of(_joined(of_other, others), system.dim)[1] if others else None
+        in_added = None if added is None else terms_of(in_added_part(of_other), system.dim)[1]
         return numbered({name: pair[0] for name, pair in pairs if pair is not None}, in_added)
 
     in_own = {name: pair[0] for name, pair in found.items() if pair is not None}
@@ -73,7 +79,3 @@ def flow_derivatives(
         maps=maps,
         sources=lambda: built.sources().within("base."),
     )
-
-
-def _joined(energies: Mapping[str, EnergyDerivative], names: Sequence[str]) -> EnergyDerivative:
-    return EnergyDerivative.joined([energies[name] for name in names])

@@ -26,14 +26,15 @@ def runge_kutta_derivatives(
     fractions: Sequence[float],
 ) -> DerivativeTables:
     """Return the tables of a method with substeps; derivatives by parameters are those of the computed map."""
-    added, coefficients = terms_of(EnergyDerivative.joined(list(energies.values())), system.dim)
+    joined = EnergyDerivative.joined(list(energies.values()))
+    added, coefficients = terms_of(joined, system.dim)
     sizes = {name: energy.size for name, energy in energies.items()}
 
     def maps(of_other: Mapping[str, EnergyDerivative]) -> Mapping[str, CoefficientMap]:
         return terms_of(EnergyDerivative.joined([of_other[name] for name in energies]), system.dim)[1].split(sizes)
 
     loop = method.loop_of_substeps(system, h, representation, fractions)
-    built = runge_kutta_cotangents(loop, system, added)
+    built = runge_kutta_cotangents(loop, system, added, joined.functions)
     return DerivativeTables(
         tables_at=lambda step: built.tables,
         keepalive=built.keepalive,

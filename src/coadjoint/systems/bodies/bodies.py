@@ -35,7 +35,7 @@ ROD_TORQUE = 2.0**-30
 """Largest torque along a rod, relative to the derivatives of the potential, that is taken for their rounding."""
 
 
-def _energy(inertias: npt.NDArray[Any], masses: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
+def kinetic_matrix(inertias: npt.NDArray[Any], masses: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
     """Return the matrix of the energy of free bodies, by its diagonal if all inertias are moments."""
     count = len(inertias)
     M = np.zeros((18 * count + 1,) * (inertias.ndim - 1), dtype=np.result_type(inertias, masses))
@@ -55,7 +55,7 @@ def _tumbling() -> Floats:
 
 @ready_made(
     unit="z",
-    energy=_energy,
+    energy=kinetic_matrix,
     gallery_entry=GalleryEntry(
         x0=_tumbling,
         t_span=(0.0, 90.0),
@@ -169,13 +169,10 @@ def system_of_bodies(
     """Return the system of bodies with a potential of the entries of all attitudes, then of all positions."""
     count = len(inertias)
     algebra = bodies_algebra(count)
-    body = np.arange(PER_BODY * count).reshape(count, PER_BODY)
-    r = np.arange((PER_BODY + 3) * count, (PER_BODY + 6) * count)
     pieces: list[tuple[Any, Any]] = []
     kinetic = _kinetic_energy(inertias, masses, algebra.dim)
     if potential is not None:
-        axes = body[:, 3:].ravel()
-        pieces.append(((*axes.tolist(), *r.tolist()), potential))
+        pieces.append((tuple(potential_coordinates(count).tolist()), potential))
     H = kinetic + SplitHamiltonian(pieces) if pieces else kinetic
     return kind(
         inertias,
@@ -188,6 +185,12 @@ def system_of_bodies(
         parameters=parameters,
         integrals=integrals,
     )
+
+
+def potential_coordinates(count: int) -> npt.NDArray[np.int64]:
+    """Return the coordinates on which a potential depends: the entries of all attitudes, then the positions."""
+    axes = np.arange(PER_BODY * count).reshape(count, PER_BODY)[:, 3:].ravel()
+    return np.concatenate([axes, np.arange((PER_BODY + 3) * count, (PER_BODY + 6) * count)])
 
 
 def _check_rods(potential: Hamiltonian, inertias: tuple[BodyInertia, ...]) -> None:

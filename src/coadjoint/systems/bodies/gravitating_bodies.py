@@ -9,11 +9,18 @@ import numpy.typing as npt
 
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
-from coadjoint.systems.bodies.bodies import inertial_parameters, read_masses, system_of_bodies
-from coadjoint.systems.bodies.body_inertia import read_inertias
+from coadjoint.systems.bodies.bodies import (
+    inertial_parameters,
+    kinetic_matrix,
+    potential_coordinates,
+    read_masses,
+    system_of_bodies,
+)
+from coadjoint.systems.bodies.body_inertia import anisotropic_part, read_inertias
 from coadjoint.systems.bodies.body_systems import BodiesSystem
 from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import is_integer
@@ -57,8 +64,24 @@ def _relative(component: int) -> Any:
     return lambda x: x[..., 33 + component] - x[..., 30 + component]
 
 
+def _energy(
+    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int
+) -> tuple[npt.NDArray[Any]]:
+    return kinetic_matrix(inertias, masses)
+
+
+def _potential(
+    inertias: npt.NDArray[Any], masses: npt.NDArray[Any], G: npt.NDArray[Any], *, order: int
+) -> FunctionOfConstants:
+    tensors = [np.diag(one) if one.ndim == 1 else 0.5 * (one + one.T) for one in inertias]
+    anisotropic = np.stack([anisotropic_part(one) * (order > 0) for one in tensors])
+    return mutual_gravity(potential_coordinates(len(masses)), masses, anisotropic, G, order)
+
+
 @ready_made(
     unit="z",
+    energy=_energy,
+    potential=_potential,
     gallery_entry=GalleryEntry(
         x0=_binary,
         t_span=(0.0, 200.0),
@@ -143,8 +166,7 @@ def gravitating_bodies(
     gravity = read_in_range(G, "G")
     if not is_integer(order) or order not in ORDERS:
         raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
-    anisotropic = np.stack([inertia.anisotropic * (order > 0) for inertia in found])
     parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
-    potential = mutual_gravity(m, anisotropic, gravity, int(order))
+    V = _potential(np.array([one.tensor for one in found]), m, np.array(gravity), order=int(order)).hamiltonian()
     integrals = momentum_in_space(len(found), 18 * len(found) + 1)
-    return system_of_bodies("gravitating_bodies", found, m, potential, parameters, integrals)
+    return system_of_bodies("gravitating_bodies", found, m, V, parameters, integrals)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Protocol, Self, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, Self, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,7 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import (
 from coadjoint.systems.user_functions import (
     MultipleOf,
     all_take_time,
+    callable_from_compiled,
     check_derivative,
     evaluate,
     multiple_of,
@@ -273,6 +274,24 @@ class Hamiltonian(Summable):
         functions = (self._value,) if self._derived_by else (self._value, self._gradient, self._hessian)
         names = [getattr(f, "__name__", short(f)) for f in functions if f is not None]
         return f"Hamiltonian({', '.join([*names, *filter(None, [self._derived_by])])})"
+
+
+class FunctionOfConstants(NamedTuple):
+    """value(y, c) of y = x[coordinates] and constants c (k,), with its derivatives by y, analytic in both."""
+
+    coordinates: npt.NDArray[np.int64]
+    constants: npt.NDArray[Any]
+    value: Callable[[Any, Any], Any]
+    gradient: Callable[[Any, Any], Any]
+    hessian: Callable[[Any, Any], Any]
+
+    def hamiltonian(self) -> Hamiltonian:
+        """Return the function of y, bound without a check of the derivatives, which takes minutes for 200 bodies."""
+        c = self.constants
+        value, gradient, hessian = map(callable_from_compiled, (self.value, self.gradient, self.hessian))
+        energy = Hamiltonian(lambda y: value(y, c), lambda y: gradient(y, c), lambda y: hessian(y, c))
+        energy.dim = len(self.coordinates)
+        return energy
 
 
 class PolynomialHamiltonian(Summable):

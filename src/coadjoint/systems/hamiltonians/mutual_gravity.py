@@ -3,30 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity_fourth import fourth_order_terms
 from coadjoint.systems.user_functions import callable_from_compiled
 
-Floats = npt.NDArray[np.float64]
+Numbers = npt.NDArray[Any]
 
 
-def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float, order: int = 2) -> Hamiltonian:
+def mutual_gravity(
+    coordinates: Any, masses: Numbers, anisotropic: Numbers, gravity: Any, order: int
+) -> FunctionOfConstants:
     """Return ``V = -G sum of (m_i m_j/s - 3 (m_j w_i.D_i w_i + m_i w_j.D_j w_j)/(2 s^5))`` over pairs of bodies.
 
     s is the distance of the centres and w_i their difference in the frame of body i; D = I - tr(I)/3, (k, 3, 3), is
     the anisotropic part of the inertia. ``tr(I) - 3 u.Iu = -3 u.Du`` for a unit vector u: this is MacCullagh's formula
     without the difference of large terms, so that a torque is as accurate as D. The coordinates are the entries of the
-    attitudes, (k, 3, 3), then the positions, (k, 3). For order 4 see `fourth_order_terms`.
+    attitudes, (k, 3, 3), then the positions, (k, 3). For order 4 see `fourth_order_terms`. The constants are G, the
+    masses, D, and the sums of the squares of the entries of each D.
     """
-    m, D, G, count = masses, anisotropic, gravity, len(masses)
-    axes = 9 * count
+    squares = np.array([(one * one).sum() for one in anisotropic])
+    constants = np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares])
+    return FunctionOfConstants(coordinates, constants, *_functions(len(masses), order))
 
-    def value(y: Any) -> Any:
+
+@lru_cache(maxsize=64)
+def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
+    """Return V and its first and second derivatives as functions of y and of the constants; compiled code is reused."""
+    axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
+
+    def value(y: Any, constants: Any) -> Any:
+        G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
         total, R, w = 0.0 * y[0], 0.0 * y[:3], 0.0 * y[:3]
         for i in range(count):
             for j in range(i):
@@ -47,7 +59,8 @@ def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float, order: i
                     total += 1.5 * G * m[other] * form / (square * square * s)
         return total
 
-    def gradient(y: Any) -> Any:
+    def gradient(y: Any, constants: Any) -> Any:
+        G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
         result, R, w, e = 0.0 * y, 0.0 * y[:3], 0.0 * y[:3], 0.0 * y[:3]
         for i in range(count):
             for j in range(i):
@@ -81,7 +94,8 @@ def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float, order: i
                     result[axes + 3 * j + a] -= along * R[a]
         return result
 
-    def hessian(y: Any) -> Any:
+    def hessian(y: Any, constants: Any) -> Any:
+        G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
         result = np.outer(0.0 * y, y)
         R, w, e, g = 0.0 * y[:3], 0.0 * y[:3], 0.0 * y[:3], 0.0 * y[:3]
         DA, S, block = np.outer(R, R), np.outer(R, R), np.outer(R, R)
@@ -145,15 +159,12 @@ def mutual_gravity(masses: Floats, anisotropic: Floats, gravity: float, order: i
         return result
 
     functions = value, gradient, hessian
-    if order == 4:
-        pairs = zip(functions, fourth_order_terms(masses, anisotropic, gravity), strict=True)
-        functions = tuple(_sum(first, second) for first, second in pairs)  # type: ignore[assignment]
-    energy = Hamiltonian(*functions)
-    energy.dim = 12 * count  # bound without a check of the derivatives, which takes minutes for 200 bodies
-    return energy
+    if order < 4:
+        return functions
+    return tuple(_sum(*pair) for pair in zip(functions, fourth_order_terms(count), strict=True))
 
 
 def _sum(first: Callable[..., Any], second: Callable[..., Any]) -> Callable[..., Any]:
     """Return the sum of two functions, which compiled functions can call."""
     one, other = callable_from_compiled(first), callable_from_compiled(second)
-    return lambda y: one(y) + other(y)
+    return lambda y, constants: one(y, constants) + other(y, constants)

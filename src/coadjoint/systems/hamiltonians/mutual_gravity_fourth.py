@@ -6,27 +6,23 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from coadjoint.systems.user_functions import callable_from_compiled
 
-Floats = npt.NDArray[np.float64]
 STEP = 2.0**-200  # of complex derivatives, which are exact to rounding: its square vanishes beside one
 
 
-def fourth_order_terms(masses: Floats, anisotropic: Floats, gravity: float) -> tuple[Callable[..., Any], ...]:
-    """Return the terms of fourth order in the sizes, and their first and second derivatives, as `mutual_gravity`.
+def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
+    """Return the terms of fourth order in the sizes, and their derivatives, with the constants of `mutual_gravity`.
 
     With D the anisotropic part of the inertia, w = A^T R, e = D w, g = A e for the difference R of two centres, they
     are ``-G sum of (15/7 (m_2/m_1 E(1, 1) + m_1/m_2 E(2, 2)) + 6 E(1, 2))/24``. The fourth derivatives of 1/s give
     ``E(1, 2) = 105 w_1.e_1 w_2.e_2/s^9 - 60 g_1.g_2/s^7 + 6 tr(A_1 D_1 A_1^T A_2 D_2 A_2^T)/s^5``. The fourth moments
     of a homogeneous ellipsoid are 5/(7 m) times the products of its second moments; isotropic parts have no effect.
     """
-    m, D, G, count = masses, anisotropic, gravity, len(masses)
-    axes = 9 * count
-    squares = np.array([(one * one).sum() for one in D])
+    axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
 
-    def parts(y: Any, i: int, j: int) -> Any:
+    def parts(y: Any, D: Any, i: int, j: int) -> Any:
         """Return R, s^2, and of both bodies w, e, g, D e, A D and A D A^T, by rows."""
         R, w, e, g, u = 0.0 * y[:3], 0.0 * y[:6], 0.0 * y[:6], 0.0 * y[:6], 0.0 * y[:6]
         AD, S = np.outer(0.0 * y[:6], y[:3]), np.outer(0.0 * y[:6], y[:3])
@@ -54,11 +50,13 @@ def fourth_order_terms(masses: Floats, anisotropic: Floats, gravity: float) -> t
 
     found = callable_from_compiled(parts)
 
-    def value(y: Any) -> Any:
+    def value(y: Any, constants: Any) -> Any:
+        G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
+        squares = constants[squares_at:]
         total = 0.0 * y[0]
         for i in range(count):
             for j in range(i):
-                _, square, w, e, g, _, _, S = found(y, i, j)
+                _, square, w, e, g, _, _, S = found(y, D, i, j)
                 fifth = 1.0 / (square * square * np.sqrt(square))
                 first, second, mixed, own, other = 0.0 * y[0], 0.0 * y[0], 0.0 * y[0], 0.0 * y[0], 0.0 * y[0]
                 trace = 0.0 * y[0]
@@ -77,11 +75,13 @@ def fourth_order_terms(masses: Floats, anisotropic: Floats, gravity: float) -> t
                 total -= G * weighted * fifth / 24.0
         return total
 
-    def gradient(y: Any) -> Any:
+    def gradient(y: Any, constants: Any) -> Any:
+        G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
+        squares = constants[squares_at:]
         result = 0.0 * y
         for i in range(count):
             for j in range(i):
-                R, square, w, e, g, u, AD, S = found(y, i, j)
+                R, square, w, e, g, u, AD, S = found(y, D, i, j)
                 fifth = 1.0 / (square * square * np.sqrt(square))
                 q, own, mixed, trace = 0.0 * y[:2], 0.0 * y[:2], 0.0 * y[0], 0.0 * y[0]
                 for a in range(3):
@@ -126,12 +126,12 @@ def fourth_order_terms(masses: Floats, anisotropic: Floats, gravity: float) -> t
 
     slopes = callable_from_compiled(gradient)
 
-    def hessian(y: Any) -> Any:
+    def hessian(y: Any, constants: Any) -> Any:
         result = np.outer(0.0 * y, y)
         for k in range(len(y)):
             moved = y + 0.0j
             moved[k] += 1j * STEP
-            change = slopes(moved)
+            change = slopes(moved, constants)
             for n in range(len(y)):
                 result[n, k] = change[n].imag / STEP
         return result

@@ -168,15 +168,15 @@ TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
 
 // Cotangents of a program. `dual` moves them as minus the transposes of the generators of `base.state`, `group_dual` as
 // those of `base.group`. The part `added`, unless it is negative, moves nothing: its angles are components of a gradient
-// whose coefficients are differentiated.
+// whose coefficients are differentiated, by those of functions with their derivatives at `hessians`.
 #define FLOW_COTANGENTS_FIELDS(_)                                                                                    \
     _(FlowTables, base) _(Action, dual) _(Action, group_dual) _(addresses, hessians) _(integer, added)
 TABLE(FlowCotangents, FLOW_COTANGENTS_FIELDS)
 
 // A Runge-Kutta method whose steps are differentiated. `added` are the terms of the derivative of the energy by
-// parameters, with coefficients of zero.
+// parameters, with coefficients of zero; derivatives of functions by their coefficients are at `functions`.
 #define RUNGE_KUTTA_COTANGENTS_FIELDS(_)                                                                             \
-    _(RungeKuttaTables, base) _(addresses, hessians) _(addresses, derivative) _(Terms, added)
+    _(RungeKuttaTables, base) _(addresses, hessians) _(addresses, derivative) _(Terms, added) _(addresses, functions)
 TABLE(RungeKuttaCotangents, RUNGE_KUTTA_COTANGENTS_FIELDS)
 
 // The steps k0 + 1 to k1 of the members with tangent vectors, `carried` for each, of the state and of the group element

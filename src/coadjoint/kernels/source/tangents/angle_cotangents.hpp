@@ -141,9 +141,9 @@ class EntriesOfTerms {
 };
 
 // Add to the cotangents of the coefficients of term k, and unless `of_coefficients_only`, of x. Those of its rows are
-// `of_rows`, which begin at row `first`.
+// `of_rows`, which begin at row `first`. The derivatives of functions by x, or then by coefficients, are at `functions`.
 template <class A>
-NOINLINE void term_cotangents(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
+NOINLINE void term_cotangents(const Terms& terms, const int64_t* functions, int64_t k, const A* x, const A& t,
                               const A* of_rows, int64_t first, bool of_coefficients_only, A* cotangents,
                               const CoefficientCotangents<A>& coefficients, HessianWorkspace<A>& workspace,
                               const EntriesByColumn* by_column = nullptr) {
@@ -187,9 +187,15 @@ NOINLINE void term_cotangents(const Terms& terms, const int64_t* hessians, int64
                 }
             }
         }
-    } else if (!of_coefficients_only) {
+    } else if (of_coefficients_only) {
+        const A* change = by_coefficients(terms, functions, k, x, t, workspace);
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
+            for (int64_t i = 0; i < count; ++i)
+                coefficients.coefficient[monomial] =
+                    fma(*change++, of_rows[start + i - first], coefficients.coefficient[monomial]);
+    } else {
         for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
-        call_function(SharedConstants{}, hessians, k, workspace.arguments.at, count, t, workspace.matrix.at,
+        call_function(SharedConstants{}, functions, k, workspace.arguments.at, count, t, workspace.matrix.at,
                       count * count, workspace.calls.data());
         for (int64_t i = 0; i < count; ++i)
             for (int64_t j = 0; j < count; ++j) {

@@ -23,10 +23,12 @@ NOINLINE void add_angle_changes(const Action& action, uint32_t part, bool apart,
 }
 
 // Add the changes of the rows of term k under directions of its offsets, weights and coefficients. Entry i of direction b
-// is at i * rows + b, after those of the offsets those of the weights, and of the coefficients.
+// is at i * rows + b, after those of the offsets those of the weights, and of the coefficients. The derivatives of functions
+// by their coefficients are at `functions`.
 template <class A, class V>
-NOINLINE void add_coefficient_changes(const Terms& terms, int64_t k, const A* x, const V* directions, int64_t rows,
-                                      V* out, int64_t first) {
+NOINLINE void add_coefficient_changes(const Terms& terms, const int64_t* functions, int64_t k, const A* x, const A& t,
+                                      const V* directions, int64_t rows, V* out, int64_t first,
+                                      HessianWorkspace<A>& workspace) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], all = terms.row[terms.size];
     const V *weight = directions + all * rows, *coefficient = weight + terms.entry[all] * rows;
     const auto add = [&](int64_t row, const A& factor, const V* direction) {
@@ -51,6 +53,11 @@ NOINLINE void add_coefficient_changes(const Terms& terms, int64_t k, const A* x,
                                                  factor == one);
                 add(terms.factor_row[one], product, coefficient + monomial * rows);
             }
+    if (terms.kind[k] == FUNCTION) {
+        const A* change = by_coefficients(terms, functions, k, x, t, workspace);
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
+            for (int64_t row = start; row < stop; ++row) add(row, *change++, coefficient + monomial * rows);
+    }
 }
 
 // The group element of a state, (d, d), with tangent vectors of it, and the directions of coefficients that all have; none
@@ -256,7 +263,8 @@ struct FlowTangentState {
                     gradient_changes(terms, hessians, k, x, moment, vectors, rows, changes.at, base, workspace);
                 }
                 if (further.directions)
-                    add_coefficient_changes(terms, k, x, further.directions, rows, changes.at, base);
+                    add_coefficient_changes(terms, hessians, k, x, moment, further.directions, rows, changes.at, base,
+                                            workspace);
             }
             share(count, [&](int64_t first, int64_t last) {
                 for (int64_t a = first; a < last; ++a) {

@@ -5,25 +5,45 @@
 
 namespace coadjoint {
 
-// The rows of the longest term that is a function of the user.
-inline int64_t longest_function(const Terms& terms) {
-    int64_t longest = 0;
-    for (int64_t k = 0; k < terms.size; ++k)
-        if (terms.kind[k] == FUNCTION) longest = std::max<int64_t>(longest, terms.row[k + 1] - terms.row[k]);
-    return longest;
-}
+// The rows of the longest term that is a function of the user, and the largest number of its derivatives by coordinates or
+// by coefficients.
+struct FunctionSizes {
+    int64_t rows = 0, columns = 0;
+    explicit FunctionSizes(const Terms& terms) {
+        for (int64_t k = 0; k < terms.size; ++k)
+            if (terms.kind[k] == FUNCTION) {
+                const int64_t count = terms.row[k + 1] - terms.row[k];
+                rows = std::max(rows, count);
+                columns = std::max({columns, count, int64_t(terms.monomial[k + 1] - terms.monomial[k])});
+            }
+    }
+};
 
 // Scratch memory for the arguments of such a function, its matrix, and the call.
 template <class A>
 struct HessianWorkspace {
     AlignedArray<A> arguments, matrix;
     std::vector<double> calls;
-    explicit HessianWorkspace(const Terms& terms) : HessianWorkspace(longest_function(terms)) {}
+    explicit HessianWorkspace(const Terms& terms) : HessianWorkspace(FunctionSizes(terms)) {}
 
   private:
-    explicit HessianWorkspace(int64_t longest)
-        : arguments(longest + 1), matrix(longest * longest), calls((longest + 1) * (longest + 1)) {}
+    explicit HessianWorkspace(const FunctionSizes& sizes)
+        : arguments(sizes.rows + 1), matrix(sizes.rows * sizes.columns), calls((sizes.rows + 1) * (sizes.columns + 1)) {}
 };
+
+// The derivatives of the rows of a FUNCTION term by its coefficients, (coefficients, rows), from the function at its
+// address; none if it has no coefficients.
+template <class A>
+const A* by_coefficients(const Terms& terms, const int64_t* functions, int64_t k, const A* x, const A& t,
+                         HessianWorkspace<A>& workspace) {
+    const int64_t start = terms.row[k], count = terms.row[k + 1] - start;
+    const int64_t results = int64_t(terms.monomial[k + 1] - terms.monomial[k]) * count;
+    for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
+    if (results > 0)
+        call_function(SharedConstants{}, functions, k, workspace.arguments.at, count, t, workspace.matrix.at, results,
+                      workspace.calls.data());
+    return workspace.matrix.at;
+}
 
 // Fill out[(row - first) * rows] with the change of every row of term k along the vectors. The rows are those of
 // `gradient_rows`.

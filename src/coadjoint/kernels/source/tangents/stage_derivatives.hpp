@@ -13,7 +13,7 @@ class StageTangents {
     StageTangents(StagePoints& at, int64_t rows)
         : at(at), rows(rows), n(at.n), s(at.s), d(at.d), tangents{n, 0, 0, nullptr, at.all.hessians, at.all.derivative},
           changes(at.field, tangents, rows), jacobians(at, false), momentum(at.tables, n, rows, false),
-          element(at.tables, at.square, rows, false), workspace(at.field.terms),
+          element(at.tables, at.square, rows, false), workspace(at.field.terms), of_added(at.all.added),
           of_gradients(s * n * rows), of_iterates(s * n * rows), of_slopes(s * n * rows), part(longest() * rows),
           found(jacobians.used ? 2 * s * n * rows : 0) {}
 
@@ -85,7 +85,7 @@ class StageTangents {
     FieldChanges<V> changes;
     StageJacobians jacobians;
     StageEquations<V> momentum, element;
-    HessianWorkspace<double> workspace;
+    HessianWorkspace<double> workspace, of_added;
     AlignedArray<V> of_gradients, of_iterates, of_slopes, part, found;
     std::vector<double> spare;
 
@@ -105,7 +105,8 @@ class StageTangents {
         const Terms& added = at.all.added;
         for (int64_t k = 0; k < added.size; ++k) {
             std::fill_n(part.at, (added.row[k + 1] - added.row[k]) * rows, V(0.0));
-            add_coefficient_changes(added, k, point, directions, rows, part.at, added.row[k]);
+            add_coefficient_changes(added, at.all.functions, k, point, at.time_of(j), directions, rows, part.at,
+                                    added.row[k], of_added);
             add_rows(added, k, of_gradients.at + j * n * rows);
         }
     }
@@ -179,7 +180,7 @@ class StageCotangents {
   public:
     explicit StageCotangents(StagePoints& at)
         : at(at), n(at.n), s(at.s), d(at.d), jacobians(at, true), momentum(at.tables, n, 1, true), element(at.tables, at.square, 1, true),
-          workspace(at.field.terms), of_gradients(s * n), of_points(s * n),
+          workspace(at.field.terms), of_added(at.all.added), of_gradients(s * n), of_points(s * n),
           of_slopes(s * n), none_of(s * n), w(n), of_rows(std::max(at.field.longest, at.longest_added())),
           unused(CoefficientCotangents<double>::count(at.field.terms)), none(at.field.terms, unused.at),
           by_stage(CoefficientCotangents<double>::count(at.all.added)),
@@ -254,7 +255,7 @@ class StageCotangents {
     const int64_t n, s, d;
     StageJacobians jacobians;
     StageEquations<double> momentum, element;
-    HessianWorkspace<double> workspace;
+    HessianWorkspace<double> workspace, of_added;
     AlignedArray<double> of_gradients, of_points, of_slopes, none_of, w, of_rows, unused;
     const CoefficientCotangents<double> none;
     AlignedArray<StageJacobians::S> by_stage;
@@ -319,8 +320,10 @@ class StageCotangents {
                 const int64_t first = terms.row[k];
                 for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
                     of_rows.at[row - first] = w.at[terms.target[row]];
-                term_cotangents(terms, at.all.hessians, k, q, at.time_of(j), of_rows.at, first, of_coefficients_only, out,
-                                of, workspace, of_coefficients_only ? nullptr : by_term(k, n));
+                term_cotangents(terms, of_coefficients_only ? at.all.functions : at.all.hessians, k, q, at.time_of(j),
+                                of_rows.at, first, of_coefficients_only, out, of,
+                                of_coefficients_only ? of_added : workspace,
+                                of_coefficients_only ? nullptr : by_term(k, n));
             }
         };
         if (out) each_term(field.terms, false, none);
