@@ -54,9 +54,9 @@ def free_body(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     Notes
     -----
     Results have the precision of the arguments, float32 also without ``jax_enable_x64``. The motion is x' = x cross w
-    and A' = A hat(w), with w = inertia^-1 x. A step is computed in pieces: the largest difference of inverse moments
+    and A' = A hat(w), with w = inertia^-1 x. A step is computed in pieces: the largest difference of inverse moments,
     times the length of x and the time, over 0.15 (float32: 0.4). Beyond 65536 pieces, and for numbers that are not
-    finite, the results are NaN. Derivatives of any order are computed forward, and those at rest are exact up to the second.
+    finite, the results are NaN. Derivatives are computed forward; those at rest are exact up to the second.
 
     See Also
     --------

@@ -24,7 +24,7 @@ from jax.custom_derivatives import SymbolicZero
 # The largest number of pieces of a motion; a longer one would not resolve it.
 MOST_PIECES = 65536
 Vector = tuple[Any, ...]
-"""Vectors, quaternions, and symmetric tensors: entries on the diagonal, and those of `PAIRS` after them if any is used."""
+"""Vectors, quaternions, and symmetric tensors: the entries of `PAIRS`, or of a diagonal one the first three."""
 
 # Rows and columns of the entries of a symmetric tensor.
 PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))

@@ -29,8 +29,11 @@ class ForcedSteps:
 
     def __init__(self, inner: Any, system: Any, field: Field) -> None:
         self.inner = inner
-        reader = ForceFlows(system.system, field)
-        self.flows: list[Flow] = [force.describe_to(reader, system.system) for _, force in forces_of(system)]
+        plain = system.system
+        self.flows: list[Flow] = [
+            force.describe_to(ForceFlows(plain, field, f"a function of {label}"), plain)
+            for label, force in forces_of(system)
+        ]
 
     def constants(self, energy: Any) -> Any:
         """Return the constants of the scheme and the coefficients of the energy."""
@@ -58,10 +61,10 @@ class ForcedSteps:
 
 
 class ForceFlows:
-    """A reader of forces that makes their flows."""
+    """A reader of a force that makes its flow; `what` names its functions in messages."""
 
-    def __init__(self, system: Any, field: Field) -> None:
-        self.system, self.field = system, field
+    def __init__(self, system: Any, field: Field, what: str) -> None:
+        self.system, self.field, self.what = system, field, what
 
     def damping(self, rate: Any, toward: Any) -> Flow:
         """Return the flow of x' = -rate (x - toward), exact."""
@@ -83,7 +86,7 @@ class ForceFlows:
 
     def function(self, torque: Any, arguments: str) -> Flow:
         """Return the integral of a torque of the time by Gauss quadrature, or a step of Runge and Kutta."""
-        function = on_jax(torque, "a torque")
+        function = on_jax(torque, self.what)
 
         def of_time(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
             pairs = zip(NODES, WEIGHTS, strict=True)
@@ -107,8 +110,14 @@ class ForceFlows:
 
     def flow(self, function: Any) -> Flow:
         """Return a flow that is given."""
-        traced = on_jax(function, "the flow of a force")
+        traced = on_jax(function, self.what)
         return lambda _, x, t, tau, member: traced(x, t, tau)
+
+    def mode_rates(self, *_: Any) -> Flow:
+        """Refuse forces on modes of a matrix."""
+        raise TypeError(f"JAX takes states that are vectors, and {self.what} acts on modes of a matrix")
+
+    mode_noise = mode_rates
 
     def on_orbit(self, metric: Any, root: Any, noise: Noise | None) -> Flow:
         """Return the midpoint rule of the damping on the orbit, between halves of the noise."""

@@ -65,10 +65,14 @@ class Numbers(NDArrayOperatorsMixin):
     def __setitem__(self, index: Any, value: Any) -> None:
         self._set(self.value.at[plain(index)].set(plain(value)))
 
-    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
-        if method != "__call__" or options.get("out") is not None:
-            raise TypeError(f"it calls {function.__name__}.{method}")
-        return Numbers(getattr(jnp, function.__name__)(*map(plain, inputs)), self._branches)
+    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, out: Any = (), **options: Any) -> Any:
+        if method != "__call__" or options or any(not isinstance(one, Numbers) for one in out):
+            raise TypeError(f"it writes numbers of JAX into an array of NumPy, or calls {function.__name__}.{method}")
+        found = getattr(jnp, function.__name__)(*map(plain, inputs))
+        if not out:
+            return Numbers(found, self._branches)
+        out[0]._set(found)
+        return out[0]
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         found = getattr(jnp, function.__name__)(*map(plain, arguments), **{k: plain(v) for k, v in options.items()})

@@ -262,10 +262,10 @@ def _generator(tables: UnshiftTables) -> Callable[[Any], Any]:
                 cells.append((inside[row], inside[column]))
                 summands.append((int(tables.column[e]), float(tables.weight[e])))
     places = np.array(cells, dtype=np.int64).reshape(-1, 2).T
-    column, weight = (np.array([one[k] for one in summands]) for k in (0, 1))
+    columns, weights = (np.array([one[k] for one in summands]) for k in (0, 1))
 
     def generator(x: Any) -> Any:
-        return jnp.zeros((tables.size, tables.size)).at[places[0], places[1]].add(weight * x[column.astype(np.int64)])
+        return jnp.zeros((tables.size, tables.size)).at[places[0], places[1]].add(weights * x[columns.astype(np.int64)])
 
     return generator
 
