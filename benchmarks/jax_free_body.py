@@ -1,7 +1,7 @@
 """`co.jax.free_body` beside the usual integrators of rigid bodies in JAX: errors after 100 turns, and time of a step.
 
-The others are plain formulas: the gyroscopic term of MuJoCo XLA's `implicitfast`, which has no derivative of that term,
-and of Brax, is that of semi-implicit Euler; `implicit` takes one Newton iteration for it, as several game engines.
+The others are plain formulas. MuJoCo XLA's `implicitfast`, which leaves out the derivative of the gyroscopic term, and
+Brax are semi-implicit Euler for a free body; one Newton iteration for an implicit term is that of game engines.
 
 python benchmarks/jax_free_body.py [--bodies N] [--steps N] [--rounds R]
 """
@@ -119,6 +119,9 @@ def errors_of(step: Callable[..., Any], kind: Any) -> str:
         x, A = body.exact(np.array(START), TURNS * count * h, attitude=True)
         of_momentum = np.linalg.norm(np.asarray(end, dtype=float) * inertia - x) / np.linalg.norm(x)
         sine = np.linalg.norm(A - matrix(np.asarray(q, dtype=float))) / np.sqrt(8.0)
+        if not np.isfinite(of_momentum):
+            texts.append("diverged")
+            continue
         texts.append(f"{of_momentum:.1e}, {2.0 * np.arcsin(min(1.0, sine)):.1e} rad")
     return " | ".join(texts)
 
