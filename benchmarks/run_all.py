@@ -38,6 +38,7 @@ SECTIONS = {
     "automatic_parts": "Automatic parts",
     "free_body": "Free bodies as parts",
     "exported_body": "The exported header of free bodies",
+    "jax_free_body": "Free bodies in JAX",
     "exported_run": "Exported runs",
     "first_result": "The first result",
     "attitude": "The attitude in short calls",

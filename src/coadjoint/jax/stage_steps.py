@@ -1,4 +1,4 @@
-"""Steps of implicit Runge-Kutta methods as operations of JAX, with a fixed number of iterations."""
+"""Fields of Hamiltonians, and steps of implicit Runge-Kutta methods, with a fixed number of iterations."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.sparse import sparse
+from coadjoint.jax.numpy_arrays import on_jax
+from coadjoint.jax.sparse import Sparse, sparse
 from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
@@ -18,69 +19,110 @@ ITERATIONS = 20
 """Function iterations of a step: an error that halves in each of them is then 1e-6 of that of the first guess."""
 # Largest last correction of the stages, relative to them; those of a step that has not converged are NaN.
 LARGEST_CORRECTION = 1e-10
+# Terms of an exponential in a part of norm one, and the largest norm; beyond it the result is NaN.
+TERMS, MOST_PARTS = 18, 4
 
 
-class StageSteps:
-    """Steps of an implicit Runge-Kutta method for a Hamiltonian of polynomials and functions of JAX.
+class Field:
+    """The field of a Hamiltonian of polynomials and functions, and exponentials of the algebra.
 
-    `monomials` have coefficients, which are the constants of the steps. Raises TypeError for other functions.
+    `monomials` have coefficients, the energy in the arguments of the methods.
     """
 
-    def __init__(self, system: Any, tableau: Coefficients, monomials: Any) -> None:
-        self.tableau, self.sign, n = tableau, system.sign, system.dim
+    def __init__(self, system: Any, monomials: Any) -> None:
+        self.sign, n = system.sign, system.dim
         degree = max((len(key) for key in monomials), default=0)
         self.monomials = np.array([[*key, *[n] * (degree - len(key))] for key in monomials], dtype=np.int64)
         others = [term for term in system.hamiltonian.terms() if term.form is None]
         self.functions = [term for term in others if not isinstance(term, PolynomialTerm)]
-        for term in self.functions:
-            if not (isinstance(term, FunctionTerm) and isinstance(term.value, JaxFunction)):
-                raise TypeError(
-                    'co.jax.solution with backend="xla" takes polynomials and functions of JAX, and the Hamiltonian of '
-                    f'{system.name} has another function; write it with jax.numpy, or take backend="compiled"'
-                )
         # Stored for i < j.
         i, j, k, c = system.algebra.triples
         self.products = np.append(j, i), np.append(k, k)
         self.rows = sparse(np.append(i, j), np.arange(2 * len(c)), np.append(c, -c), (n, 2 * len(c)))
 
+    def at(self, energy: Any, x: Any, t: Any) -> Any:
+        """Return sign J(x) grad H(x, t)."""
+        padded = jnp.append(x, 1.0)
+        slopes = jnp.zeros_like(x)
+        if len(self.monomials):
+            slopes = jax.grad(lambda x: energy @ jnp.append(x, 1.0)[self.monomials].prod(axis=1))(x)
+        for term in self.functions:
+            slopes = slopes.at[term.coordinates].add(gradient_of(term)(padded[term.coordinates], t))
+        return self.product(x, slopes)
+
+    def product(self, x: Any, u: Any) -> Any:
+        """Return sign J(x) u."""
+        j, k = self.products
+        return self.sign * self.rows.times(x[k] * u[j])
+
+    def exponential(self, v: Any, x: Any) -> Any:
+        """Return exp(D_v) x with D_v x = sign J(x) v; NaN if the norm of D_v is larger than `MOST_PARTS`."""
+
+        def power(carry: Any, k: Any) -> Any:
+            term, total = carry
+            term = self.product(term, v) / (MOST_PARTS * k)
+            return (term, total + term), None
+
+        def part(x: Any, _: Any) -> Any:
+            (_, total), _ = lax.scan(power, (x, jnp.zeros_like(x)), jnp.arange(1.0, TERMS + 1.0))
+            return x + total, None
+
+        norm = jnp.max(Sparse(jnp.abs(self.rows.values), self.rows.columns).times(jnp.abs(v[self.products[0]])))
+        return jnp.where(norm <= MOST_PARTS, lax.scan(part, x, None, length=MOST_PARTS)[0], jnp.nan)
+
+
+def gradient_of(term: FunctionTerm) -> Any:
+    """Return the gradient of a function in its own coordinates, of (y, t), by its derivative or by that of JAX."""
+    what = "a function of the Hamiltonian"
+    function: Any = term.value
+    if isinstance(function, JaxFunction):
+        of_jax = jax.grad(function.function)
+
+        def gradient(y: Any, t: Any) -> Any:
+            z = y[0] if term.scalar else y
+            return jnp.reshape(of_jax(z, t) if term.timed else of_jax(z), y.shape)
+
+        return gradient
+    traced = on_jax(term.gradient, what)
+
+    def given(y: Any, t: Any) -> Any:
+        z = y[0] if term.scalar else y
+        return jnp.reshape(traced(z, t) if term.timed else traced(z), y.shape)
+
+    return given
+
+
+class StageSteps:
+    """Steps of an implicit Runge-Kutta method; the constants are the coefficients of the energy."""
+
+    def __init__(self, field: Field, tableau: Coefficients) -> None:
+        self.field, self.tableau = field, tableau
+
     def constants(self, energy: Any) -> Any:
         """Return the coefficients of the energy."""
         return jnp.asarray(energy)
 
-    def begin(self, constants: Any, x: Any, h: Any) -> Any:
+    def begin(self, constants: Any, start: Any, t: Any, h: Any) -> Any:
         """Return the state, which is finished between steps."""
-        return x
+        return start
 
-    def step(self, constants: Any, x: Any, t: Any, h: Any) -> Any:
+    def step(self, constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         """Take a step; NaN if its iteration has not converged."""
-        tableau = self.tableau
+        x, tableau = state[0], self.tableau
         lengths, times = (h * tableau.scale)[:, None], t + h * tableau.node
-        fields = jax.vmap(self._field, (None, 0, 0))
+        fields = jax.vmap(self.field.at, (None, 0, 0))
 
         def improved(slopes: Any, _: Any) -> Any:
             found = lengths * fields(constants, x + tableau.mix @ slopes, times)
             return found, jnp.max(jnp.abs(found - slopes))
 
-        start = jnp.zeros((len(times), len(x)))
-        slopes, corrections = lax.scan(improved, start, None, length=ITERATIONS)
+        first = jnp.zeros((len(times), len(x)))
+        slopes, corrections = lax.scan(improved, first, None, length=ITERATIONS)
         converged = corrections[-1] <= LARGEST_CORRECTION * jnp.max(jnp.abs(slopes))
-        return jnp.where(converged, x + slopes.sum(axis=0), jnp.nan)
+        return jnp.where(converged, x + slopes.sum(axis=0), jnp.nan), None
 
-    def finish(self, constants: Any, x: Any, h: Any) -> Any:
+    def finish(self, constants: Any, state: Any, t: Any, h: Any, start: Any, elapsed: Any) -> Any:
         """Return the state."""
-        return x
+        return state
 
     whole = step
-
-    def _energy(self, x: Any, constants: Any, t: Any) -> Any:
-        total = constants @ jnp.append(x, 1.0)[self.monomials].prod(axis=1) if len(self.monomials) else 0.0
-        for term in self.functions:
-            y = x[term.coordinates]
-            function: Any = term.value
-            total = total + function.function(y[0] if term.scalar else y, *((t,) if term.timed else ()))
-        return total
-
-    def _field(self, constants: Any, x: Any, t: Any) -> Any:
-        gradient = jax.grad(self._energy)(x, constants, t)
-        j, k = self.products
-        return self.sign * self.rows.times(x[k] * gradient[j])

@@ -14,15 +14,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.scipy.linalg import expm
 
 from coadjoint.jax.body_angles import BodyAngles
 from coadjoint.jax.sparse import Sparse, sparse
+from coadjoint.jax.stage_steps import gradient_of
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, Kind
+from coadjoint.program.shifts.group_correction import UnshiftTables
 
 Table = Mapping[str, Any]
+State = tuple[Any, Any]
+"""A state, and the rows of the group element, None in runs without an attitude."""
 
 # Version of the table of a splitting that is read, as docs/table.md describes it.
 VERSION = 3
+# Halvings of the generator of an attitude over the time of a run; beyond them it is NaN.
+MOST_SQUARINGS = 48
 DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
 
 
@@ -100,6 +107,7 @@ class Angles(NamedTuple):
 
     `row`, `number` and `factor` are of each summand: its angle, its number among the dependent ones, and the multiple
     of it; `coordinates` are those that are multiplied, padded by one behind the last coordinate, where there is a one.
+    `functions` have first angles, coordinates and gradients of functions in the energy.
     """
 
     size: int
@@ -108,6 +116,7 @@ class Angles(NamedTuple):
     number: Any
     factor: Any
     coordinates: Any
+    functions: Sequence[tuple[int, Any, Any]]
 
     def constants(self, numbers: Any) -> Any:
         """Return the offsets, the matrix of linear summands, and the sums of all others with their coordinates."""
@@ -120,41 +129,43 @@ class Angles(NamedTuple):
         index = np.arange(int(other.sum()))
         return offsets, matrix, sparse(self.row[other], index, values[other], (self.size, len(index)))
 
-    def at(self, constants: Any, x: Any) -> Any:
-        """Return the angles at a state."""
+    def at(self, constants: Any, tau: Any, x: Any, t: Any) -> Any:
+        """Return the angles of the flow over the time tau."""
         offsets, matrix, others = constants
         theta = offsets + matrix.times(x)
-        if others is None:
-            return theta
-        chosen = self.coordinates[(self.coordinates < self.dim).sum(axis=1) > 1]
-        products = jnp.append(x, 1.0)[chosen].prod(axis=1)
-        return theta + others.times(products)
+        if others is not None:
+            chosen = self.coordinates[(self.coordinates < self.dim).sum(axis=1) > 1]
+            theta = theta + others.times(jnp.append(x, 1.0)[chosen].prod(axis=1))
+        for first, coordinates, gradient in self.functions:
+            theta = theta.at[first : first + len(coordinates)].add(gradient(x[coordinates], t))
+        return tau * theta
 
 
 class Part:
     """A part of the table: its angles, and layers of its blocks."""
 
-    def __init__(self, table: Table, part: int) -> None:
+    def __init__(self, table: Table, functions: Mapping[int, Any], part: int, side: int | None) -> None:
         first, last = (int(k) for k in table["share"][part : part + 2])
         self.rows = slice(int(table["term_row"][first]), int(table["term_row"][last]))
-        self.angles = _angles(table, first, last)
-        self.bodies = BodyAngles(table, part) if first in table["bodies"] else None
-        self.layers = _layers(table, part, self.rows.stop - self.rows.start)
+        self.angles = BodyAngles(table, part) if first in table["bodies"] else _angles(table, functions, first, last)
+        count = self.rows.stop - self.rows.start
+        self.layers = _layers(table, "state", int(table["dim"]), part, count)
+        self.on_group = [] if side is None else _layers(table, "group", side, part, count)
         w = table["frequency"][self.rows]
         self.frequency, self.safe = w, np.where(w == 0.0, 1.0, w)
 
-    def flow(self, constants: Any, tau: Any, x: Any) -> Any:
-        """Advance the state by the flow of the part over the time tau."""
-        if self.bodies is not None:
-            theta = self.bodies.angles(tau, x)
-        else:
-            theta = tau * self.angles.at(constants, x)
+    def flow(self, constants: Any, tau: Any, t: Any, state: State) -> State:
+        """Advance the state, and the group element, by the flow of the part over the time tau."""
+        x, rows = state
+        theta = self.angles.at(constants, tau, x, t)
         if np.any(self.frequency):
             rational = 2.0 * jnp.arctan(0.5 * self.safe * theta) / self.safe
             theta = jnp.where(self.frequency == 0.0, theta, rational)
         for layer in self.layers:
             x = layer.act(theta, x)
-        return x
+        for layer in self.on_group:
+            rows = jax.vmap(partial(layer.act, theta))(rows)
+        return x, rows
 
 
 class TableSteps:
@@ -163,64 +174,112 @@ class TableSteps:
     Between steps the state is unfinished: `begin` undoes the finish, so that all steps have the same flows.
     """
 
-    def __init__(self, table: Table) -> None:
+    def __init__(
+        self, table: Table, functions: Mapping[int, Any], side: int | None, unshift: Sequence[UnshiftTables]
+    ) -> None:
         if table["version"] > VERSION:
             raise ValueError(
                 f"the table has the version {table['version']}; this reader knows versions up to {VERSION}"
             )
-        self.table = table
+        self.table, self.side = table, side
+        self.generators = [_generator(one) for one in unshift]
         self.after_shift = _after_shift(table)
-        self.parts = [Part(table, p) for p in range(len(table["share"]) - 1)]
+        self.parts = [Part(table, functions, p, side) for p in range(len(table["share"]) - 1)]
         sections = [range(*table["section"][k : k + 2].tolist()) for k in range(3)]
         self.first_rows, self.step_rows, self.finish_rows = sections
 
-    def in_bodies(self) -> list[int]:
-        """Return the coefficients of the energy in the weights of free bodies, of which constants are made."""
-        table, own = self.table, self.table["provenance"]["weight"]
-        edges = table["entry"][table["term_row"]]
-        share = np.searchsorted(edges, own["index"], side="right") - 1
-        found: list[int] = own["monomial"][np.isin(share, table["bodies"])].tolist()
-        return found
-
     def constants(self, energy: Any) -> Any:
-        """Return the constants of the parts for coefficients of the energy, those of `table["energy"]`."""
+        """Return the constants of the parts, and factors of Casimirs, for coefficients of the energy, as in the table.
+
+        Without coefficients those of the table.
+        """
         numbers = [jnp.asarray(self.table[name]) for name in DEPENDENT]
+        factors = jnp.array([shift["factor"] for shift in self.table["shift"]])
         if energy is not None:
-            rest = self.after_shift(energy)
+            rest, factors = self.after_shift(energy, factors)
             for k, name in enumerate(DEPENDENT):
                 own = self.table["provenance"][name]
                 numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
         joined = jnp.concatenate(numbers)
-        return [part.angles.constants(joined) for part in self.parts]
+        return [part.angles.constants(joined) for part in self.parts], factors
 
-    def begin(self, constants: Any, x: Any, h: Any) -> Any:
-        """Return the unfinished state of which x is the finished one."""
-        return self._flows(constants, self.finish_rows[::-1], -h, x)
+    def begin(self, constants: Any, start: State, t: Any, h: Any) -> State:
+        """Return the unfinished state of which a state is the finished one, with the unit element."""
+        state = start[0], None if self.side is None else jnp.eye(self.side)
+        return self._flows(constants, self.finish_rows[::-1], t - h, h, state, -1.0)
 
-    def step(self, constants: Any, x: Any, t: Any, h: Any) -> Any:
+    def step(self, constants: Any, state: State, t: Any, h: Any, member: Any) -> State:
         """Take a step of an unfinished state."""
-        return self._flows(constants, self.step_rows, h, x)
+        return self._flows(constants, self.step_rows, t, h, state)
 
-    def finish(self, constants: Any, x: Any, h: Any) -> Any:
-        """Return the finished state."""
-        return self._flows(constants, self.finish_rows, h, x)
+    def finish(self, constants: Any, state: State, t: Any, h: Any, start: State, elapsed: Any) -> State:
+        """Return the finished state, with the attitude from the element of a run from `start`.
 
-    def whole(self, constants: Any, x: Any, t: Any, h: Any) -> Any:
+        The time t is that of the last step. Subtracted Casimirs turn it by a constant generator.
+        """
+        (x, element), (x0, attitude) = self._flows(constants, self.finish_rows, t, h, state), start
+        if self.side is None:
+            return x, None
+        if self.generators:
+            turn = sum(factor * generator(x0) for factor, generator in zip(constants[1], self.generators, strict=True))
+            attitude = product(attitude, expm(elapsed * turn, max_squarings=MOST_SQUARINGS))
+        return x, product(attitude, element)
+
+    def whole(self, constants: Any, start: State, t: Any, h: Any, member: Any) -> State:
         """Take a step of a finished state to a finished state."""
-        return self._flows(constants, [*self.first_rows, *self.finish_rows], h, x)
+        state = start[0], None if self.side is None else jnp.eye(self.side)
+        return self.finish(constants, self._flows(constants, self.first_rows, t, h, state), t, h, start, h)
 
-    def _flows(self, constants: Any, rows: Sequence[int], h: Any, x: Any) -> Any:
+    def _flows(
+        self, constants: Any, rows: Sequence[int], t: Any, h: Any, state: State, direction: float = 1.0
+    ) -> State:
+        """Apply the flows of rows of a step from t, or in the direction -1 those of its inverse."""
         if not len(rows):
-            return x
-        used, parts = np.unique(self.table["part"][list(rows)], return_inverse=True)
-        flows: list[Callable[..., Any]] = [partial(self.parts[part].flow, constants[part]) for part in used.tolist()]
+            return state
+        table, used = self.table, list(rows)
+        chosen, parts = np.unique(table["part"][used], return_inverse=True)
+        flows: list[Callable[..., Any]] = [
+            partial(self.parts[part].flow, constants[0][part]) for part in chosen.tolist()
+        ]
+
+        def flow(state: State, row: Any) -> Any:
+            part, coefficient, moment = row
+            return lax.switch(part, flows, direction * coefficient * h, t + moment * h, state), None
+
         # A loop, since XLA would otherwise join flows into one, and compute their sines again for each use.
-        flow = jax.checkpoint(lambda x, row: (lax.switch(row[0], flows, row[1] * h, x), None), prevent_cse=False)
-        return lax.scan(flow, x, (parts, self.table["coefficient"][list(rows)]))[0]
+        columns = parts, table["coefficient"][used], table["moment"][used]
+        return lax.scan(jax.checkpoint(flow, prevent_cse=False), state, columns)[0]
 
 
-def _after_shift(table: Table) -> Callable[[Any], Any]:
-    """Return the function that subtracts Casimirs, whose factors may follow coefficients, from those of the energy."""
+def _generator(tables: UnshiftTables) -> Callable[[Any], Any]:
+    """Return the generator X of the group element for a Casimir, as a function of the momentum."""
+    cells, summands = [], []
+    for b in range(tables.components):
+        inside = tables.coordinate[tables.begin[b] : tables.begin[b + 1]].tolist()
+        for f in range(int(tables.form[b]), int(tables.form[b + 1])):
+            column, row = divmod(int(tables.cell[f]), len(inside))
+            for e in range(int(tables.entry[f]), int(tables.entry[f + 1])):
+                cells.append((inside[row], inside[column]))
+                summands.append((int(tables.column[e]), float(tables.weight[e])))
+    places = np.array(cells, dtype=np.int64).reshape(-1, 2).T
+    columns, weights = (np.array([one[k] for one in summands]) for k in (0, 1))
+
+    def generator(x: Any) -> Any:
+        return jnp.zeros((tables.size, tables.size)).at[places[0], places[1]].add(weights * x[columns.astype(np.int64)])
+
+    return generator
+
+
+def product(A: Any, B: Any) -> Any:
+    """Return A B in full precision, which devices do not use otherwise."""
+    return jnp.matmul(A, B, precision=lax.Precision.HIGHEST)
+
+
+def _after_shift(table: Table) -> Callable[..., tuple[Any, Any]]:
+    """Return the function that subtracts Casimirs, whose factors may follow coefficients, from those of the energy.
+
+    It also returns the factors.
+    """
     monomials = {tuple(key): k for k, key in enumerate(table["energy"]["monomials"])}
     shifts = [] if table["bodies"] else table["shift"]
     found = [
@@ -231,18 +290,17 @@ def _after_shift(table: Table) -> Callable[[Any], Any]:
     number, cells, values = (np.array([one[column] for one in found]) for column in range(3))
     removed = np.flatnonzero([cell == shifts[k]["monomial"] for k, cell, _ in found])
 
-    def after_shift(energy: Any) -> Any:
+    def after_shift(energy: Any, factor: Any) -> tuple[Any, Any]:
         energy = jnp.asarray(energy)
         if not found:
-            return energy
-        factor = jnp.array([shift["factor"] for shift in shifts])
+            return energy, factor
         factor = factor.at[number[removed]].set(energy[cells[removed]] / values[removed])
-        return energy.at[cells].add(-factor[number] * values)
+        return energy.at[cells].add(-factor[number] * values), factor
 
     return after_shift
 
 
-def _angles(table: Table, first: int, last: int) -> Angles:
+def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -> Angles:
     """Return the angles of the terms `first` to `last` - 1, which are one part."""
     n, rows = int(table["dim"]), slice(int(table["term_row"][first]), int(table["term_row"][last]))
     may_change = {*table["provenance"]["offset"]["index"].tolist()}
@@ -264,30 +322,43 @@ def _angles(table: Table, first: int, last: int) -> Angles:
     padded = [(*one[3], *[n] * (max(1, width) - len(one[3]))) for one in found]
     places = np.array(padded, dtype=np.int64).reshape(len(found), max(1, width))
     angle, number = (np.array([one[k] for one in found], dtype=np.int64) for k in (0, 1))
-    return Angles(rows.stop - rows.start, n, angle, number, np.array([one[2] for one in found]), places)
+    of_user = [
+        (
+            int(table["term_row"][k] - rows.start),
+            table["target"][slice(*table["term_row"][k : k + 2])],
+            gradient_of(one),
+        )
+        for k, one in functions.items()
+        if first <= k < last
+    ]
+    return Angles(rows.stop - rows.start, n, angle, number, np.array([one[2] for one in found]), places, of_user)
 
 
-def _layers(table: Table, part: int, count: int) -> list[Layer | SeriesBlock]:
-    """Return the blocks of a part with `count` angles in layers, in an order in which overlapping blocks remain."""
-    n = int(table["dim"])
+def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[Layer | SeriesBlock]:
+    """Return the blocks of a part with `count` angles in layers, in an order in which overlapping blocks remain.
+
+    They act on n coordinates, of the "state" or of a row of the "group" element.
+    """
+    prefix = f"{action}_"
+    table = {name.removeprefix(prefix): column for name, column in table.items() if name.startswith(prefix)}
     level, layers = np.zeros(n, dtype=np.int64), dict[int, list[int]]()
-    for b in range(table["state_block"][part], table["state_block"][part + 1]):
+    for b in range(table["block"][part], table["block"][part + 1]):
         inside = _coordinates(table, b)
         own = int(level[inside].max())
         level[inside] = own + 1
         layers.setdefault(own, []).append(b)
     found: list[Layer | SeriesBlock] = []
     for _, blocks in sorted(layers.items()):
-        series = [b for b in blocks if table["state_kind"][b] == Kind.SERIES and table["state_norm"][b]]
+        series = [b for b in blocks if table["kind"][b] == Kind.SERIES and table["norm"][b]]
         closed = [b for b in blocks if b not in series]
         if closed:
             found.append(_layer(table, closed, n, count))
         for b in series:
             inside, entries = _coordinates(table, b), _entries(table, b)
             D = np.zeros((n, n))
-            D[table["state_row"][entries], table["state_column"][entries]] = table["state_value"][entries]
-            angle = int(table["state_angle"][entries][0])
-            found.append(SeriesBlock(angle, inside, D[np.ix_(inside, inside)], float(table["state_norm"][b])))
+            D[table["row"][entries], table["column"][entries]] = table["value"][entries]
+            angle = int(table["angle"][entries][0])
+            found.append(SeriesBlock(angle, inside, D[np.ix_(inside, inside)], float(table["norm"][b])))
     return found
 
 
@@ -296,15 +367,15 @@ def _layer(table: Table, blocks: Sequence[int], n: int, count: int) -> Layer:
     mean, square = np.zeros(n), np.zeros(n)
     cells: dict[tuple[int, int], float] = {}
     for b in blocks:
-        inside, entries, kind = _coordinates(table, b), _entries(table, b), table["state_kind"][b]
-        angle[inside] = table["state_angle"][entries][0]
-        mean[inside], square[inside] = table["state_mean"][b], table["state_lambda"][b]
-        nilpotent[inside] = kind != Kind.SCALE and table["state_lambda"][b] == 0.0
+        inside, entries, kind = _coordinates(table, b), _entries(table, b), table["kind"][b]
+        angle[inside] = table["angle"][entries][0]
+        mean[inside], square[inside] = table["mean"][b], table["lambda"][b]
+        nilpotent[inside] = kind != Kind.SCALE and table["lambda"][b] == 0.0
         powers = RULES[Kind(kind)].degree
-        degree[inside] = table["state_degree"][b] if powers is None else powers
-        own = {(int(i), int(i)): -float(table["state_mean"][b]) for i in inside if table["state_mean"][b]}
-        places = zip(table["state_row"][entries].tolist(), table["state_column"][entries].tolist(), strict=True)
-        for place, value in zip(places, table["state_value"][entries].tolist(), strict=True):
+        degree[inside] = table["degree"][b] if powers is None else powers
+        own = {(int(i), int(i)): -float(table["mean"][b]) for i in inside if table["mean"][b]}
+        places = zip(table["row"][entries].tolist(), table["column"][entries].tolist(), strict=True)
+        for place, value in zip(places, table["value"][entries].tolist(), strict=True):
             own[place] = own.get(place, 0.0) + value
         cells |= {place: value for place, value in own.items() if value}
     root = np.sqrt(np.abs(square))
@@ -322,10 +393,10 @@ def _layer(table: Table, blocks: Sequence[int], n: int, count: int) -> Layer:
 
 
 def _entries(table: Table, b: int) -> slice:
-    return slice(int(table["state_entry"][b]), int(table["state_entry"][b + 1]))
+    return slice(int(table["entry"][b]), int(table["entry"][b + 1]))
 
 
 def _coordinates(table: Table, b: int) -> Any:
     """Return the coordinates of a block."""
     entries = _entries(table, b)
-    return np.union1d(table["state_row"][entries], table["state_column"][entries])
+    return np.union1d(table["row"][entries], table["column"][entries])

@@ -11,20 +11,23 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from coadjoint.jax.forces import ForcedSteps
 from coadjoint.jax.primitives import doubles
-from coadjoint.jax.stage_steps import StageSteps
+from coadjoint.jax.stage_steps import Field, StageSteps
 from coadjoint.jax.table_steps import TableSteps
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.provenance import monomials_of
 from coadjoint.program.public_table import energy_and_parameters
+from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.coefficients import coefficients_of
+from coadjoint.systems.force_parameters import force_numbers
 from coadjoint.systems.parameters import parameters_at, with_parameters
-from coadjoint.systems.protocol import forces_of, has_structure_constants
+from coadjoint.systems.protocol import forces_of, has_structure_constants, unforced
 
 CALLER = 'co.jax.solution with backend="xla"'
 
@@ -42,11 +45,8 @@ class XlaRun:
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER)
         self._system = prepared.system
-        if prepared.representation is not None:
-            raise TypeError(f'{CALLER} computes no attitudes; prepare without attitude=, or take backend="compiled"')
-        if forces_of(self._system):
-            raise TypeError(f'{CALLER} takes no forces, and {self._system.name} has some; take backend="compiled"')
-        self._table = self._describe(prepared.method.expanded)
+        self._table = self._describe(prepared.method.expanded, prepared.representation)
+        self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
         self._t0, self._h = times.t0, times.h
         marks = times.saved if moments is None else moments.number
@@ -56,6 +56,8 @@ class XlaRun:
         self._chosen = None if moments is None else marks // max(1, self._every)
         self._starts = times.at(marks)
         self._lengths = np.zeros(len(marks)) if moments is None else moments.length
+        steps = np.arange(times.steps + 1)
+        self._moments = times.at(steps) if any(force.random for _, force in forces_of(self._system)) else None
         self.solve = jax.jit(self._solve)
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
@@ -66,29 +68,43 @@ class XlaRun:
         check_available_memory(8 * states, f"the {self._intervals + 2} states of the run, with {CALLER},")
         return self.solve(values)
 
-    def _describe(self, scheme: Any) -> Mapping[str, Any]:
+    def _describe(self, scheme: Any, group: Any) -> Mapping[str, Any]:
         """Return the coefficients of the energy and the parameters; set the steps of the scheme."""
-        system = self._system
+        system = unforced(self._system)
         if not has_structure_constants(system):
             raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
+        table = {"fixed": [], **energy_and_parameters(system)}
+        self._steps: Any
         if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
-            table = energy_and_parameters(system)
-            self._steps: Any = StageSteps(system, scheme.coefficients(), table["energy"]["monomials"])
-            return {"fixed": [], **table}
-        if not isinstance(scheme, FlowMethod):
+            if group is not None:
+                raise TypeError(
+                    f'{CALLER} computes attitudes by splittings only, not by {scheme}; take backend="compiled"'
+                )
+            self._steps = StageSteps(Field(system, table["energy"]["monomials"]), scheme.coefficients())
+        elif not isinstance(scheme, FlowMethod):
             raise TypeError(
                 f'{CALLER} takes splittings and implicit Runge-Kutta methods, not {scheme}; take backend="compiled"'
             )
-        if scheme.compensates:
+        elif scheme.compensates:
             raise TypeError(f"{CALLER} has no compensated sums, as {scheme} wants; take compensated=False")
-        table = scheme.program(system).to_mapping()
-        if table["functions"]:
-            raise TypeError(
-                f"the Hamiltonian of {system.name} contains functions, which are in no table; {CALLER} takes them, if "
-                "they are of JAX, by implicit Runge-Kutta methods"
-            )
-        self._steps = TableSteps(table)
-        return {**table, "fixed": [*table["fixed"], *self._steps.in_bodies()]}
+        else:
+            program = scheme.program(system, group=group)
+            table = program.to_mapping()
+            self._steps = TableSteps(table, program.functions, *_of_group(program, group))
+        if forces_of(self._system):
+            self._steps = ForcedSteps(self._steps, self._system, Field(system, table["energy"]["monomials"]))
+        return table
+
+    def _initial_attitude(self, prepared: PreparedRun) -> Any:
+        """Return the initial attitude unless another one is given; None for runs without."""
+        group, initial = prepared.representation, prepared.initial_attitude
+        if group is None:
+            return None
+        return (
+            initial
+            if isinstance(initial, np.ndarray)
+            else np.eye(prepared.system.dim if isinstance(group, str) else group.shape[-1])
+        )
 
     # The coefficients of the energy.
 
@@ -96,6 +112,11 @@ class XlaRun:
         """Return the coefficients of the energy at values of parameters."""
         known, energy = self._table["parameters"], self._table["energy"]["coefficients"]
         for name in values:
+            if forces_of(self._system) and name in force_numbers(self._system):
+                raise ValueError(
+                    f'{name} is a parameter of a force, which has the numbers of the prepared run with backend="xla"; '
+                    'take backend="compiled"'
+                )
             self._check_provenance(name)
         if not values:
             return energy
@@ -125,7 +146,7 @@ class XlaRun:
             return {name: np.array(array) for name, array in zip(names, arrays, strict=True)}
 
         def coefficients(*arrays: Any) -> Any:
-            found = coefficients_of(with_parameters(self._system, at(*arrays))).by_key()
+            found = coefficients_of(with_parameters(unforced(self._system), at(*arrays))).by_key()
             found.pop((), None)
             energy = np.array([found.pop(key, 0.0) for key in keys])
             self._check_forms(energy, found)
@@ -134,7 +155,7 @@ class XlaRun:
         def derivatives(*arrays: Any) -> Any:
             number, start = {key: k for k, key in enumerate(keys)}, 0
             found = np.zeros((len(keys), count))
-            for parameter in parameters_at(self._system, at(*arrays)).values():
+            for parameter in parameters_at(unforced(self._system), at(*arrays)).values():
                 for one in monomials_of(parameter.energy()):
                     if one.coordinates:
                         found[number[one.coordinates], start + one.entry] += one.factor
@@ -170,42 +191,66 @@ class XlaRun:
     # The steps.
 
     def _solve(self, values: Mapping[str, Any]) -> Any:
-        parameters = {name: value for name, value in values.items() if name != "x0"}
-        constants, x0 = self._steps.constants(self._energy(parameters)), values["x0"]
+        x0, attitude = values["x0"], values.get("attitude0", self._attitude)
+        parameters = {name: value for name, value in values.items() if name not in ("x0", "attitude0")}
+        constants = self._steps.constants(self._energy(parameters))
         if x0.ndim == 1:
-            return self._trajectory(constants, x0)
-        return jax.vmap(self._trajectory, (None, 0), 1)(constants, x0)
+            x, A = self._trajectory(constants, x0, attitude, 0)
+        else:
+            of_members = None if attitude is None or attitude.ndim == 2 else 0
+            axes = (None, 0, of_members, 0)
+            x, A = jax.vmap(self._trajectory, axes, 1)(constants, x0, attitude, np.arange(len(x0)))
+        return x if attitude is None else (x, A)
 
-    def _trajectory(self, constants: Any, x0: Any) -> Any:
-        """Return the states of one member."""
-        steps, h, every = self._steps, self._h, self._every
+    def _time(self, k: Any) -> Any:
+        """Return the time of a step; noise depends on every bit of it."""
+        return self._t0 + k * self._h if self._moments is None else jnp.asarray(self._moments)[k]
 
-        def step(x: Any, k: Any) -> Any:
-            return steps.step(constants, x, self._t0 + k * h, h), None
+    def _trajectory(self, constants: Any, x0: Any, attitude: Any, member: Any) -> Any:
+        """Return the states, and the attitudes, of one member."""
+        steps, h, every, start = self._steps, self._h, self._every, (x0, attitude)
 
-        def interval(x: Any, first: Any) -> Any:
-            x, _ = scan_in_segments(step, x, first + jnp.arange(every))
-            return x, steps.finish(constants, x, h)
+        def step(state: Any, k: Any) -> Any:
+            return steps.step(constants, state, self._time(k), h, member), None
 
-        x, states = steps.begin(constants, x0, h), x0[None]
+        def finished(state: Any, k: Any) -> Any:
+            return steps.finish(constants, state, self._time(k - 1), h, start, k * h)
+
+        def interval(state: Any, first: Any) -> Any:
+            state, _ = scan_in_segments(step, state, first + jnp.arange(every))
+            return state, finished(state, first + every)
+
+        state, saved = steps.begin(constants, start, self._t0, h), [jax.tree.map(lambda one: one[None], start)]
         if self._intervals:
-            x, found = scan_in_segments(interval, x, every * jnp.arange(self._intervals))
-            states = jnp.concatenate([states, found])
+            state, found = scan_in_segments(interval, state, every * jnp.arange(self._intervals))
+            saved.append(found)
         if self._rest:
-            x, _ = scan_in_segments(step, x, every * self._intervals + jnp.arange(self._rest))
-            states = jnp.concatenate([states, steps.finish(constants, x, h)[None]])
+            last = every * self._intervals
+            state, _ = scan_in_segments(step, state, last + jnp.arange(self._rest))
+            saved.append(jax.tree.map(lambda one: one[None], finished(state, last + self._rest)))
+        states = jax.tree.map(lambda *pieces: jnp.concatenate(pieces), *saved)
         if self._chosen is None:
             return states
-        return self._partial_steps(constants, states[self._chosen])
+        return self._partial_steps(constants, jax.tree.map(lambda one: one[self._chosen], states), member)
 
-    def _partial_steps(self, constants: Any, states: Any) -> Any:
+    def _partial_steps(self, constants: Any, states: Any, member: Any) -> Any:
         """Return the states after the steps of output times, each with a step of what remains of its time."""
         partial = np.flatnonzero(self._lengths)
         if not len(partial):
             return states
         times, lengths = jnp.asarray(self._starts[partial]), jnp.asarray(self._lengths[partial])
-        ends = jax.vmap(self._steps.whole, (None, 0, 0, 0))(constants, states[partial], times, lengths)
-        return states.at[partial].set(ends)
+        before = jax.tree.map(lambda one: one[partial], states)
+        ends = jax.vmap(self._steps.whole, (None, 0, 0, 0, None))(constants, before, times, lengths, member)
+        return jax.tree.map(lambda one, end: one.at[partial].set(end), states, ends)
+
+
+def _of_group(program: Any, group: Any) -> tuple[int | None, list[Any]]:
+    """Return the size of a group element, and the tables of the generators of subtracted Casimirs."""
+    if group is None:
+        return None, []
+    system, rho = program.system, None if isinstance(group, str) else group
+    side = system.dim if rho is None else rho.shape[-1]
+    return side, [unshift_tables(system.algebra, rho, system.sign, ((casimir, 1.0),)) for casimir, _ in program.shift]
 
 
 def scan_in_segments(body: Callable[..., Any], carry: Any, xs: Any) -> Any:

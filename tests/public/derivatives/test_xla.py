@@ -285,20 +285,138 @@ def test_ensembles_are_sharded_over_devices():
 DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1))
 TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
 PLANE = co.PoissonSystem(lambda x: TURN, co.Quadratic([1.0, 2.0]), dim=2, derivative=lambda x: np.zeros((2, 2, 2)))
-COSH = co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (np.cosh, np.sinh, np.cosh)}))
+COSH = co.LiePoissonSystem(
+    co.algebras.so(3),
+    co.Separable({0: (np.cosh, np.sinh, np.cosh), 1: (np.cos, lambda x: -np.sin(x), lambda x: -np.cos(x))}),
+)
+SPIN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.1, 0.2, 0.3], [0.0, 0.1, -1.0]))
+SPINS = co.systems.spin_lattice("ring", 4, field=(0.1, 0.2, 0.3))
+PYRAMID = [[(-q, p, 0.0), (-0.6 * p, -0.6 * q, 0.8)] for p, q in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+
+
+def around(t):
+    return np.array([np.cos(t), np.sin(t), 0.0])
+
+
+def pulled(x, A):
+    return -0.5 * np.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]]) - x[:3]
+
+
+def kicked(x, t):
+    y = 0.0 * x
+    y[1] += np.cos(t) * x[2]
+    y[:2] *= 2.0
+    return y if x[0] > 0.0 else -y
+
+
+forces, PLATES = co.forces, (([2.0, 1.0], [(1, 0, 0), (0, 1, 0)], [(0, 0, 0.5), (0.1, 0.2, 0.3)]))
+FORCED = {
+    "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
+    "heat bath": (SPIN, [forces.HeatBath(0.3, temperature=0.5, seed=7)]),
+    "branches": (BODY, [forces.Torque(kicked)]),
+    "sampled": (None, [forces.Sampled(forces.Pointing(0.5, 1.5), period=0.2, max_torque=0.3)]),
+    "full damping": (BODY, [forces.LinearDamping(((0.1, 0.2, 0.0), (0.0, 0.3, 0.1), (0.1, 0.0, 0.2)))]),
+    "of time": (BODY, [forces.Torque(lambda t: np.array([np.cos(t), 0.0, t]))]),
+    "of JAX": (BODY, [forces.OwnForce(lambda x, t, tau: x / (1.0 + abs(x) * tau), backward=False)]),
+    "double bracket": (SPIN, [forces.DoubleBracketDamping(0.3, np.diag((1.0, 2.0, 3.0)) + 0.1)]),
+    "full bath": (SPIN, [forces.HeatBath(0.3, np.diag((1.0, 2.0, 3.0)) + 0.1, temperature=0.5, seed=7, stream=3)]),
+    "bath of spins": (SPINS, [forces.HeatBath(0.3, temperature=0.5, seed=2**40)]),
+    "functions": (COSH, [forces.DoubleBracketDamping(0.1)]),
+    "attitude": (None, [forces.Torque(pulled)]),
+    "gravity": (None, [forces.GravityGradient(1.0, around, quadrupole=(0.01, 0.02, 0.05))]),
+    "magnet": (None, [forces.MagneticDipole((0, 0, 0.5), B=lambda t, r: r * np.cos(t), position=around)]),
+    "light, drag": (
+        None,
+        [forces.SolarPressure(0.1, (1, 0, 0), *PLATES, specular=0.5), forces.Drag(0.1, around, *PLATES)],
+    ),
+    "quaternion": (None, [forces.Pointing(0.5, 1.5, error="quaternion", max_torque=0.3)]),
+}
+
+
+@pytest.mark.parametrize("name", long_beyond(4, FORCED))
+def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
+    """To the bits of the noise; members differ in it. Ten steps round a few times in each of at most 100 operations."""
+    system, given = FORCED[name]
+    forced = (system or co.systems.body((1.0, 2.0, 2.5))).with_forces(*given)
+    x0 = 0.7 * np.cos(1.0 + np.arange(forced.dim))
+    if system is None:
+        x0 = forced.state((0.6, 0.0, 0.0, 0.8), angular_velocity=(0.1, 0.2, 0.3))
+    ready, method = None, co.Splitting(order=1 if name == "functions" else 2)
+    ready = co.prepare(forced, method, 0.1)
+    states = np.array([x0, x0]) if any(one.random for one in given) else x0
+    f = co.jax.solution(ready, (0.2, 1.2), 5, backend="xla")
+    wanted = ready.run(states, (0.2, 1.2), 5).x
+    np.testing.assert_allclose(f(states), wanted, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF * np.abs(wanted).max())
+    if len(states) == 2:
+        assert np.abs(wanted[-1, 0] - wanted[-1, 1]).max() > 1e-3
+    if name in ("damping, torque", "heat bath", "double bracket"):
+        of_x0 = jax.grad(lambda x0: (weights(wanted) * f(x0)).sum())(states)
+        _, pullback = ready.vjp(states, (0.2, 1.2), save_every=5)
+        gradient = pullback(weights(wanted))["x0"]
+        np.testing.assert_allclose(of_x0, gradient, rtol=0, atol=1e-10 * np.abs(gradient).max())
+
+
+ATTITUDES = {
+    "body": (BODY, co.Splitting(order=4), True, {}),
+    "free body": (co.systems.heavy_top(), co.Splitting(parts="free_body"), True, {"save_every": 4}),
+    "members": (BODY, co.Splitting(), True, {"t_eval": [0.12, 0.5]}),
+    "forces": (BODY.with_forces(co.forces.LinearDamping(0.1)), co.Splitting(), True, {"t_eval": [0.12, 0.5]}),
+    "su(3)": (FREE, co.Splitting(), "coadjoint", {}),
+}
+
+
+@pytest.mark.parametrize("name", long_beyond(2, ATTITUDES))
+def test_attitudes_are_those_of_the_compiled_run(name):
+    system, method, attitude, options = ATTITUDES[name]
+    ready = co.prepare(system, method, 0.1, attitude=attitude)
+    x0 = 0.7 * np.cos(1.0 + np.arange(system.dim))
+    states = np.array([x0, 2.0 * x0]) if name == "members" else x0
+    f, reference = (co.jax.solution(ready, (0, 1), **options, backend=backend) for backend in ("xla", "compiled"))
+    for found, wanted in zip(f(states), reference(states), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF)
+    if name == "body":
+        turned = np.diag((1.0, -1.0, -1.0))
+        _, A = f(states, attitude0=turned)
+        np.testing.assert_allclose(A, turned @ f(states)[1], rtol=0, atol=1e-15)
+        both = [
+            jax.grad(lambda x0, i, f=f: (weights(A) * f(x0, inertia=i)[1]).sum(), (0, 1))(x0, INERTIA)
+            for f in (f, reference)
+        ]
+        for found, wanted in zip(*both, strict=True):
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
+
+
+def vector_systems():
+    """The ready-made systems of vectors that have defaults and split."""
+    found = {}
+    for name in co.systems.names():
+        try:
+            system = co.systems.get(name)
+            if len(system.shape) == 1 and system.dim <= 64:
+                found[name] = co.prepare(system, co.Splitting(), 0.05)
+        except (TypeError, ValueError):
+            continue
+    return found
+
+
+@pytest.mark.long
+def test_ready_made_systems_agree_with_the_compiled_run():
+    runs = vector_systems()
+    assert len(runs) > 20
+    for name, ready in runs.items():
+        x0 = 0.4 * np.cos(1.0 + np.arange(ready.system.dim))
+        x = co.jax.solution(ready, (0, 0.2), 4, backend="xla")(x0)
+        wanted = ready.run(x0, (0, 0.2), 4).x
+        np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-13 * max(1.0, np.abs(wanted).max()), err_msg=name)
 
 
 @pytest.mark.parametrize(
     ("ready", "named"),
     [
-        (prepared(attitude=True), ("attitude=",)),
-        (co.prepare(DAMPED, co.Splitting(), 0.1), ("forces", "LinearDamping", "compiled")),
-        (co.prepare(DAMPED, co.GaussLegendre(2), 0.1), ("forces", "LinearDamping", "compiled")),
+        (prepared(method=co.GaussLegendre(2), attitude=True), ("attitudes", "GaussLegendre", "compiled")),
         (prepared(method=co.GaussLegendre(2), inputs=True), ("inputs=",)),
         (prepared(method=co.Splitting(compensated=True)), ("compensated=True", "compensated=False")),
         (prepared(method=co.ExplicitRungeKutta("rk4")), ("ExplicitRungeKutta", "compiled")),
-        (co.prepare(COSH, co.Splitting(), 0.1), ("functions",)),
-        (co.prepare(COSH, co.GaussLegendre(2), 0.1), ("functions", "Hamiltonian")),
         (co.prepare(PLANE, co.GaussLegendre(2), 0.1), ("Lie algebra",)),
     ],
     ids=str,
@@ -330,14 +448,18 @@ def test_parameters_that_change_the_parts_are_refused():
     f = co.jax.solution(ready, (0, 1), backend="xla")
     with refused(ValueError, "M ", "parts"):
         f(X0, M=np.eye(3))
-    # The constants of a free body are made of its moments when the run is prepared.
-    f = co.jax.solution(prepared((1.0, 2.0, 2.5), co.Splitting(parts="free_body")), (0, 1), backend="xla")
-    with refused(ValueError, "inertia", "parts"):
-        f(X0, inertia=np.array([1.0, 2.0, 2.6]))
 
 
 @pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit], ids=["at once", "jit"])
 def test_wrong_arguments_are_refused(f, wrapped):
+    damped = co.jax.solution(co.prepare(DAMPED, co.Splitting(), 0.05), (0, 1), backend="xla")
+    with refused(ValueError, "LinearDamping.rate", "compiled"):
+        wrapped(lambda x0: damped(x0, **{"LinearDamping.rate": 0.2}))(X0)
+    looped = BODY.with_forces(
+        co.forces.OwnForce(lambda x, t, tau: x * min(1.0, *[1.0 + y * tau for y in [*x, *x, *x]]))
+    )
+    with refused(TypeError, "own force", "64 branches", "compiled"):
+        wrapped(co.jax.solution(co.prepare(looped, co.Splitting(), 0.05), (0, 1), backend="xla"))(X0)
     for values, error, named in (
         ({"inertia": INERTIA.astype(np.float32)}, TypeError, ("inertia", "float32", "float64")),
         ({"inertia": INERTIA[:2]}, ValueError, ("inertia", "(2,)", "(3,)")),

@@ -101,7 +101,7 @@ def to_body(A: Any, v: Any) -> Any:
 
 def cross(a: Any, b: Any) -> Any:
     """Return the cross product, which compiles in less time than that of NumPy."""
-    result = 0.0 * a
+    result = a * b
     result[0] = a[1] * b[2] - a[2] * b[1]
     result[1] = a[2] * b[0] - a[0] * b[2]
     result[2] = a[0] * b[1] - a[1] * b[0]

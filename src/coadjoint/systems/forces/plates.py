@@ -115,9 +115,8 @@ class SolarPressure(_OnPlates):
             s, result = in_body(A, sun(t)), 0.0 * x[:3]
             for k in range(count):
                 along = s[0] * n[k, 0] + s[1] * n[k, 1] + s[2] * n[k, 2]
-                if along > 0.0:
-                    turned = (1.0 - mirror[k]) * s + 2.0 * (mirror[k] * along + matt[k] / 3.0) * n[k]
-                    result = result - pressure * a[k] * along * crossed(c[k], turned)
+                turned = (1.0 - mirror[k]) * s + 2.0 * (mirror[k] * along + matt[k] / 3.0) * n[k]
+                result = result - pressure * a[k] * (along * (along > 0.0)) * crossed(c[k], turned)
             return result
 
         return torque
@@ -179,8 +178,7 @@ class Drag(_OnPlates):
             v, result = in_body(A, velocity(t)), 0.0 * x[:3]
             for k in range(count):
                 along = v[0] * n[k, 0] + v[1] * n[k, 1] + v[2] * n[k, 2]
-                if along > 0.0:
-                    result = result - factor * a[k] * along * crossed(c[k], v)
+                result = result - factor * a[k] * (along * (along > 0.0)) * crossed(c[k], v)
             return result
 
         return torque

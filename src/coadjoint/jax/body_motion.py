@@ -1,0 +1,269 @@
+"""The exact motion of a free rigid body as operations of JAX, in the precision of its arguments.
+
+On momenta z with z' = z cross M z the motion over a short time s is
+    z(s) = (adj(C) z + s C (z cross M z))/D,    C^2 = s^2 (P(s) - E),    D = s^2 (P(s) - p),
+with the tensor E = (z . N z) N + |z|^2 (N^2 - tr N^2/3) of the part N of M without trace, 3 p = |z|^2 tr N^2/2 - 3
+|N z|^2, and the Weierstrass function P, whose roots are the eigenvalues of E. On principal axes these are the
+formulas of the compiled flow; on any axes the tensor need not be diagonalized, which has no derivatives if moments are
+equal. Functions of E have three coefficients, those of 1, E and E^2.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.custom_derivatives import SymbolicZero
+
+# The largest number of pieces of a motion; a longer one would not resolve it.
+MOST_PIECES = 65536
+Vector = tuple[Any, ...]
+"""Vectors, quaternions, and symmetric tensors: the entries of `PAIRS`, or of a diagonal one the first three."""
+
+# Rows and columns of the entries of a symmetric tensor.
+PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
+# Coefficients of sqrt(1 - x), from that of x on.
+ROOT = tuple(-abs(math.prod((0.5 - i) / (i + 1) for i in range(k))) for k in range(1, 9))
+
+
+class Quadrature(NamedTuple):
+    """The longest piece of time, over the spread of moments times |z|, and Lobatto's rule, whose first node is 0."""
+
+    piece: float
+    nodes: tuple[float, ...]
+    weights: tuple[float, ...]
+
+
+QUADRATURES = {
+    np.dtype(np.float64): Quadrature(
+        0.1875,
+        (0.5 - math.sqrt(3 / 28), 0.5, 0.5 + math.sqrt(3 / 28), 1.0),
+        (1 / 20, 49 / 180, 16 / 45, 49 / 180, 1 / 20),
+    ),
+    np.dtype(np.float32): Quadrature(
+        0.5, (0.5 - math.sqrt(1 / 20), 0.5 + math.sqrt(1 / 20), 1.0), (1 / 12, 5 / 12, 5 / 12, 1 / 12)
+    ),
+}
+
+
+def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
+    """Validate shapes and types, and take a `step`."""
+    given = {"x": x, "A": A, "inertia": inertia, "h": h}
+    given = {name: jnp.asarray(value) for name, value in given.items() if value is not None}
+    shapes = {"x": ((3,),), "A": ((3, 3),), "inertia": ((3,), (3, 3)), "h": ((),)}
+    for name, value in given.items():
+        if value.shape not in shapes[name]:
+            raise ValueError(
+                f"{name} of co.jax.free_body has the shape {value.shape}; it must be "
+                f"{' or '.join(map(str, shapes[name]))}; apply jax.vmap for several bodies"
+            )
+    kind = jnp.result_type(*given.values())
+    kind = jnp.result_type(float) if jnp.issubdtype(kind, jnp.integer) else kind
+    if kind not in QUADRATURES:
+        raise TypeError(f"co.jax.free_body was given numbers of {kind}; give float32 or float64")
+    return _compiled_step(*(given[name].astype(kind) if name in given else None for name in shapes))
+
+
+def step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
+    """Return the momentum, and the attitude unless it is None, after a time h."""
+    if inertia.ndim == 1:
+        m = jnp.where(inertia == 0.0, 0.0, 1.0 / jnp.where(inertia == 0.0, 1.0, inertia))
+    else:
+        m = jnp.stack(inverse(inertia))
+    x, r = motion(x, h * m)
+    if A is None:
+        return x
+    rows = [_plus(row, _turned(r, row)) for row in A]
+    # Make it orthonormal: A - (A A^T - 1) A/2.
+    wrong = [[0.5 * (dot(u, v) - (i == j)) for j, v in enumerate(rows)] for i, u in enumerate(rows)]
+    columns = list(zip(*rows, strict=True))
+    return x, jnp.array(
+        [[a - dot(w, c) for a, c in zip(u, columns, strict=True)] for u, w in zip(rows, wrong, strict=True)]
+    )
+
+
+_compiled_step = jax.jit(step)
+
+
+def motion(x: Any, m: Any) -> tuple[Any, Any]:
+    """Return the momentum, and the quaternion of the rotation from the axes at the end to those at the start.
+
+    `m` has the inverse inertia times the time: its diagonal (3,), or all entries (6,) of `PAIRS`.
+    """
+    # A power of two, on which the result does not depend.
+    largest = lax.stop_gradient(jnp.max(jnp.abs(x)))
+    scale = jnp.ldexp(jnp.ones_like(largest), jnp.where(largest == 0.0, 0, jnp.frexp(largest)[1] - 1))
+    found = _motion(x / scale, m * scale)
+    return found[:3] * scale, found[3:]
+
+
+def differentiated_forward(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function from vectors to a vector whose derivatives, of any order and mode, are computed forward.
+
+    For loops whose number of rounds depends on the arguments, through which there is no reverse mode.
+    """
+    differentiable = jax.custom_jvp(function)
+
+    def rule(values: Any, tangents: Any) -> Any:
+        used = [k for k, tangent in enumerate(tangents) if type(tangent) is not SymbolicZero]
+
+        def with_slopes(*values: Any) -> Any:
+            def of_used(*some: Any) -> Any:
+                given = dict(zip(used, some, strict=True))
+                return function(*(given.get(k, value) for k, value in enumerate(values)))
+
+            some = [values[k] for k in used]
+            unit = np.eye(sum(one.size for one in some))
+            starts = np.cumsum([one.size for one in some])[:-1]
+            directions = [jnp.asarray(d, values[0].dtype) for d in np.split(unit, starts, axis=1)]
+            found, slopes = jax.vmap(lambda *along: jax.jvp(of_used, tuple(some), along), out_axes=(None, 0))(
+                *directions
+            )
+            return jnp.append(found, slopes)
+
+        along = jnp.concatenate([tangents[k] for k in used])
+        both = differentiated_forward(with_slopes)(*values)
+        size = len(both) // (1 + len(along))
+        return both[:size], (along[:, None] * both[size:].reshape(-1, size)).sum(axis=0)
+
+    differentiable.defjvp(rule, symbolic_zeros=True)
+    return differentiable
+
+
+@differentiated_forward
+def _motion(momentum: Any, m: Any) -> Any:
+    """Return momentum and quaternion, (7,); NaN for more than `MOST_PIECES` pieces."""
+    z, M = tuple(momentum), tuple(m)
+    mean = (M[0] + M[1] + M[2]) / 3
+    N = (*(entry - mean for entry in M[:3]), *M[3:])
+    # At least the spread of the moments, and at most 1.2 times that.
+    spread = jnp.sqrt(2 * (dot(N[:3], N[:3]) + 2 * dot(N[3:], N[3:])))
+    reach = lax.stop_gradient(spread * jnp.sqrt(dot(z, z))) / QUADRATURES[momentum.dtype].piece
+    count = jnp.clip(jnp.ceil(reach), 1.0, MOST_PIECES)
+    short = tuple(entry / count for entry in N), mean / count
+
+    def piece(state: Any) -> Any:
+        k, z, total = state
+        z, r = _piece(*short, z)
+        return k + 1.0, z, after(total, r)
+
+    one = jnp.ones_like(reach)
+    start = 0.0 * one, z, (one, 0.0 * one, 0.0 * one, 0.0 * one)
+    _, z, total = lax.while_loop(lambda state: state[0] < count, piece, start)
+    return jnp.where(reach <= MOST_PIECES, jnp.stack([*z, *total]), jnp.nan)
+
+
+def _piece(N: Vector, mean: Any, momentum: Vector) -> tuple[Vector, Vector]:
+    """Return momentum and quaternion after a short time, which is contained in N and the mean moment."""
+    rule = QUADRATURES[momentum[0].dtype]
+    at_rest = (momentum[0] == 0.0) & (momentum[1] == 0.0) & (momentum[2] == 0.0)
+    # The rotation divides by the momentum; at rest the series up to second order has the derivatives.
+    z = tuple(jnp.where(at_rest, 1.0, entry) for entry in momentum)
+    w, length2, NN = times(N, z), dot(z, z), squared(N)
+    energy, v, half = dot(w, z), cross(z, w), 0.5 * (NN[0] + NN[1] + NN[2])
+    E = tuple(energy * n + length2 * nn for n, nn in zip(N, NN, strict=True))
+    E = (*(entry - 2 / 3 * half * length2 for entry in E[:3]), *E[3:])
+    p = (length2 * half - 3 * dot(w, w)) / 3
+    c0 = (dot(E[:3], E[:3]) + 2 * dot(E[3:], E[3:])) / 10
+    determinant = dot(row(E, 0), cross(row(E, 1), row(E, 2)))
+    c1 = determinant / 7
+    c2, c3 = c0 * c0 / 3, c0 * c1 * (3 / 11)
+    c4 = (2 * c0 * c2 + c1 * c1) / 13
+    vectors = (z, times(E, z), times(E, times(E, z)), v, times(E, v), times(E, times(E, v)))
+    first, *weights = rule.weights
+
+    def at(state: Any, node: Any) -> Any:
+        (angle, _), (s, weight) = state, node
+        square = s * s
+        r = square * square * (c0 + square * (c1 + square * (c2 + square * (c3 + square * c4))))
+        less = r - square * p  # D - 1
+        # C - 1 = e0 + e1 E + e2 E^2 from sqrt(1 + r) sqrt(1 - t E), by Horner's rule; E^3 = 5 c0 E + determinant.
+        t = square / (1 + r)
+        e0 = e1 = e2 = jnp.zeros_like(t)
+        for coefficient in reversed(ROOT):
+            e0, e1, e2 = t * (determinant * e2), t * (e0 + coefficient + 5 * c0 * e2), t * e1
+        root = jnp.sqrt(1 + r)
+        e0, e1, e2 = r / (1 + root) + root * e0, root * e1, root * e2
+        # adj(C) - 1 = tr e - e + adj(e), and adj(e) = e^2 - e tr e + ((tr e)^2 - tr e^2)/2.
+        trace = 3 * e0 + 10 * c0 * e2
+        d0 = e0 * e0 + 2 * determinant * e1 * e2
+        d1 = 2 * e0 * e1 + e2 * (10 * c0 * e1 + determinant * e2)
+        d2 = 2 * e0 * e2 + e1 * e1 + 5 * c0 * e2 * e2
+        more = 1 + trace
+        a0 = trace + 0.5 * (trace * trace - (3 * d0 + 10 * c0 * d2)) + d0 - more * e0 - less
+        factors = (a0, d1 - more * e1, d2 - more * e2, s + s * e0, s * e1, s * e2)
+        change = tuple(dot(factors, column) / (1 + less) for column in zip(*vectors, strict=True))
+        rate = (2 * energy + dot(change, w)) / (2 * length2 + dot(change, z))
+        return (angle + weight * rate, change), None
+
+    nodes = jnp.asarray(rule.nodes, z[0].dtype), jnp.asarray(weights, z[0].dtype)
+    # A loop, since XLA would otherwise compute all functions of E again for each component.
+    (angle, change), _ = lax.scan(at, (mean + first * energy / length2, z), nodes)
+    length, end = jnp.sqrt(length2), _plus(z, change)
+    sine, cosine = jnp.sin(0.5 * length * angle) / length, jnp.cos(0.5 * length * angle)
+    # About the new momentum, and then from it to the old one by the shortest rotation.
+    whole = jnp.sqrt(1 - dot(change, change) / (4 * length2))
+    shortest = tuple(entry / (2 * length2 * whole) for entry in cross(change, z))
+    r = after((whole, *shortest), (cosine, *(sine * entry for entry in end)))
+    # At rest.
+    w = tuple(n + mean * entry for n, entry in zip(times(N, momentum), momentum, strict=True))
+    v = cross(momentum, w)
+    slowly = (0.5 * b + 0.25 * (c + mean * a) for a, b, c in zip(v, w, times(N, v), strict=True))
+    end = tuple(jnp.where(at_rest, a, b) for a, b in zip(_plus(momentum, v), end, strict=True))
+    return end, tuple(jnp.where(at_rest, a, b) for a, b in zip((1 - dot(w, w) / 8, *slowly), r, strict=True))
+
+
+def after(r: Vector, p: Vector) -> Vector:
+    """Return the product of quaternions, the rotation r after p."""
+    (a, *u), (b, *v) = r, p
+    return (a * b - dot(u, v), *(a * y + b * x + c for x, y, c in zip(u, v, cross(u, v), strict=True)))
+
+
+def _turned(r: Any, v: Any) -> Vector:
+    """Return the change of a vector by the inverse of the rotation of a quaternion."""
+    across = cross(v, r[1:])
+    return tuple(2 * (r[0] * a + b) for a, b in zip(across, cross(across, r[1:]), strict=True))
+
+
+def _plus(u: Any, v: Any) -> Vector:
+    return tuple(a + b for a, b in zip(u, v, strict=True))
+
+
+def dot(u: Any, v: Any) -> Any:
+    """Return the scalar product."""
+    return sum(a * b for a, b in zip(u, v, strict=True))
+
+
+def cross(u: Any, v: Any) -> Vector:
+    """Return the cross product."""
+    return tuple(u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3))
+
+
+def row(T: Vector, i: int) -> Vector:
+    """Return a row of a symmetric tensor."""
+    off = T[3:] or (0.0, 0.0, 0.0)
+    return tuple(T[i] if i == j else off[3 - i - j] for j in range(3))
+
+
+def times(T: Vector, v: Vector) -> Vector:
+    """Return the product of a symmetric tensor and a vector."""
+    return tuple(dot(row(T, i), v) for i in range(3)) if len(T) > 3 else tuple(map(operator.mul, T, v))
+
+
+def squared(T: Vector) -> Vector:
+    """Return the square of a symmetric tensor."""
+    return tuple(dot(row(T, i), row(T, j)) for i, j in PAIRS) if len(T) > 3 else tuple(map(operator.mul, T, T))
+
+
+def inverse(S: Any) -> Vector:
+    """Return the inverse of the symmetric part of a matrix (3, 3)."""
+    T = tuple(0.5 * (S[i, j] + S[j, i]) for i, j in PAIRS)
+    cofactors = [cross(row(T, (i + 1) % 3), row(T, (i + 2) % 3)) for i in range(3)]
+    size = dot(row(T, 0), cofactors[0])
+    return tuple(cofactors[i][j] / size for i, j in PAIRS)

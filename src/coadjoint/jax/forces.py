@@ -1,0 +1,190 @@
+"""Forces as operations of JAX: their flows, the noise of the compiled runs, and steps between half flows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.scipy.linalg import expm
+from jax.scipy.special import ndtri
+
+from coadjoint.jax.numpy_arrays import on_jax
+from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, Field
+from coadjoint.jax.table_steps import product
+from coadjoint.systems.forces.base import Noise
+from coadjoint.systems.forces.state_torque import NODES, WEIGHTS
+from coadjoint.systems.protocol import forces_of
+
+Flow = Callable[[Any, Any, Any, Any, Any], Any]
+"""The flow of a force: of constants, state, time, duration and member."""
+
+
+class ForcedSteps:
+    """Steps of another scheme between half flows of forces, as of `methods.Forced`."""
+
+    def __init__(self, inner: Any, system: Any, field: Field) -> None:
+        self.inner = inner
+        plain = system.system
+        self.flows: list[Flow] = [
+            force.describe_to(ForceFlows(plain, field, f"a function of {label}"), plain)
+            for label, force in forces_of(system)
+        ]
+
+    def constants(self, energy: Any) -> Any:
+        """Return the constants of the scheme and the coefficients of the energy."""
+        return self.inner.constants(energy), jnp.asarray(energy)
+
+    def begin(self, constants: Any, start: Any, t: Any, h: Any) -> Any:
+        """Return the state, which is finished between steps."""
+        return start
+
+    def step(self, constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
+        """Take a step."""
+        (own, energy), (x, attitude), half = constants, state, 0.5 * h
+        for flow in self.flows:
+            x = flow(energy, x, t, half, member)
+        x, attitude = self.inner.whole(own, (x, attitude), t, h, member)
+        for flow in reversed(self.flows):
+            x = flow(energy, x, t + half, half, member)
+        return x, attitude
+
+    def finish(self, constants: Any, state: Any, t: Any, h: Any, start: Any, elapsed: Any) -> Any:
+        """Return the state."""
+        return state
+
+    whole = step
+
+
+class ForceFlows:
+    """A reader of a force that makes its flow; `what` names its functions in messages."""
+
+    def __init__(self, system: Any, field: Field, what: str) -> None:
+        self.system, self.field, self.what = system, field, what
+
+    def damping(self, rate: Any, toward: Any) -> Flow:
+        """Return the flow of x' = -rate (x - toward), exact."""
+
+        def flow(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            deviation = x - toward
+            if rate.ndim < 2:
+                return x + jnp.expm1(-tau * rate) * deviation
+            # The last column of this exponential is the displacement.
+            n = len(rate)
+            generator = jnp.zeros((n + 1, n + 1)).at[:n, :n].set(-tau * rate)
+            return x + expm(generator.at[:n, n].set(-tau * product(rate, deviation)))[:n, n]
+
+        return flow
+
+    def constant(self, torque: Any) -> Flow:
+        """Return the flow of a constant torque, exact."""
+        return lambda _, x, t, tau, member: x + tau * torque
+
+    def function(self, torque: Any, arguments: str) -> Flow:
+        """Return the integral of a torque of the time by Gauss quadrature, or a step of Runge and Kutta."""
+        function = on_jax(torque, self.what)
+
+        def of_time(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            pairs = zip(NODES, WEIGHTS, strict=True)
+            return x + 0.5 * tau * sum(w * function(t + 0.5 * tau * (1.0 + c)) for c, w in pairs)
+
+        def field(x: Any, t: Any) -> Any:
+            return function(x, t) if "t" in arguments else function(x)
+
+        def of_state(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            def stage(state: Any, node: Any) -> Any:
+                slope, total = state
+                c, weight = node
+                slope = field(x + c * tau * slope, t + c * tau)
+                return (slope, total + weight * slope), None
+
+            nodes = jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+            zero = jnp.zeros_like(x)
+            return x + tau * lax.scan(stage, (zero, zero), nodes)[0][1]
+
+        return of_time if arguments == "t" else of_state
+
+    def flow(self, function: Any) -> Flow:
+        """Return a flow that is given."""
+        traced = on_jax(function, self.what)
+        return lambda _, x, t, tau, member: traced(x, t, tau)
+
+    def mode_rates(self, *_: Any) -> Flow:
+        """Refuse forces on modes of a matrix."""
+        raise TypeError(f"JAX takes states that are vectors, and {self.what} acts on modes of a matrix")
+
+    mode_noise = mode_rates
+
+    def on_orbit(self, metric: Any, root: Any, noise: Noise | None) -> Flow:
+        """Return the midpoint rule of the damping on the orbit, between halves of the noise."""
+
+        def damped(energy: Any, x: Any, t: Any, tau: Any) -> Any:
+            def improved(middle: Any, _: Any) -> Any:
+                v = tau * _applied(metric, self.field.at(energy, middle, t + 0.5 * tau))
+                found = self.field.exponential(0.5 * v, x)
+                return found, (v, jnp.max(jnp.abs(found - middle)))
+
+            _, (v, corrections) = lax.scan(improved, x, None, length=ITERATIONS)
+            converged = corrections[-1] <= LARGEST_CORRECTION * jnp.max(jnp.abs(x))
+            return jnp.where(converged, self.field.exponential(v[-1], x), jnp.nan)
+
+        if noise is None:
+            return lambda energy, x, t, tau, member: damped(energy, x, t, tau)
+        n = self.system.dim
+        sets = np.zeros((len(noise.sets), n))
+        for row, directions in zip(sets, noise.sets, strict=True):
+            row[list(directions)] = 1.0
+
+        def shaken(x: Any, t: Any, tau: Any, half: int, member: Any) -> Any:
+            deviates = normal_deviates(noise.seed, noise.stream + member, t, half, n)
+            size = noise.amplitude * jnp.sqrt(0.5 * tau)
+
+            def one(x: Any, used: Any) -> Any:
+                return self.field.exponential(size * _applied(root, used * deviates), x), None
+
+            return lax.scan(one, x, sets[::-1] if half else sets)[0]
+
+        def flow(energy: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            x = shaken(x, t, tau, 0, member)
+            return shaken(damped(energy, x, t, tau), t, tau, 1, member)
+
+        return flow
+
+
+def _applied(matrix: Any, y: Any) -> Any:
+    return product(matrix, y) if np.ndim(matrix) == 2 else matrix * y
+
+
+def normal_deviates(seed: Any, stream: Any, moment: Any, part: int, count: int) -> Any:
+    """Return the deviates of `systems.forces.base.normal_deviates`, equal to round-off."""
+    time = lax.bitcast_convert_type(jnp.asarray(moment, jnp.float64) + 0.0, jnp.uint64)
+    blocks = jnp.arange(-(-count // 4), dtype=jnp.uint64)
+    words = jax.vmap(partial(philox, key=seed), (0, None, None, None))(
+        blocks, time, jnp.asarray(stream, jnp.uint64), jnp.uint64(part)
+    )
+    words = words.ravel()[:count]
+    size = -ndtri((jnp.asarray(words >> jnp.uint64(12), jnp.float64) + 0.5) * 2.0**-53)
+    return jnp.where(words & jnp.uint64(1), -size, size)
+
+
+def philox(*counter: Any, key: Any) -> Any:
+    """Return four random words by Philox4x64-10; see `forces/random.hpp`."""
+    a, b, c, d = counter
+    first, second = (jnp.uint64(word) for word in (0xD2E7470EE14C6C93, 0xCA5A826395121157))
+    for k in range(10):
+        one = jnp.uint64((key + k * 0x9E3779B97F4A7C15) % 2**64)
+        two = jnp.uint64(k * 0xBB67AE8584CAA73B % 2**64)
+        a, b, c, d = _high(second, c) ^ b ^ one, second * c, _high(first, a) ^ d ^ two, first * a
+    return jnp.stack([a, b, c, d])
+
+
+def _high(a: Any, b: Any) -> Any:
+    """Return the upper half of a product of 64 bits."""
+    low, half = jnp.uint64(2**32 - 1), jnp.uint64(32)
+    a0, a1, b0, b1 = a & low, a >> half, b & low, b >> half
+    middle = a1 * b0 + (a0 * b0 >> half)
+    return a1 * b1 + (middle >> half) + (a0 * b1 + (middle & low) >> half)
