@@ -3,7 +3,7 @@
 python benchmarks/batches.py [--members M ...] [--rounds R] [--steps N]
 
 Each time is that of the processor, for `prepare` and the first run together, and for a later gradient by the initial
-states and all parameters; the median of the rounds counts.
+states and all parameters, if there is one; the median of the rounds counts.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ def seconds(system: Any, method: Any, states: np.ndarray, span: tuple[float, flo
     ready = time.process_time()
     prepared.run(states, span)
     ran = time.process_time()
-    for _ in range(2):
+    again = time.process_time()
+    for _ in range(2 if method.differentiable else 0):
         again = time.process_time()
         solution, pullback = prepared.vjp(states, span)
         pullback(solution.x)
@@ -102,9 +103,10 @@ def main() -> None:
                 )
             )
             held = bytes_for_each(co.batch(systems_of(2.0, members)), method)
+            gradients = f"{gradient:.1f}, {of_ensemble:.1f}, {of_gradient:.2f}" if method.differentiable else "-"
             print(
                 f"| {name} | {members} | {prepare:.1f}, {run:.1f} | {whole:.1f} | {ratio:.2f} "
-                f"| {gradient:.1f}, {of_ensemble:.1f}, {of_gradient:.2f} | {held:.0f} |",
+                f"| {gradients} | {held:.0f} |",
                 flush=True,
             )
 
