@@ -70,8 +70,8 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
     Raises
     ------
     TypeError
-        The run cannot be exported: it has functions of the user, matrices, an implicit scheme, noise,
-        a group element where Casimirs were subtracted from the energy, or several systems. The message names what cannot be exported.
+        The run cannot be exported: it has functions of the user, matrices, an implicit scheme, noise, a group element
+        where Casimirs were subtracted from the energy, or several systems. The message names what cannot be exported.
     ValueError, OutputError
         The name is not an identifier of C, or the path cannot be written.
 
