@@ -47,7 +47,7 @@ class RunInC:
         self.header, self.tangent = co.export_c(prepared, folder / "own.h", tangent=tangent), tangent
         text = self.header.read_text()
         self.resumable, self.inputs = "void own_first(double x[" in text, "const double u[" in text
-        self.compensated = "double error[" in text.partition("*/")[0]
+        self.compensated, self.attitude = "double error[" in text.partition("*/")[0], "own_run_with_attitude(" in text
         source = folder / "functions.c"
         source.write_text('#include "own.h"\n#ifdef __cplusplus\nextern "C" {\n#endif\n')
         with source.open("a") as file:
@@ -62,22 +62,25 @@ class RunInC:
 
     def _names(self) -> list[str]:
         names = ["step", "run", *(("first", "next", "finish") if self.resumable else ())]
+        names += ["run_with_attitude"] if self.attitude else []
         return [*names, *(("step_with_tangents",) if self.tangent else ())]
 
     def _arguments(self, name: str) -> list[tuple[str, str]]:
         found = [("double *x", "x")]
         found += [("double *e", "e")] if self.compensated and name in ("first", "next", "finish") else []
         found += [("double *v", "v"), ("unsigned long count", "count")] if "tangents" in name else []
+        found += [("double *A", "A")] if "attitude" in name else []
         found += [("const double *u", "u")] if self.inputs else []
         found += [("double h", "h")]
-        return found + ([("unsigned long steps", "steps")] if name == "run" else [])
+        return found + ([("unsigned long steps", "steps")] if name.startswith("run") else [])
 
     def call(self, name: str, x: Any, h: float, **given: Any) -> Any:
-        """Return the state after a function; with `v` (k, n) also the vectors. Errors `e` are replaced."""
+        """Return the state after a function; with `v` (k, n) also the vectors. Errors `e` and `A` are replaced."""
         x, v = np.array(x, dtype=np.float64), np.array(given.get("v", ()), dtype=np.float64)
         u = np.array(given.get("u", ()), dtype=np.float64)
         values = {
             "e": _address(given.get("e", u)),
+            "A": _address(given.get("A", u)),
             "x": _address(x),
             "v": _address(v),
             "u": _address(u),

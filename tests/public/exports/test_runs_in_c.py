@@ -154,6 +154,32 @@ def test_every_kind_of_flow_has_the_bits_of_the_library(name, tmp_path):
     assert max(map(len, exported.header.read_text().splitlines())) <= 120
 
 
+ATTITUDES = {
+    "rotations and shears": (TOP, co.Splitting(order=4), True),
+    "in the coadjoint representation": (TOP, co.Splitting(order=4), "coadjoint"),
+    "compensated sums": (TOP, co.Splitting(compensated=True), True),
+    "a free body": (BODY, co.Splitting(parts="free_body"), True),
+    "a full body": (FULL, co.Splitting(parts="free_body"), True),
+    "a body in an unequal basis": (STRETCHED, co.Splitting(parts="free_body"), "coadjoint"),
+    "a top as a body": (TOP, co.Splitting(order=4, parts="free_body"), True),
+    "many flows": (TOP, co.Splitting(scheme="blanes_casas_murua6"), True),
+    "rational rotations": (TOP, co.Splitting(rotation="rational"), True),
+}
+
+
+@pytest.mark.parametrize("name", ATTITUDES)
+def test_attitudes_have_the_bits_of_the_library(name, tmp_path):
+    system, scheme, attitude = ATTITUDES[name]
+    prepared = co.prepare(system, scheme, step=0.05, attitude=attitude)
+    exported, x0 = RunInC(prepared, tmp_path, FIRST), state_of(system)
+    sol = prepared.run(x0, (0.0, 8 * 0.05))
+    for steps in (0, 1, 2, 8):
+        A = np.ascontiguousarray(sol.attitude[0])
+        assert_same(exported.call("run_with_attitude", x0, 0.05, A=A, steps=steps), sol.x[steps])
+        assert_same(A, sol.attitude[steps])
+    assert np.abs(sol.attitude[8] - sol.attitude[0]).max() > 0.05
+
+
 def drawn_run(seed, folder):
     """Return a random run that can be exported, and its state."""
     rng = np.random.default_rng(seed)
@@ -376,7 +402,24 @@ NOT_EXPORTED = {
         lambda: co.prepare(BODY.with_forces(co.forces.LinearDamping(0.3)), co.Splitting(compensated=True), step=0.1),
         ("compensated", "forces"),
     ),
-    "an attitude": (lambda: co.prepare(BODY, co.Splitting(), step=0.1, attitude=True), ("attitude", "co.systems.body")),
+    "an attitude of subtracted Casimirs": (
+        lambda: co.prepare(BODY, co.Splitting(), step=0.1, attitude=True),
+        ("attitude", "Casimirs", "co.systems.body"),
+    ),
+    "an attitude beside forces": (
+        lambda: co.prepare(
+            BODY.with_forces(co.forces.LinearDamping(0.3)), co.Splitting(parts="free_body"), step=0.1, attitude=True
+        ),
+        ("attitude", "forces"),
+    ),
+    "an attitude of stages": (
+        lambda: co.prepare(BODY, co.ExplicitRungeKutta(), step=0.1, attitude=True),
+        ("attitude", "ExplicitRungeKutta"),
+    ),
+    "an attitude of series": (
+        lambda: co.prepare(SERIES, co.Splitting(), step=0.1, attitude="coadjoint"),
+        ("attitude", "series"),
+    ),
     "a batch": (
         lambda: co.prepare(co.batch([BODY, co.systems.rigid_body((1, 2, 3))]), co.Splitting(), step=0.1),
         ("batch", "member"),

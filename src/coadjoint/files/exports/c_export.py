@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from coadjoint.errors import in_one_line
-from coadjoint.files.exports.c_flows import PartsInC
+from coadjoint.files.exports.c_flows import ATTITUDE, PartsInC
 from coadjoint.files.exports.c_runtime import includes, runtime
 from coadjoint.files.exports.c_stages import StagesInC
 from coadjoint.files.exports.c_statements import VECTORS, WIDTH, Inputs, Value, block, function, repeated, wrapped
 from coadjoint.files.exports.headers import FREE_BODY
 from coadjoint.files.output.output_files import write_header
-from coadjoint.kernels.interface import codes
+from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.kernels.tables.forces import ForceTable
@@ -25,6 +25,7 @@ from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.program.blocks import Kind
 from coadjoint.program.term_table import FUNCTION, Terms
 from coadjoint.runs.inputs import InputLoops
 from coadjoint.runs.loops.loops import loops_of_system
@@ -53,7 +54,7 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
     prepared : PreparedRun
         System, scheme, step and inputs. Exported are splittings and compositions of exact flows with any polynomial
         energy, free bodies and bonds, and explicit Runge-Kutta methods; also with `forces.LinearDamping` and constant
-        `forces.Torque`.
+        `forces.Torque`, or of splittings with an attitude.
     path : str or Path
         Path of the header, .h or .hpp. A header that this function has written is replaced.
     name : str, optional
@@ -69,8 +70,8 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
     Raises
     ------
     TypeError
-        The run cannot be exported: it has functions of the user, matrices, an implicit scheme, noise,
-        a group element, or several systems. The message names what cannot be exported.
+        The run cannot be exported: it has functions of the user, matrices, an implicit scheme, noise, a group element
+        where Casimirs were subtracted from the energy, or several systems. The message names what cannot be exported.
     ValueError, OutputError
         The name is not an identifier of C, or the path cannot be written.
 
@@ -106,7 +107,8 @@ class Exported(NamedTuple):
     """The statements of a step of the length h, of all steps of a run, and of the derivative of a step.
 
     `lines` define what they call. A run is `resumable` if it has functions for the first step and all others, and if
-    sums are `compensated`, these also take their errors.
+    sums are `compensated`, these also take their errors. Group elements
+    have `side` rows, or there are none.
     """
 
     lines: list[str]
@@ -116,6 +118,7 @@ class Exported(NamedTuple):
     widest: int = 0
     resumable: bool = False
     compensated: bool = False
+    side: int = 0
 
 
 def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
@@ -208,16 +211,11 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
         raise TypeError("a batch has several systems, and one is exported; prepare the system of a member")
     if unforced_matrix_system(system) is not None:
         raise TypeError(f"{system.name} has matrices as states, which are multiplied by BLAS; it cannot be exported")
-    if prepared.representation is not None:
-        raise TypeError(
-            "the run has an attitude, a group element, which cannot be exported; prepare it without, or take "
-            "co.systems.body, whose state contains the attitude"
-        )
     if unforced(system).algebra is None:
         raise TypeError(f"{system.name} has a structure matrix that is a function, which cannot be exported")
     if prepared.inputs is None:
-        return loops_of_system(system, scheme, 1.0, None).compiled[0], _Numbers({})
-    loops = InputLoops(prepared.inputs, scheme, 1.0, None)
+        return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
+    loops = InputLoops(prepared.inputs, scheme, 1.0, prepared.representation)
     return loops.base.compiled[0], _Numbers(_entries(prepared, loops.tables))
 
 
@@ -242,12 +240,31 @@ def _exported(
 ) -> Exported:
     exporters: dict[Any, Callable[..., Exported]] = {FlowTables: _splitting, RungeKuttaTables: _stages}
     export = exporters.get(type(loop.tables))
+    if prepared.representation is not None:
+        _check_attitude(prepared, loop)
     if export is not None:
         return export(prepared, loop.tables, numbers, inputs, tangent)
     if forced:
         return _forced(prepared, loop, numbers, inputs, tangent)
     raise TypeError(
         f"{prepared.method} is neither a splitting nor an explicit Runge-Kutta method, so it cannot be exported"
+    )
+
+
+def _check_attitude(prepared: PreparedRun, loop: CompiledLoop) -> None:
+    """Raise TypeError for group elements that need more than the flows of a table."""
+    tables = loop.tables
+    if type(tables) is not FlowTables:
+        why = f"{prepared.method} is no splitting without forces"
+    elif loop.shift:
+        why = "its parts turn by other angles than the state, since Casimirs were subtracted from the energy"
+    elif tables.bent.any() or (tables.group.kind % limit("RATIONAL") == Kind.SERIES).any():
+        why = "its blocks are series, or its rotations are not rational as those of the state are"
+    else:
+        return
+    raise TypeError(
+        f"the attitude, a group element, cannot be exported: {why}; prepare the run without, take "
+        "Splitting(parts='free_body'), or co.systems.body, whose state contains the attitude"
     )
 
 
@@ -284,11 +301,32 @@ def _splitting(prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inp
         f"while (--steps > 0) coadjoint_next({x});",
         finish,
     ]
-    change = (
-        [*errors, *parts.rows(begin, first, tangent=True), *parts.rows(every, end, tangent=True)] if tangent else []
-    )
-    return Exported(
-        lines, [*errors, f"coadjoint_first({x});", finish], steps, change, parts.widest, True, tables.compensated
+    change = [line for ends in ((begin, first), (every, end)) for line in parts.rows(*ends, "_with_tangents")]
+    if parts.side:
+        lines += _attitude_functions(parts, zeros)
+    step = [*errors, f"coadjoint_first({x});", finish]
+    return Exported(lines, step, steps, [*errors, *change], parts.widest, True, tables.compensated, parts.side)
+
+
+def _attitude_functions(parts: PartsInC, zeros: Sequence[str]) -> list[str]:
+    """Return the functions of runs that also move a group element, whose sums are always compensated."""
+    tables, u, count = parts.tables, parts.inputs, parts.side**2
+    begin, first, every, end = (int(row) for row in tables.section)
+    state, x = f"{parts.state.declared}, {ATTITUDE}{u.declared}, double h", f"{parts.state.passed}, A, E{u.passed}, h"
+    lines: list[str] = []
+    for name, ends in {"first": (begin, first), "next": (first, every), "finish": (every, end)}.items():
+        lines += function(f"{name}_with_attitude", state, parts.rows(*ends, "_with_attitude"))
+    run = [
+        f"double E[{count}];",
+        *(zeros if tables.compensated else []),
+        f"for (unsigned long i = 0; i < {count}; ++i) E[i] = 0.0;",
+        "if (steps == 0) return;",
+        f"coadjoint_first_with_attitude({x});",
+        f"while (--steps > 0) coadjoint_next_with_attitude({x});",
+        f"coadjoint_finish_with_attitude({x});",
+    ]
+    return lines + function(
+        "run_with_attitude", f"double *x, double *A{u.declared}, double h, unsigned long steps", run
     )
 
 
@@ -380,6 +418,10 @@ def _comment(prepared: PreparedRun, name: str, tangent: bool, exported: Exported
             (f"next(double x[{n}]{error}{u}, double h)", "every other step"),
             (f"finish(double x[{n}]{error}{u}, double h)", f"completes {copied} between two steps"),
         ]
+    if exported.side:
+        d = exported.side
+        run = f"run_with_attitude(double x[{n}], double A[{d * d}]{u}, double h, unsigned long steps)"
+        functions.append((run, f"also moves a group element of {d} rows"))
     if tangent:
         moved = f"also moves {n} numbers each by its derivative"
         functions.append((f"step_with_tangents(double x[{n}], double v[], unsigned long vectors{u}, double h)", moved))

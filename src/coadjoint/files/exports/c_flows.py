@@ -26,6 +26,8 @@ from coadjoint.program.blocks import CUBIC_HEADER, Kind
 
 BODY_COLUMNS, BODY_CONSTANTS, BODY_ROTATIONS = 6, 15, 4
 DIRECT, BONDS = 1, 2
+ATTITUDE = "double *A, double *E"
+"""Arguments: a group element, row by row, and the errors of its sums."""
 MOST_ROWS = 40
 """Flows of a step that are written out; more of them are a loop over a table."""
 
@@ -101,12 +103,16 @@ class PartsInC:
         self.tables, self.terms, self.number, self.inputs = tables, tables.terms, number, inputs
         self.parts = sorted(set(tables.part.tolist()))
         self.runs = {p: runs_of_part(tables.state, p, bool(self._called(p))) for p in self.parts}
-        self.size = tables.state.size
+        self.size, self.side = tables.state.size, tables.group.size
+        self.group_runs = {
+            p: runs_of_part(tables.group, p, bool(self._called(p))) if self.side else [] for p in self.parts
+        }
 
     @property
     def widest(self) -> int:
         """The number of coordinates of the widest block that is a matrix."""
-        return max((run.width for runs in self.runs.values() for run in runs), default=0)
+        both = *self.runs.values(), *self.group_runs.values()
+        return max((run.width for runs in both for run in runs), default=0)
 
     def functions(self, tangent: bool) -> list[str]:
         """Return the functions of all parts, and those of a flow by the number of its part."""
@@ -119,6 +125,10 @@ class PartsInC:
             if tangent:
                 declared, passed = self.state
                 lines += self._switch("part_with_tangents", f"{declared}, {VECTORS}", f"{passed}, v, vectors")
+            if self.side:
+                lines += self._switch(
+                    "part_with_attitude", f"{self.state.declared}, {ATTITUDE}", f"{self.state.passed}, A, E"
+                )
         return lines
 
     def _switch(self, name: str, arguments: str, passed: str) -> list[str]:
@@ -126,9 +136,9 @@ class PartsInC:
         body = block("switch (part)", [*cases, "default: break;"])
         return function(name, f"int part, {arguments}{self.inputs.declared}, double tau", body)
 
-    def rows(self, first: int, last: int, h: str = "h", tangent: bool = False) -> list[str]:
-        """Return the calls of the flows first to last - 1 over a step of the length h."""
-        name, state = ("part_with_tangents", ", v, vectors") if tangent else ("part", "")
+    def rows(self, first: int, last: int, kind: str = "", h: str = "h") -> list[str]:
+        """Return the calls of the flows first to last - 1 over a step h; `kind` says what else they move."""
+        name, state = f"part{kind}", {"": "", "_with_tangents": ", v, vectors", "_with_attitude": ", A, E"}[kind]
         state = self.state.passed + state + self.inputs.passed
         parts, taus = self.tables.part[first:last].tolist(), self.tables.tau[first:last].tolist()
         if len(parts) <= MOST_ROWS:
@@ -163,7 +173,8 @@ class PartsInC:
             [line for run in self.runs[p] for line in _moves_of_run(run, "tau", errors)]
             for errors in (False, self.tables.compensated)
         )
-        return Part(end - origin, ("angle",), angles, moves, [*changes, *each], corrected=corrected)
+        turns = [line for run in self.group_runs[p] for line in _moves_of_run(run, "tau", True)]
+        return Part(end - origin, ("angle",), angles, moves, [*changes, *each], corrected=corrected, turns=turns)
 
     def _called_part(self, p: int) -> Part:
         tables, bodies = self.tables, self._called(p)
@@ -200,14 +211,17 @@ class PartsInC:
             found: dict[str, list[Value]] = dict(zip(names, map(list, zip(*columns, strict=True)), strict=True))
             found["s"] = [one[0] for one in constants]
             together_moves = repeated("coadjoint_bond(x, {z0}, {z1}, {z2}, {w0}, {w1}, {w2}, {s}, tau);", found)
-        return Part(BODY_ROTATIONS * len(bodies), results, angles, moves, changes, together_moves, corrected)
+        turns: list[str] = []
+        for run in self.group_runs[p]:
+            turns += _direct_turns(run, True) if direct else _moves_of_run(run, "1.0", True)
+        return Part(BODY_ROTATIONS * len(bodies), results, angles, moves, changes, together_moves, corrected, turns)
 
 
 class Part(NamedTuple):
     """The statements of a part with `number` angles: they are found at x, as `results`, and vectors are moved by them.
 
     `changes` are the changes of the angles along v. The state is moved by `together` alone, if that is not empty, or
-    if sums are compensated by `corrected`, which moves its errors too.
+    if sums are compensated by `corrected`, which moves its errors too. `turns` move a row of the group element.
     """
 
     number: int
@@ -217,6 +231,7 @@ class Part(NamedTuple):
     changes: list[str]
     together: Sequence[str] = ()
     corrected: Sequence[str] = ()
+    turns: Sequence[str] = ()
 
     def functions(self, parts: PartsInC, p: int) -> list[str]:
         """Return the functions that find angles, move a vector by them, and move a state."""
@@ -227,12 +242,29 @@ class Part(NamedTuple):
         name = f"correct_{p}" if parts.tables.compensated else f"move_{p}"
         move = f"coadjoint_{name}({parts.state.passed}, {', '.join(self.results)}, tau);"
         found = [local, f"{self._find(parts, p, 'x')};", move]
+        lines = self._with_attitude(parts, p, given, [local, f"{self._find(parts, p, 'x')};"]) if parts.side else []
         state = f"{parts.state.declared}{parts.inputs.declared}, double tau"
         return [
             *function(f"angles_{p}", f"const double *x{parts.inputs.declared}{self._tau[0]}{outputs}", self.angles),
             *function(f"move_{p}", f"double *x{given}", self.moves),
             *(corrected if parts.tables.compensated else []),
             *function(f"part_{p}", state, list(self.together) or found),
+            *lines,
+        ]
+
+    def _with_attitude(self, parts: PartsInC, p: int, given: str, find: Sequence[str]) -> list[str]:
+        """Return the function of a flow that also moves the rows of the group element, by the angles of the state."""
+        d = parts.side
+        row = f"coadjoint_turn_row_{p}(A + row * {d}, E + row * {d}, {', '.join(self.results)}, tau);"
+        body = [
+            *find,
+            f"coadjoint_part_{p}({parts.state.passed}{parts.inputs.passed}, tau);",
+            *block(f"for (unsigned long row = 0; row < {d}; ++row)", [row]),
+        ]
+        declared = f"{parts.state.declared}, {ATTITUDE}{parts.inputs.declared}, double tau"
+        return [
+            *function(f"turn_row_{p}", f"double *x, double *error{given}", self.turns),
+            *function(f"part_with_attitude_{p}", declared, body),
         ]
 
     def _given(self) -> str:

@@ -70,8 +70,13 @@ def table_text(prepared: PreparedRun) -> str:
     """Return the text of the table of `export_table`."""
     loop, _ = loop_of_run(prepared)
     system, scheme = prepared.system, prepared.scheme
-    if prepared.inputs is not None or forces_of(system):
-        given = "inputs" if prepared.inputs is not None else "forces"
+    further = {
+        "inputs": prepared.inputs is not None,
+        "forces": bool(forces_of(system)),
+        "an attitude": prepared.representation is not None,
+    }
+    if any(further.values()):
+        given = next(name for name, has in further.items() if has)
         raise TypeError(f"the run has {given}, which a table does not contain; prepare it without, or take co.export_c")
     if type(loop.tables) is not FlowTables:
         raise TypeError(f"{prepared.method} is not made of exact flows, so it has no table; take a splitting")
