@@ -26,7 +26,7 @@ MAXIMA: dict[str, int] = {
     "files in cycles, with imports inside functions and for types": 52,  # motions of bodies
     "modules behind integrate": 131,  # torques on the state, of which forces on satellites are made
     "C++ lines": 19158,
-    "test lines": 66540,  # rigid molecules to fifty digits and by DOP853
+    "test lines": 66550,  # rigid molecules to fifty digits and by DOP853
     "test files that import internals": 74,
     "public names": 344,  # rigid_molecules
 }
