@@ -138,6 +138,20 @@ def test_momentum_and_energy(name):
         assert F(x[-1]) == pytest.approx((turning if "L" in name else p.sum(axis=1))[-1][index], abs=1e-13 * size)
 
 
+def test_derivatives_of_runs_by_the_state():
+    """By exact second derivatives, within the switch, against differences of order six."""
+    system, x0 = mixture("box")
+    prepared, d = co.prepare(system, co.Splitting(order=2), 0.001), np.cos(np.arange(91.0)) * np.r_[np.ones(90), 0]
+    _, tangents = prepared.jvp(x0, (0, 0.02), {"x0": d})
+
+    def end(h):
+        return prepared.run(x0 + h * d, (0, 0.02)).x[-1]
+
+    h = 1e-4
+    wanted = sum(w * (end(k * h) - end(-k * h)) for k, w in ((1, 45), (2, -9), (3, 1))) / (60 * h)
+    np.testing.assert_allclose(tangents.x[-1], wanted, rtol=0, atol=1e-8 * np.abs(wanted).max())
+
+
 def test_sites_masses_and_moments():
     """The frame of a molecule has the axes of its sites, and its centre of mass as the origin."""
     system, x = mixture()
