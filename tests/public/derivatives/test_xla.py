@@ -400,7 +400,7 @@ def vector_systems():
     for name in co.systems.names():
         try:
             system = co.systems.get(name)
-            if len(system.shape) == 1 and system.dim <= 64:
+            if len(getattr(system, "shape", (1,))) == 1 and system.dim <= 64:
                 found[name] = co.prepare(system, co.Splitting(), 0.05)
         except (TypeError, ValueError):
             continue
