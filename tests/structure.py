@@ -18,17 +18,17 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 590,  # arrays measured by fits, forces on satellites, prepared runs as C99
-    "Python lines": 97040,  # arrays measured by fits, forces on satellites, prepared runs as C99
+    "Python files": 597,  # rigid molecules, the C interface, free bodies and forces in JAX, arrays measured by fits
+    "Python lines": 98990,  # rigid molecules, the C interface, free bodies and forces in JAX, derivatives by masses and G
     "longest file": 512,
-    "classes": 619,  # rates named as such in fits, forces on satellites, prepared runs as C99
-    "isinstance": 915,  # laws in sampled forces, attitudes as rotations and quaternions
-    "files in cycles, with imports inside functions and for types": 52,  # motions of bodies
+    "classes": 630,  # rigid molecules, forces in JAX, functions of parameters, arrays measured by fits
+    "isinstance": 910,  # kinds of molecules, shapes in JAX; fewer by one base of systems
+    "files in cycles, with imports inside functions and for types": 51,  # motions of bodies
     "modules behind integrate": 131,  # torques on the state, of which forces on satellites are made
-    "C++ lines": 19160,  # roundings of subnormal stages
-    "test lines": 66440,  # fits of arrays, interrupted runs, forces on satellites, prepared runs in C
+    "C++ lines": 20138,  # the C interface, which checks tables of others; batches of Taylor methods in lanes
+    "test lines": 67880,  # molecules, asteroids, the C interface, JAX, fits of arrays, interrupted runs
     "test files that import internals": 74,
-    "public names": 344,  # rigid_molecules
+    "public names": 346,  # rigid_molecules, export_table and co.jax.free_body
 }
 
 
