@@ -115,6 +115,31 @@ class EnergyDerivative(NamedTuple):
         )
 
     @property
+    def entries(self) -> Integers:
+        """Entry of each monomial: those of the first degree, of the second, and the others."""
+        others = np.array([one.entry for one in self.others], dtype=np.int64)
+        return np.concatenate([self.linear_entry, self.quadratic_entry, others])
+
+    @property
+    def coefficients(self) -> Floats:
+        """Factor of each monomial, in the order of `entries`."""
+        others = np.array([one.factor for one in self.others], dtype=np.float64)
+        return np.concatenate([self.linear_factor, self.quadratic_factor, others])
+
+    @property
+    def apart(self) -> EnergyDerivative:
+        """The monomials with factors of one, each with an entry of its own."""
+        linear, low = len(self.linear), len(self.linear) + len(self.quadratic)
+        return self._replace(
+            size=low + len(self.others),
+            linear_entry=np.arange(linear),
+            linear_factor=np.ones(linear),
+            quadratic_entry=np.arange(linear, low),
+            quadratic_factor=np.ones(low - linear),
+            others=tuple(one._replace(entry=low + k, factor=1.0) for k, one in enumerate(self.others)),
+        )
+
+    @property
     def monomials(self) -> tuple[Any, ...]:
         """The monomials without their factors; energies of the same ones have tables of one structure."""
         columns = (self.linear, self.linear_entry, self.quadratic, self.quadratic_entry)

@@ -37,6 +37,7 @@ class FlowCotangents(NamedTuple):
     group_dual: Action
     hessians: NDArray[np.int64]
     added: int
+    stride: int
 
 
 class RungeKuttaCotangents(NamedTuple):
@@ -70,6 +71,7 @@ class ForwardRun(NamedTuple):
     group_tangents: Floats
     coefficients: Floats
     threads: int
+    apart: bool
 
 
 class BackwardRun(NamedTuple):
@@ -138,7 +140,7 @@ def flow_cotangents(
         tables = with_properties(tables)
         hessians = np.concatenate([hessians, zeros])
     return CompiledTables(
-        FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive), base.sources
+        FlowCotangents(tables, dual, group_dual, hessians, index, 0), (*base.keepalive, *keepalive), base.sources
     )
 
 

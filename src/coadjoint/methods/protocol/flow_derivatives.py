@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, EXACT, DerivativeTables
-from coadjoint.program.added_part import CoefficientMap, terms_of, with_added_part
+from coadjoint.program.added_part import CoefficientMap, with_added_part
 from coadjoint.program.provenance import in_parts
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
@@ -32,48 +32,35 @@ def flow_derivatives(
     depend, are differentiated as an added part of size zero.
     """
     program = method.program(system, group=representation)
-    found = {name: in_parts(program, G) for name, G in energies.items()}
-    factors = {name: pair[1] for name, pair in found.items() if pair is not None}
+    apart = {name: G.apart for name, G in energies.items()}
+    found = {name: in_parts(program, G) for name, G in apart.items()}
     others = [name for name, pair in found.items() if pair is None]
-    added = None
+    own, empty, added = {name: pair[0] for name, pair in found.items() if pair}, CoefficientMap.of_triplets(()), None
     if others:
-        added = with_added_part(program, method, system, representation, _joined(energies, others))
-
-    def numbered(in_own: Mapping[str, CoefficientMap], in_added: CoefficientMap | None) -> dict[str, CoefficientMap]:
-        if added is None or in_added is None:
-            return dict(in_own)
-        sizes = {name: energies[name].size for name in others}
-        return {name: added.renumbered(one) for name, one in in_own.items()} | added.split(in_added, sizes)
-
-    def maps(of_other: Mapping[str, EnergyDerivative]) -> dict[str, CoefficientMap]:
-        pairs = ((name, in_parts(program, G)) for name, G in of_other.items() if name not in others)
-        in_added = terms_of(_joined(of_other, others), system.dim)[1] if others else None
-        return numbered({name: pair[0] for name, pair in pairs if pair is not None}, in_added)
-
-    in_own = {name: pair[0] for name, pair in found.items() if pair is not None}
+        joined = EnergyDerivative.joined([apart[name] for name in others])
+        added = with_added_part(program, method, system, representation, joined)
+        own = {name: added.renumbered(one) for name, one in own.items()}
+        own |= added.split({name: apart[name].size for name in others})
+    monomials = {name: (own[name], pair[1] if pair else empty) for name, pair in found.items()}
     built = flow_cotangents(program, system, representation, h, method.compensates, added)
     terms = built.tables.base.terms
 
     def tables_at(step: float) -> Any:
         return built.tables if step == h else with_step(built.tables, step)
 
-    empty = CoefficientMap.of_triplets(())
     return DerivativeTables(
         tables_at=tables_at,
         keepalive=built.keepalive,
         forward=FORWARD,
         backward=BACKWARD,
         coefficient_count=len(terms.offset) + len(terms.weight) + len(terms.coefficient),
-        coefficients=numbered(in_own, None if added is None else added.coefficients),
-        factors={name: factors.get(name, empty) for name in energies},
+        coefficients={name: one.of_energy(energies[name]) for name, (one, _) in monomials.items()},
+        factors={name: one.of_energy(energies[name]) for name, (_, one) in monomials.items()},
         rules={name: ADDED_PART if name in others else EXACT for name in energies},
         shift=program.shift,
         reversible=True,
         located=COEFFICIENTS,
-        maps=maps,
+        monomials=monomials,
         sources=lambda: built.sources().within("base."),
     )
 
-
-def _joined(energies: Mapping[str, EnergyDerivative], names: Sequence[str]) -> EnergyDerivative:
-    return EnergyDerivative.joined([energies[name] for name in names])
