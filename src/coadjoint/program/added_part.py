@@ -7,6 +7,7 @@ coefficients of that part times J(x) grad G(x) at its rows, carried on by the ta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,9 +73,9 @@ class CoefficientMap(NamedTuple):
 
 def _sums(numbers: NDArray[np.float64], index: NDArray[np.int64], count: int) -> NDArray[np.float64]:
     """Return the sums (..., count) of the numbers (..., k) of each index, in their order."""
-    rows = numbers.reshape(-1, len(index))
-    positions = index + count * np.arange(len(rows))[:, None]
-    sums = np.bincount(positions.ravel(), rows.ravel(), minlength=count * len(rows))
+    rows = prod(numbers.shape[:-1])
+    positions = index + count * np.arange(rows)[:, None]
+    sums = np.bincount(positions.ravel(), numbers.ravel(), minlength=count * rows)
     return sums.astype(np.float64).reshape(*numbers.shape[:-1], count)
 
 

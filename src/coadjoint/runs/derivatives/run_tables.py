@@ -97,8 +97,6 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
     )
     watch = invariants_table([], systems[0].dim)
 
-    count = len(columns.values)
-
     @cache
     def tables_at(step: float) -> list[tuple[int, int, Any]]:
         loop = CompiledLoop("", tables.tables_at(step), sources=tables.sources)
@@ -106,8 +104,12 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
         in_lanes = isinstance(loop.tables, FlowCotangents) and systems[0].dim <= limit("WIDEST")
         if in_lanes and not writable.separate_tables:
             structure, _, structure.stride = writable.each(columns.values)
-            return [(0, count, structure)]
-        return [(m, m + 1, writable.shared(values)[0]) for m, values in enumerate(columns.values)]
+            ranges = [(0, len(systems), structure)]
+        else:
+            ranges = [(m, m + 1, writable.shared(values)[0]) for m, values in enumerate(columns.values)]
+        for *_, structure in ranges:
+            structure.owner = writable
+        return ranges
 
     coefficients, factors = (
         {name: tables.monomials[name][k].of_energies(each) for name, each in energies.items()} for k in range(2)
