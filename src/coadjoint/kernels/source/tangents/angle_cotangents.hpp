@@ -51,28 +51,30 @@ INLINE void each_generator(const Action& action, const C& constants, uint32_t pa
     });
 }
 
-// out[a] += cotangents . D_a x for all angles of a part, for vectors side by side.
+// out[a] += cotangents . D_a x for all angles of a part, for the vectors first, first + step, ... of those side by side.
 template <class N, class V, class C>
 NOINLINE void angle_cotangents(const Action& action, const C& constants, uint32_t part, bool apart, const V* x,
-                               const V* cotangents, int64_t rows, V* out) {
+                               const V* cotangents, int64_t rows, V* out, int64_t first = 0, int64_t step = 1) {
     each_generator<N>(action, constants, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
         V total = out[a];
-        for (int64_t row = 0; row < rows; ++row)
+        for (int64_t row = first; row < rows; row += step)
             total = fma(component([&](uint32_t j) { return x[j * rows + row]; }), cotangents[i * rows + row], total);
         out[a] = total;
     });
 }
 
-// The sum over the rows of a group element that are lanes; members as lanes remain.
-template <class A, class G>
-INLINE A over_rows(const G& total) {
+// The sum over the rows of a group element: `part(first, step)` is that of the rows first, first + step, ..., which are
+// lanes, or for members as lanes as many sums, so that a member has the bits of its run alone.
+template <class A, class G, class Part>
+INLINE A over_rows(const Part& part) {
+    A sum(0.0);
     if constexpr (Numbers<A>::lanes == Numbers<G>::lanes) {
-        return total;
+        for (int64_t first = 0; first < ROWS; ++first) sum += part(first, ROWS);
     } else {
-        A sum(0.0);
+        const G total = part(0, 1);
         for (int lane = 0; lane < Numbers<G>::lanes; ++lane) sum += lane_of(total, lane);
-        return sum;
     }
+    return sum;
 }
 
 // Derivatives by the offsets, weights and coefficients of the terms, one after the other.
@@ -244,18 +246,20 @@ class AddedAngles {
                 A total(0.0);
                 for (uint32_t e = state.start[a]; e < state.start[a + 1]; ++e)
                     total = product(state.entries[e], at.x, at.of_x, total);
-                if (with_group) {
-                    const int64_t rows = at.group.rows;
-                    G sum(0.0);
-                    for (uint32_t e = group.start[a]; e < group.start[a + 1]; ++e)
-                        for (int64_t row = 0; row < rows; ++row) {
-                            const GeneratorEntry<N>& entry = group.entries[e];
-                            const GeneratorEntry<N> moved{uint32_t(entry.to * rows + row),
-                                                       uint32_t(entry.from * rows + row), entry.factor, entry.rotates};
-                            sum = product(moved, at.group.at, at.of_group.at, sum);
-                        }
-                    total += over_rows<A>(sum);
-                }
+                if (with_group)
+                    total += over_rows<A, G>([&](int64_t first, int64_t step) {
+                        const int64_t rows = at.group.rows;
+                        G sum(0.0);
+                        for (uint32_t e = group.start[a]; e < group.start[a + 1]; ++e)
+                            for (int64_t row = first; row < rows; row += step) {
+                                const GeneratorEntry<N>& entry = group.entries[e];
+                                const GeneratorEntry<N> moved{uint32_t(entry.to * rows + row),
+                                                              uint32_t(entry.from * rows + row), entry.factor,
+                                                              entry.rotates};
+                                sum = product(moved, at.group.at, at.of_group.at, sum);
+                            }
+                        return sum;
+                    });
                 totals[a] = total * A(tau);
                 of_offset[first + a] += totals[a];
             }

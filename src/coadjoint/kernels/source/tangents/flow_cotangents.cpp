@@ -33,7 +33,7 @@ class StepsBackward {
   public:
     StepsBackward(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first, int64_t count,
                   InterruptCheck& interrupts)
-        : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), first(first), count(count), size(run.size),
+        : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), first(first), used(of_members ? count : 1), size(run.size),
           d(run.square > 0 ? tables.group.size : 0),
           rows(of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes), square(d * rows),
           steps(run.undone ? 0 : run.k1 - run.k0), coefficients(CoefficientCotangents<A>::count(tables.terms)),
@@ -113,11 +113,11 @@ class StepsBackward {
                             {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
             run.undone ? shared_steps.end() : shared_steps.end_as_measured();
         }
-        each_number(cotangents.at, size,
+        each_number(cotangents.at, size, used,
                     [&](A& entry, int lane, int64_t position) { run.cotangents[position] = lane_of(entry, lane); });
-        each_number(of_coefficients.at, coefficients,
+        each_number(of_coefficients.at, coefficients, used,
                     [&](A& entry, int lane, int64_t position) { run.coefficients[position] += lane_of(entry, lane); });
-        each_entry(group_cotangents.at,
+        each_entry(group_cotangents.at, used,
                    [&](G& entry, int lane, int64_t position) { run.group_cotangents[position] = lane_of(entry, lane); });
     }
 
@@ -130,7 +130,7 @@ class StepsBackward {
     const C constants;
     const BackwardRun& run;
     InterruptCheck& interrupts;
-    const int64_t first, count, size, d, rows, square, steps, coefficients;
+    const int64_t first, used, size, d, rows, square, steps, coefficients;
     AlignedArray<A> states, x, cotangents, finished, added, scratch, of_coefficients;
     AlignedArray<G> groups, group, group_cotangents, copies, group_added, group_scratch;
     AngleWorkspace<A> angles;
@@ -152,19 +152,20 @@ class StepsBackward {
             sweep<summation, false>(tables, constants, r, r + 1, momentum, element, t, run.h, angles);
     }
 
-    // Numbers of a member are contiguous; entries (i, r) of a group element are at i * rows + r, or in its lanes.
+    // Numbers of a member are contiguous; entries (i, r) of a group element are at i * rows + r, or in its lanes. The
+    // last member fills further `lanes`.
     template <class Number, class Visit>
-    void each_number(Number* to, int64_t length, const Visit& visit) const {
-        for (int64_t lane = 0; lane < (of_members ? count : 1); ++lane)
-            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), (first + lane) * length + i);
+    void each_number(Number* to, int64_t length, int64_t lanes, const Visit& visit) const {
+        for (int64_t lane = 0; lane < lanes; ++lane)
+            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), member_of(lane) * length + i);
     }
 
     template <class Visit>
-    void each_entry(G* to, const Visit& visit) const {
-        for (int64_t lane = 0; lane < (of_members ? count : 1); ++lane)
+    void each_entry(G* to, int64_t lanes, const Visit& visit) const {
+        for (int64_t lane = 0; lane < lanes; ++lane)
             for (int64_t i = 0; i < d; ++i)
                 for (int64_t r = 0; r < d; ++r) {
-                    const int64_t from = (first + lane) * d * d + i * d + r;
+                    const int64_t from = member_of(lane) * d * d + i * d + r;
                     if constexpr (of_members)
                         visit(to[i * rows + r], int(lane), from);
                     else
@@ -172,12 +173,14 @@ class StepsBackward {
                 }
     }
 
+    int64_t member_of(int64_t lane) const { return first + std::min(lane, used - 1); }
+
     NOINLINE void read(A* to, const double* from) const {
-        each_number(to, size, [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_number(to, size, Numbers<A>::lanes, [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
     }
 
     NOINLINE void read_group(G* to, const double* from) const {
-        each_entry(to, [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_entry(to, Numbers<A>::lanes, [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
     }
 
     void store(int64_t k) {

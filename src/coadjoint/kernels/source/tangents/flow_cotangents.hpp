@@ -42,7 +42,7 @@ class RowsBackward {
                  bool with_group, AngleWorkspace<A>& angles)
         : tables(tables.base), all(tables), constants(constants), coefficients(coefficients), size(tables.base.state.size),
           with_group(with_group), added(tables, constants, with_group), angles(angles), scratch(3 * size), units(3 * size),
-          of_angles(tables.base.longest), of_groups(tables.base.longest), hessians(tables.base.terms),
+          of_angles(tables.base.longest), of_groups(ROWS * tables.base.longest), hessians(tables.base.terms),
           by_column(tables.base.terms) {}
 
     // Undo the rows last - 1 to first of a step from t of length h; `flows` are their elementary flows, if there are any,
@@ -85,11 +85,12 @@ class RowsBackward {
 
     // The cotangent of the angle of shears, without their factor.
     template <class V>
-    INLINE V of_shears(const AngleBlocks<N>& blocks, const V* x, const V* cotangents, int64_t rows) const {
+    INLINE V of_shears(const AngleBlocks<N>& blocks, const V* x, const V* cotangents, int64_t rows, int64_t first = 0,
+                       int64_t step = 1) const {
         V total(0.0);
         for (uint32_t block = 0; block < blocks.repeat; ++block) {
             const int64_t i = blocks.pairs[2 * block] * rows, j = blocks.pairs[2 * block + 1] * rows;
-            for (int64_t row = 0; row < rows; ++row)
+            for (int64_t row = first; row < rows; row += step)
                 total = fma(V(number(blocks.constants, block)) * x[j + row], cotangents[i + row], total);
         }
         return total;
@@ -98,12 +99,12 @@ class RowsBackward {
     // Undo rotations, of vectors and cotangents; return the cotangent of their angle, without their factor.
     template <class V>
     static INLINE V unrotate(const Rotation<A>& rotation, const uint32_t* pairs, uint32_t repeat, V* x, V* cotangents,
-                             int64_t rows) {
+                             int64_t rows, int64_t first = 0, int64_t step = 1) {
         const V sine(rotation.sine), cosm1(rotation.cosm1);
         V total(0.0);
         for (uint32_t block = 0; block < repeat; ++block, pairs += 2) {
             const int64_t i = pairs[0] * rows, j = pairs[1] * rows;
-            for (int64_t row = 0; row < rows; ++row) {
+            for (int64_t row = first; row < rows; row += step) {
                 const V a = x[i + row], b = x[j + row], u = cotangents[i + row], w = cotangents[j + row];
                 total = total + fma(a, w, -(b * u));
                 x[i + row] = a + fma(cosm1, a, sine * b);
@@ -131,12 +132,12 @@ class RowsBackward {
     // Undo a CUBIC block, transposed for cotangents; return the cotangent of its angle, without the time.
     template <class V>
     NOINLINE V undo_cubic(const Action& action, uint32_t run, const A& s, const A& c, const Vectors<V>& x,
-                          const Vectors<V>& of_x) const {
+                          const Vectors<V>& of_x, int64_t first_row = 0, int64_t step = 1) const {
         const BlockRows block(action, run);
         const int64_t values = block.constant + CUBIC_HEADER, squares = values + block.entries;
         const V along(s), across(c);
         V *before = x.workspace, *covector = before + block.width, *pulled = covector + block.width, total(0.0);
-        for (int64_t row = 0; row < x.rows; ++row) {
+        for (int64_t row = first_row; row < x.rows; row += step) {
             for (uint32_t k = 0; k < block.width; ++k) {
                 const int64_t i = block.coordinates[k] * x.rows + row;
                 before[k] = x.at[i], covector[k] = pulled[k] = of_x.at[i];
@@ -175,16 +176,19 @@ class RowsBackward {
                     rotation = &applied->group;
                 else if (any(!(group.factor == momentum.factor)))
                     found = rotation_of(theta * group.factor);
-                of_angle += A(group.factor) * over_rows<A>(unrotate(*rotation, group.pairs, group.repeat, at.group.at,
-                                                                    at.of_group.at, at.group.rows));
+                of_angle += A(group.factor) * over_rows<A, G>([&](int64_t first, int64_t step) {
+                    return unrotate(*rotation, group.pairs, group.repeat, at.group.at, at.of_group.at, at.group.rows,
+                                    first, step);
+                });
             }
         } else if (flow.kind == CUBIC) {
             of_angle = undo_cubic_flow(flow, theta, at, applied);
         } else {
             of_angle = A(flow.momentum.factor) * of_shears(flow.momentum, at.x, at.of_x, 1);
             if (with_group)
-                of_angle += A(flow.group.factor) *
-                            over_rows<A>(of_shears(flow.group, at.group.at, at.of_group.at, at.group.rows));
+                of_angle += A(flow.group.factor) * over_rows<A, G>([&](int64_t first, int64_t step) {
+                    return of_shears(flow.group, at.group.at, at.of_group.at, at.group.rows, first, step);
+                });
             unshear(flow.momentum, theta, at.x, at.of_x, 1);
             if (with_group) unshear(flow.group, theta, at.group.at, at.of_group.at, at.group.rows);
         }
@@ -194,17 +198,20 @@ class RowsBackward {
     // Undo CUBIC blocks of the state and of the group element; return the cotangent of their angle.
     NOINLINE A undo_cubic_flow(const Flow& flow, const A& theta, const Covector<A, G>& at,
                                const AppliedRotations<A>* applied) const {
-        const auto undo_one = [&](const Action& action, const AngleBlocks<N>& blocks, const Rotation<A>* known,
-                                  const auto& x, const auto& of_x) {
-            if (known) return undo_cubic(action, blocks.run, known->sine, known->cosm1, x, of_x);
+        const auto factors_of = [&](const Action& action, const AngleBlocks<N>& blocks) {
             const CubicFactors<A> factors = cubic_factors(action, constants, blocks.run, blocks.factor * theta);
-            return undo_cubic(action, blocks.run, factors.s, factors.c, x, of_x);
+            return Rotation<A>{factors.s, factors.c};
         };
-        A of_angle = undo_one(tables.state, flow.momentum, applied ? &applied->momentum : nullptr,
-                              Vectors<A>{at.x, nullptr, 1, scratch.at}, Vectors<A>{at.of_x, nullptr, 1, nullptr});
-        if (with_group)
-            of_angle += over_rows<A>(
-                undo_one(tables.group, flow.group, applied ? &applied->group : nullptr, at.group, at.of_group));
+        const Rotation<A> factors = applied ? applied->momentum : factors_of(tables.state, flow.momentum);
+        A of_angle = undo_cubic(tables.state, flow.momentum.run, factors.sine, factors.cosm1,
+                                Vectors<A>{at.x, nullptr, 1, scratch.at}, Vectors<A>{at.of_x, nullptr, 1, nullptr});
+        if (with_group) {
+            const Rotation<A> of_group = applied ? applied->group : factors_of(tables.group, flow.group);
+            of_angle += over_rows<A, G>([&](int64_t first, int64_t step) {
+                return undo_cubic(tables.group, flow.group.run, of_group.sine, of_group.cosm1, at.group, at.of_group,
+                                  first, step);
+            });
+        }
         return A(flow.momentum.factor) * of_angle;
     }
 
@@ -224,9 +231,13 @@ class RowsBackward {
         share(count, [&](int64_t first, int64_t last) { std::fill(of_angles.at + first, of_angles.at + last, A(0.0)); });
         if (!of_group_only) angle_cotangents<N>(tables.state, constants, part, is_apart(part), at.x, at.of_x, 1, of_angles.at);
         if (!with_group) return;
-        std::fill_n(of_groups.at, count, G(0.0));
-        angle_cotangents<N>(tables.group, constants, part, false, at.group.at, at.of_group.at, at.group.rows, of_groups.at);
-        for (int64_t a = 0; a < count; ++a) of_angles.at[a] += over_rows<A>(of_groups.at[a]);
+        constexpr int64_t step = Numbers<A>::lanes == Numbers<G>::lanes ? ROWS : 1;
+        std::fill_n(of_groups.at, step * count, G(0.0));
+        for (int64_t first = 0; first < step; ++first)
+            angle_cotangents<N>(tables.group, constants, part, false, at.group.at, at.of_group.at, at.group.rows,
+                                of_groups.at + first * count, first, step);
+        for (int64_t a = 0; a < count; ++a)
+            of_angles.at[a] += over_rows<A, G>([&](int64_t first, int64_t) { return of_groups.at[first * count + a]; });
     }
 
     // Whether threads share the runs of a part.

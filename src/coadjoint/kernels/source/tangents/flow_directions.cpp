@@ -6,8 +6,8 @@ namespace coadjoint {
 
 // Members as lanes, each with all of its vectors, or one member with its vectors as lanes.
 template <class A, class V, class C>
-static void run_members(const FlowCotangents& all, const C& constants, const ForwardRun& run, int64_t first, int64_t count,
-                        InterruptCheck& interrupts) {
+static void run_members(const FlowCotangents& all, const C& constants, const ForwardRun& run, int64_t first,
+                        int64_t count, InterruptCheck& interrupts) {
     const FlowTables& tables = all.base;
     constexpr bool of_members = Numbers<A>::lanes == Numbers<V>::lanes;
     constexpr int64_t per_block = of_members ? 1 : Numbers<V>::lanes;
@@ -20,10 +20,12 @@ static void run_members(const FlowCotangents& all, const C& constants, const For
     AlignedArray<V> vectors(size * rows), copies(size * rows), of_group(square * rows), copies_of_group(square * rows);
     AlignedArray<V> directions(coefficients * rows);
     FlowTangentState<A, V, C> tangents(tables, constants, all.hessians, size, rows);
-    // Numbers of members (members, length), or of their vectors (members, carried, length).
+    // Numbers of members (members, length), or of their vectors (members, carried, length). Functions of the user are
+    // called for all lanes: the last member fills them.
     const auto each_number = [&](A* to, int64_t length, auto&& visit) {
-        for (int64_t lane = 0; lane < used; ++lane)
-            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), (first + lane) * length + i);
+        for (int64_t lane = 0; lane < Numbers<A>::lanes; ++lane)
+            for (int64_t i = 0; i < length; ++i)
+                visit(to[i], int(lane), (first + std::min(lane, used - 1)) * length + i);
     };
     const auto each_component = [&](V* to, int64_t length, auto&& visit) {
         for (int64_t lane = 0; lane < used; ++lane)
