@@ -394,12 +394,18 @@ def _functions(rng, count):
     return [co.LiePoissonSystem(co.algebras.so(3), energy) for energy in energies]
 
 
-@pytest.mark.parametrize(("count", "attitude"), [(2, True), (3, False), (8, True), (9, True), (17, False), (33, False)])
-@pytest.mark.parametrize(
-    "method",
-    [co.Splitting(order=4), co.Splitting(order=2, compensated=True), co.Splitting(order=6), co.GaussLegendre(2)],
-    ids=str,
-)
+TOGETHER = [
+    (2, True, co.Splitting(order=4)),
+    (3, False, co.Splitting(compensated=True)),
+    (3, True, co.GaussLegendre(2)),
+    (8, True, co.Splitting(compensated=True)),
+    (9, True, co.Splitting(order=6)),
+    (17, False, co.Splitting(order=4)),
+    (33, False, co.GaussLegendre(2)),
+]
+
+
+@pytest.mark.parametrize(("count", "attitude", "method"), TOGETHER, ids=str)
 @pytest.mark.parametrize("systems_of", [_tops, _full, _quartic, _lattices, _functions])
 def test_members_that_are_differentiated_together_have_the_bits_of_single_runs(
     systems_of, method, count, attitude, capfd
@@ -428,6 +434,20 @@ def test_members_that_are_differentiated_together_have_the_bits_of_single_runs(
         assert all(np.array_equal(value, outputs(tangents)[name][:, m]) for name, value in outputs(one).items())
         found = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items())
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(compensated=True)], ids=str)
+@pytest.mark.parametrize("systems_of", [_tops, _full, _quartic, _lattices])
+def test_gradients_of_an_ensemble_with_attitudes_have_the_bits_of_single_runs(systems_of, method):
+    """Sums over the rows of elements of three to nine rows, which are lanes of a single run."""
+    rng, span = np.random.default_rng(4), (0.5, 1.0)
+    system = systems_of(rng, 2)[1]
+    x0, ready = rng.uniform(0.2, 0.9, (5, system.dim)), co.prepare(system, method, H, attitude="coadjoint")
+    sol, pullback = ready.vjp(x0, span)
+    weights = rng.standard_normal(sol.attitude.shape)
+    found = pullback(attitude=weights)["x0"]
+    for m in range(5):
+        assert np.array_equal(found[m], ready.vjp(x0[m], span)[1](attitude=weights[:, m])["x0"])
 
 
 def test_a_member_of_a_batch_whose_derivatives_overflow_leaves_those_of_the_others():
