@@ -194,8 +194,8 @@ TABLE(ForwardRun, FORWARD_RUN_FIELDS)
 
 // The steps k0 + 1 to k1 of the members, backward. Given are the unfinished states after step k0, with their errors, from
 // which the steps are repeated, or if `undone` those after step k1, from which they are undone, and the cotangents
-// `at_points` (marked, members, n) and `at_groups` (marked, members, d, d) of the states finished after the steps `marks`,
-// ascending. Accumulated are `cotangents` (members, n) and `group_cotangents` (members, d, d) of the
+// `at_points` (marked, members, n) and `at_groups` (marked, members, d, d) of the states finished after the steps
+// `marks`, ascending. Accumulated are `cotangents` (members, n) and `group_cotangents` (members, d, d) of the
 // unfinished states, and the derivatives by the offsets, weights and coefficients of the terms (members, their number).
 #define BACKWARD_RUN_FIELDS(_)                                                                                       \
     _(integer, size) _(integer, square) _(integer, members) _(number, t0) _(number, h) _(integer, k0) _(integer, k1)  \

@@ -78,7 +78,8 @@ class FlowsOfRows {
             const double* values = constants.from(action.constants, action.constant[run]);
             for (uint32_t q = 0; q < action.angles[run]; ++q, pairs += 2 * repeat) {
                 const N factor = kind == ROTATE ? tau * constants.template number_at<N>(values, q) : N(tau);
-                found.push_back({factor, constants.from(values, q * repeat), pairs, repeat, action.angle[run] + q, kind, run});
+                found.push_back({factor, constants.from(values, q * repeat), pairs, repeat, action.angle[run] + q, kind,
+                                 run});
             }
         }
         return true;
@@ -116,7 +117,8 @@ template <Summation summation, class N, class C, class A, class V>
 INLINE void shear_blocks(const AngleBlocks<N>& blocks, const C& constants, const A& theta, const Vectors<V>& x) {
     const A scaled = blocks.factor * theta;
     for (uint32_t block = 0; block < blocks.repeat; ++block)
-        shear<summation>(scaled * constants.template number_at<N>(blocks.constants, block), blocks.pairs + 2 * block, x);
+        shear<summation>(scaled * constants.template number_at<N>(blocks.constants, block),
+                         blocks.pairs + 2 * block, x);
 }
 
 // The rotations of a flow that was applied, with which derivatives undo it.

@@ -41,9 +41,10 @@ INLINE void each_generator(const Action& action, const C& constants, uint32_t pa
                     const auto sum = [](const N& first, const auto& x, const N& second, const auto& y) {
                         return fma(std::decay_t<decltype(x)>(first), x, second * y);
                     };
-                    const N mean = number(4 * q), half = number(4 * q + 1), upper = number(4 * q + 2);
+                    const N mean = number(4 * q), half = number(4 * q + 1), upper = number(4 * q + 2),
+                            lower = number(4 * q + 3);
                     visit(angle + q, i, [&](const auto& at) { return sum(mean + half, at(i), upper, at(j)); });
-                    visit(angle + q, j, [&](const auto& at) { return sum(number(4 * q + 3), at(i), mean - half, at(j)); });
+                    visit(angle + q, j, [&](const auto& at) { return sum(lower, at(i), mean - half, at(j)); });
                 } else {
                     visit(angle + q, i, [&](const auto& at) { return by * at(j); });
                 }
@@ -51,7 +52,8 @@ INLINE void each_generator(const Action& action, const C& constants, uint32_t pa
     });
 }
 
-// out[a] += cotangents . D_a x for all angles of a part, for the vectors first, first + step, ... of those side by side.
+// out[a] += cotangents . D_a x for all angles of a part, for the vectors first, first + step, ... of those side by
+// side.
 template <class N, class V, class C>
 NOINLINE void angle_cotangents(const Action& action, const C& constants, uint32_t part, bool apart, const V* x,
                                const V* cotangents, int64_t rows, V* out, int64_t first = 0, int64_t step = 1) {
@@ -170,7 +172,8 @@ NOINLINE void term_cotangents(const Terms& terms, const C& constants, const int6
         };
         of_x ? rows(0, count) : share(count, rows);
         if (!of_coefficients_only && by_column)
-            by_column->add(cotangents, [&](uint32_t entry) { return constants.template number_at<A>(terms.weight, entry); },
+            by_column->add(cotangents,
+                           [&](uint32_t entry) { return constants.template number_at<A>(terms.weight, entry); },
                            [&](uint32_t row) { return of_rows[row - first]; });
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
@@ -190,8 +193,8 @@ NOINLINE void term_cotangents(const Terms& terms, const C& constants, const int6
                 for (uint32_t other = low; other < high; ++other) {
                     if (one == other && terms.exponent[one] < 2) continue;
                     A& cotangent = cotangents[terms.target[terms.factor_row[other]]];
-                    cotangent = fma(constants.template number_at<A>(terms.coefficient, monomial) * product_without(one, other),
-                                    of_row, cotangent);
+                    const A coefficient = constants.template number_at<A>(terms.coefficient, monomial);
+                    cotangent = fma(coefficient * product_without(one, other), of_row, cotangent);
                 }
             }
         }

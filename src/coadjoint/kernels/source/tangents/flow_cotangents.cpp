@@ -24,7 +24,8 @@ static INLINE void apply_and_store(const FlowTables& tables, const C& constants,
     applied->momentum =
         apply_cubic<summation>(tables.state, constants, flow.momentum.run, flow.momentum.factor * theta, x);
     if (with_group)
-        applied->group = apply_cubic<CORRECTED>(tables.group, constants, flow.group.run, flow.group.factor * theta, group);
+        applied->group =
+            apply_cubic<CORRECTED>(tables.group, constants, flow.group.run, flow.group.factor * theta, group);
 }
 
 // Members as lanes, or one member with the rows of its group element as lanes.
@@ -33,7 +34,8 @@ class StepsBackward {
   public:
     StepsBackward(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first, int64_t count,
                   InterruptCheck& interrupts)
-        : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), first(first), used(of_members ? count : 1), size(run.size),
+        : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), first(first),
+          used(of_members ? count : 1), size(run.size),
           d(run.square > 0 ? tables.group.size : 0),
           rows(of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes), square(d * rows),
           steps(run.undone ? 0 : run.k1 - run.k0), coefficients(CoefficientCotangents<A>::count(tables.terms)),
@@ -41,7 +43,8 @@ class StepsBackward {
           scratch(3 * size), of_coefficients(coefficients), groups((steps + 1) * square), group(2 * square),
           group_cotangents(square), copies(2 * square), group_added(square), group_scratch(3 * square),
           angles(tables.longest), derivatives(tables.terms, of_coefficients.at),
-          backward(all, constants, derivatives, run.square > 0, angles), shared_steps(of_members ? 1 : run.threads, size),
+          backward(all, constants, derivatives, run.square > 0, angles),
+          shared_steps(of_members ? 1 : run.threads, size),
           work(Numbers<A>::lanes * work_of_flows(tables)) {
         if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables);
         FlowsOfRows<N, C> flows_of(tables, constants, run.square > 0, true);
@@ -68,7 +71,8 @@ class StepsBackward {
             const auto& flows = k == 1 ? opening : repeated;
             for (size_t position = 0; position < flows.size(); ++position)
                 if (const Flow& flow = flows[position]; __builtin_expect(flow.kind != WHOLE_ROW, 1))
-                    apply_and_store<summation, with_group>(tables, constants, flow, momentum, element, rotations_of(k) + position);
+                    apply_and_store<summation, with_group>(tables, constants, flow, momentum, element,
+                                                           rotations_of(k) + position);
                 else
                     row_forward<summation>(flow.row, momentum, element, t);
             for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
@@ -176,11 +180,13 @@ class StepsBackward {
     int64_t member_of(int64_t lane) const { return first + std::min(lane, used - 1); }
 
     NOINLINE void read(A* to, const double* from) const {
-        each_number(to, size, Numbers<A>::lanes, [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_number(to, size, Numbers<A>::lanes,
+                    [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
     }
 
     NOINLINE void read_group(G* to, const double* from) const {
-        each_entry(to, Numbers<A>::lanes, [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_entry(to, Numbers<A>::lanes,
+                   [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
     }
 
     void store(int64_t k) {

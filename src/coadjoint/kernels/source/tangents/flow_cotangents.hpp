@@ -40,9 +40,9 @@ class RowsBackward {
 
     RowsBackward(const FlowCotangents& tables, const C& constants, const CoefficientCotangents<A>& coefficients,
                  bool with_group, AngleWorkspace<A>& angles)
-        : tables(tables.base), all(tables), constants(constants), coefficients(coefficients), size(tables.base.state.size),
-          with_group(with_group), added(tables, constants, with_group), angles(angles), scratch(3 * size), units(3 * size),
-          of_angles(tables.base.longest), of_groups(ROWS * tables.base.longest), hessians(tables.base.terms),
+        : tables(tables.base), all(tables), constants(constants), coefficients(coefficients),
+          size(tables.base.state.size), with_group(with_group), added(tables, constants, with_group), angles(angles),
+          scratch(3 * size), units(3 * size), of_angles(tables.base.longest), of_groups(ROWS * tables.base.longest), hessians(tables.base.terms),
           by_column(tables.base.terms) {}
 
     // Undo the rows last - 1 to first of a step from t of length h; `flows` are their elementary flows, if there are any,
@@ -146,8 +146,8 @@ class RowsBackward {
                 V first(0.0), second(0.0);
                 for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
                     const uint32_t column = block.columns[entry];
-                    const V value(number(action.constants, values + entry)), square(number(action.constants, squares + entry));
-                    const V v = before[column];
+                    const V value(number(action.constants, values + entry));
+                    const V square(number(action.constants, squares + entry)), v = before[column];
                     first = fma(value, v, first);
                     second = fma(square, v, second);
                     pulled[column] = fma(fma(along, value, across * square), covector[k], pulled[column]);
@@ -229,7 +229,8 @@ class RowsBackward {
     // The cotangents of the angles of a part, in `of_angles`, without the factor of the time.
     void find_angle_cotangents(uint32_t part, int64_t count, const Covector<A, G>& at, bool of_group_only) {
         share(count, [&](int64_t first, int64_t last) { std::fill(of_angles.at + first, of_angles.at + last, A(0.0)); });
-        if (!of_group_only) angle_cotangents<N>(tables.state, constants, part, is_apart(part), at.x, at.of_x, 1, of_angles.at);
+        if (!of_group_only)
+            angle_cotangents<N>(tables.state, constants, part, is_apart(part), at.x, at.of_x, 1, of_angles.at);
         if (!with_group) return;
         constexpr int64_t step = Numbers<A>::lanes == Numbers<G>::lanes ? ROWS : 1;
         std::fill_n(of_groups.at, step * count, G(0.0));
@@ -267,7 +268,8 @@ class RowsBackward {
             A* out = of_angles.at + action.angle[run];
             if (action.kind[run] == SHEAR) {
                 for (uint32_t q = first; q < count; ++q, index += 2 * repeat) {
-                    const AngleBlocks<N> blocks{N(tau), constants.from(values, q * repeat), index, repeat, 0, SHEAR, run};
+                    const AngleBlocks<N> blocks{
+                        N(tau), constants.from(values, q * repeat), index, repeat, 0, SHEAR, run};
                     out[q] += of_shears(blocks, at.x, at.of_x, 1);
                     unshear(blocks, angle[q], at.x, at.of_x, 1);
                 }
@@ -314,8 +316,8 @@ class RowsBackward {
             find_angle_cotangents(part, count, at, false);
             for (int64_t a = 0; a < count; ++a) of_angles.at[a] *= A(tau);
             for (uint32_t k = low; k < high; ++k)
-                term_cotangents(terms, constants, all.hessians, k, at.x, moment, of_angles.at, base, true, at.of_x, coefficients,
-                                hessians);
+                term_cotangents(terms, constants, all.hessians, k, at.x, moment, of_angles.at, base, true, at.of_x,
+                                coefficients, hessians);
             return;
         }
         const bool simple = is_simple(part);
@@ -373,8 +375,8 @@ class RowsBackward {
             undo_part(all.group_dual, at.of_group);
         }
         for (uint32_t k = low; k < high; ++k)
-            term_cotangents(terms, constants, all.hessians, k, at.x, moment, of_angles.at, base, false, at.of_x, coefficients,
-                            hessians, by_column(k, size));
+            term_cotangents(terms, constants, all.hessians, k, at.x, moment, of_angles.at, base, false, at.of_x,
+                            coefficients, hessians, by_column(k, size));
     }
 
     // Add the cotangent of the momentum of a called share, whose rotations about e1, e2, e3 have those given.

@@ -98,7 +98,8 @@ EXPORT int64_t flow_directions(const FlowCotangents* tables, const ForwardRun* r
         while (first < last && (tables->stride || (narrow && last - first >= MIN_LANES))) {
             const int64_t count = std::min<int64_t>(NATIVE, last - first);
             if (tables->stride)
-                run_members<Members, Members>(*tables, LaneConstants{tables->stride, first}, *run, first, count, interrupts);
+                run_members<Members, Members>(*tables, LaneConstants{tables->stride, first}, *run, first, count,
+                                              interrupts);
             else
                 run_members<Members, Members>(*tables, SharedConstants{}, *run, first, count, interrupts);
             first += count;

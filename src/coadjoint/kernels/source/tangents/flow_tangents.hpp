@@ -12,7 +12,8 @@ namespace coadjoint {
 template <class A, class V, class C>
 NOINLINE void add_angle_changes(const Action& action, const C& constants, uint32_t part, bool apart, const A* x,
                                 int64_t states, const V* changes, V* vectors, int64_t rows) {
-    each_generator<typename C::template Constant<A>>(action, constants, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
+    typedef typename C::template Constant<A> N;
+    each_generator<N>(action, constants, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
         const V* change = changes + int64_t(a) * rows;
         for (int64_t r = 0; r < states; ++r) {
             const V by(component([&](uint32_t j) { return x[j * states + r]; }));
@@ -88,7 +89,8 @@ struct FlowTangentState {
 
     FlowTangentState(const FlowTables& tables, const C& constants, const int64_t* hessians, int64_t size, int64_t rows)
         : tables(tables), constants(constants), compensated(tables.compensated), hessians(hessians), size(size),
-          rows(rows), side(tables.group.size), scratch(3 * size), group_scratch(3 * side * side), wide(3 * size * rows), wide_group(3 * side * side * rows),
+          rows(rows), side(tables.group.size), scratch(3 * size), group_scratch(3 * side * side),
+          wide(3 * size * rows), wide_group(3 * side * side * rows),
           changes(tables.longest * rows), angles(tables.longest), workspace(tables.terms) {}
 
     NOINLINE void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h,
@@ -114,8 +116,8 @@ struct FlowTangentState {
     // Move states (at i * states + r) and their vectors by the blocks of an angle theta, whose changes are `of_angle`. A
     // single row is known to the compiler, which then keeps it in registers.
     template <class Rows>
-    INLINE void follow_blocks(Rows rows, bool corrected, const AngleBlocks<N>& blocks, const A& theta, const V* of_angle,
-                              const Vectors<A>& x, V* vectors) {
+    INLINE void follow_blocks(Rows rows, bool corrected, const AngleBlocks<N>& blocks, const A& theta,
+                              const V* of_angle, const Vectors<A>& x, V* vectors) {
         const int64_t states = x.rows;
         const bool turns = blocks.kind == ROTATE;
         Rotation<A> rotation{A(0.0), A(0.0)};
@@ -164,7 +166,8 @@ struct FlowTangentState {
             for (int64_t r = 0; r < states; ++r) {
                 A moved(0.0);
                 for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
-                    moved = fma(A(number(action.constants, values + entry)), x.workspace[block.columns[entry] * states + r], moved);
+                    moved = fma(A(number(action.constants, values + entry)),
+                                x.workspace[block.columns[entry] * states + r], moved);
                 const V change(blocks.factor * moved);
                 V* vector = vectors + block.coordinates[k] * length + r * rows;
                 for (int64_t b = 0; b < rows; ++b) {
@@ -180,7 +183,8 @@ struct FlowTangentState {
     }
 
     template <class Rows>
-    INLINE void follow(Rows rows, const ElementaryFlow<N>& flow, A* x, A* dx, V* vectors, const FurtherTangents<A, V>& further) {
+    INLINE void follow(Rows rows, const ElementaryFlow<N>& flow, A* x, A* dx, V* vectors,
+                       const FurtherTangents<A, V>& further) {
         A theta(flow.offset);
         V* change = changes.at;
         std::fill_n(change, rows, V(0.0));
@@ -258,7 +262,8 @@ struct FlowTangentState {
                 } else {
                     gradient_rows(terms, constants, tables.addresses, k, x, moment, theta, base,
                                   angles.arguments.at, angles.calls.at);
-                    gradient_changes(terms, constants, hessians, k, x, moment, vectors, rows, changes.at, base, workspace);
+                    gradient_changes(terms, constants, hessians, k, x, moment, vectors, rows, changes.at, base,
+                                     workspace);
                 }
                 if (further.directions)
                     add_coefficient_changes(terms, k, x, further.directions, rows, changes.at, base);
@@ -300,7 +305,8 @@ struct FlowTangentState {
         }
         add_angle_changes(tables.state, constants, part, apart, x, 1, changes.at, vectors, rows);
         if (further.group)
-            add_angle_changes(tables.group, constants, part, false, further.group, side, changes.at, further.vectors, rows);
+            add_angle_changes(tables.group, constants, part, false, further.group, side, changes.at, further.vectors,
+                              rows);
     }
 };
 

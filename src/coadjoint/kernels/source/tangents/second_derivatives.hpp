@@ -29,7 +29,8 @@ struct HessianWorkspace {
 // `gradient_rows`.
 template <class A, class V, class C>
 NOINLINE void gradient_changes(const Terms& terms, const C& constants, const int64_t* hessians, int64_t k, const A* x,
-                               const A& t, const V* vectors, int64_t rows, V* out, int64_t first, HessianWorkspace<A>& workspace) {
+                               const A& t, const V* vectors, int64_t rows, V* out, int64_t first,
+                               HessianWorkspace<A>& workspace) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
     V* changes = out + (start - first) * rows;
     std::fill_n(changes, count * rows, V(0.0));
@@ -82,7 +83,8 @@ class FieldChanges {
         std::fill_n(second_derivative.at, field.size * rows, V(0.0));
         for (int64_t k = 0; k < terms.size; ++k) {
             const int64_t first = terms.row[k];
-            gradient_changes(terms, SharedConstants{}, tangents.hessians, k, x, t, vectors, rows, part.at, first, workspace);
+            gradient_changes(terms, SharedConstants{}, tangents.hessians, k, x, t, vectors, rows, part.at, first,
+                             workspace);
             for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
                 for (int64_t b = 0; b < rows; ++b)
                     second_derivative.at[terms.target[row] * rows + b] += part.at[(row - first) * rows + b];

@@ -116,8 +116,8 @@ class StageTangents {
         std::fill_n(to, n * rows, V(0.0));
         const Terms& terms = at.field.terms;
         for (int64_t k = 0; k < terms.size; ++k) {
-            gradient_changes(terms, SharedConstants{}, at.all.hessians, k, point, at.time_of(j), vectors, rows, part.at, terms.row[k],
-                             workspace);
+            gradient_changes(terms, SharedConstants{}, at.all.hessians, k, point, at.time_of(j), vectors, rows, part.at,
+                             terms.row[k], workspace);
             add_rows(terms, k, to);
         }
         if (directions) add_directions(j, point, directions);
@@ -319,8 +319,8 @@ class StageCotangents {
                 const int64_t first = terms.row[k];
                 for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
                     of_rows.at[row - first] = w.at[terms.target[row]];
-                term_cotangents(terms, SharedConstants{}, at.all.hessians, k, q, at.time_of(j), of_rows.at, first, of_coefficients_only, out,
-                                of, workspace, of_coefficients_only ? nullptr : by_term(k, n));
+                term_cotangents(terms, SharedConstants{}, at.all.hessians, k, q, at.time_of(j), of_rows.at, first,
+                                of_coefficients_only, out, of, workspace, of_coefficients_only ? nullptr : by_term(k, n));
             }
         };
         if (out) each_term(field.terms, false, none);
