@@ -30,7 +30,7 @@ class DerivativeTables(NamedTuple):
     by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`, by `factors`. The
     `rules` are those above. `reversible` steps can be undone from their end.
 
-    `monomials` are `coefficients` and `factors` by each monomial of the derivatives of the energy, with a factor of one.
+    `monomials` are `coefficients` and `factors` by the monomials of the derivatives of the energy, with factors of one.
     The members of a batch may differ in coefficients of H: then `of_members` are the factors of the Casimirs, (members,
     casimirs), `coefficients` and `factors` those of each, and `tables_at` returns the ranges of members that share
     tables, (first, last, tables).

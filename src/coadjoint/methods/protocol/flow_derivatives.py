@@ -63,4 +63,3 @@ def flow_derivatives(
         monomials=monomials,
         sources=lambda: built.sources().within("base."),
     )
-

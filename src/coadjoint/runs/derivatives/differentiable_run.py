@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -208,7 +208,7 @@ class Trajectory:
         steps, numbers = self.times.steps, self.n + self.side**2
         lanes = min(self.members, limit("MOST_LANES"))
         # Where a stretch of an implicit scheme begins may alter the last bits, which do not depend on other members.
-        side_by_side = min(lanes, SIDE_BY_SIDE) if scheme.explicit else 1
+        side_by_side = SIDE_BY_SIDE if scheme.explicit and self.members > 1 else 1
         length, bytes_of_each = max(1, NUMBERS_OF_STRETCH // (numbers * side_by_side)), 16 * numbers * self.members
         length = max(length, min(STEPS_OF_STRETCH, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
         length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
@@ -271,12 +271,12 @@ class Trajectory:
 
     def _carry(self, tables: DerivativeTables, run: ForwardRun | BackwardRun) -> None:
         """Carry the vectors of all members, each with its inputs, on the threads of the run."""
-        compiled, solved = isinstance(tables.forward, str), True
+        compiled, solved = not callable(tables.forward), True
         arrays = as_structure(run) if compiled else run
         for first, last, structure in self._structures(tables, run.h):
             own = arrays
-            if not compiled and run.coefficients.ndim == 3:
-                own = run._replace(coefficients=run.coefficients[first], apart=False)
+            if run.coefficients.ndim == 3 and not compiled:
+                own = cast(ForwardRun, run)._replace(coefficients=run.coefficients[first], apart=False)
             solved = solved and carry(tables, structure, own, first, last, self.workers)
         if not solved:
             begin, end = distinct(run.t0 + run.k0 * run.h, run.t0 + run.k1 * run.h)

@@ -134,7 +134,9 @@ def tangents_of_outputs(
         16 * points * numbers * directions.count, f"the tangents of {points} points along {directions.count} directions"
     )
     attitudes = run.attitudes(tables, trajectory.members)
-    of_x, of_groups = _tangents_at_outputs(trajectory, tables, directions, attitudes is not None and attitudes[0].shifted)
+    of_x, of_groups = _tangents_at_outputs(
+        trajectory, tables, directions, attitudes is not None and attitudes[0].shifted
+    )
     if attitudes is None:
         return directions, of_x, None
     _, groups = trajectory.outputs

@@ -39,6 +39,8 @@ Floats = NDArray[np.float64]
 
 NONE = np.zeros(0)
 """Values of no inputs."""
+FEWEST_IN_LANES = 8
+"""Members of a batch below which lanes are not faster than one member after the other."""
 
 
 def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:
@@ -101,12 +103,17 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
     def tables_at(step: float) -> list[tuple[int, int, Any]]:
         loop = CompiledLoop("", tables.tables_at(step), sources=tables.sources)
         writable = columns.written_from(loop, watch, columns.values[0])
-        in_lanes = isinstance(loop.tables, FlowCotangents) and systems[0].dim <= limit("WIDEST")
+        count = 0
+        ranges: list[tuple[int, int, Any]] = []
+        in_lanes = type(loop.tables) is FlowCotangents and systems[0].dim <= limit("WIDEST")
         if in_lanes and not writable.separate_tables:
-            structure, _, structure.stride = writable.each(columns.values)
-            ranges = [(0, len(systems), structure)]
-        else:
-            ranges = [(m, m + 1, writable.shared(values)[0]) for m, values in enumerate(columns.values)]
+            rest = len(systems) % limit("MOST_LANES")
+            count = len(systems) - (rest if rest < FEWEST_IN_LANES else 0)
+        if count:
+            together, _, stride = writable.each(columns.values[:count])
+            together.stride = stride
+            ranges.append((0, count, together))
+        ranges += [(m, m + 1, writable.shared(columns.values[m])[0]) for m in range(count, len(systems))]
         for *_, structure in ranges:
             structure.owner = writable
         return ranges
