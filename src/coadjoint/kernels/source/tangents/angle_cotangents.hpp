@@ -14,8 +14,9 @@ INLINE void each_generator(const Action& action, const C& constants, uint32_t pa
         const int kind = action.kind[run] % RATIONAL;
         const uint32_t repeat = action.repeat[run], angle = action.angle[run];
         const uint32_t* index = action.indices + action.position[run] + (kind == SCALE ? 1 : 2) * uint64_t(repeat) * low;
+        const double* values_of_run = constants.from(action.constants, action.constant[run]);
         const auto number = [&](int64_t position) {
-            return constants.template number_at<N>(action.constants, action.constant[run] + position);
+            return constants.template number_at<N>(values_of_run, position);
         };
         if (kind == CUBIC || kind == SERIES) {
             const BlockRows block(action, run);
