@@ -29,7 +29,7 @@ class ForcedSteps:
 
     def __init__(self, inner: Any, system: Any, field: Field) -> None:
         self.inner = inner
-        plain = system.system
+        plain = system.unforced
         self.flows: list[Flow] = [
             force.describe_to(ForceFlows(plain, field, f"a function of {label}"), plain)
             for label, force in forces_of(system)

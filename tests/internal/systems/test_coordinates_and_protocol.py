@@ -1,6 +1,5 @@
 """Names and groups of coordinates, and what callers ask of any system: forced, in a batch, of matrices or own."""
 
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -79,6 +78,6 @@ DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 
 
 
 def test_attributes_of_own_systems_are_not_those_of_forces_and_batches():
-    own = SimpleNamespace(name="own body", dim=3, algebra=BODY.algebra, system="of units", systems=("SI", "CGS"))
+    own = type("Own", (co.System,), {"name": "own body", "dim": 3, "algebra": BODY.algebra, "systems": ("SI", "CGS")})()
     assert protocol.coordinates_of(own) == coordinate_names(own) == ("x1", "x2", "x3")
     assert coordinate_names(co.batch([DAMPED, DAMPED])) == coordinate_names(BODY)
