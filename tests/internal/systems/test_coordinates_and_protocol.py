@@ -1,6 +1,5 @@
 """Names and groups of coordinates, and what callers ask of any system: forced, in a batch, of matrices or own."""
 
-
 import numpy as np
 import pytest
 from scipy.sparse import coo_array

@@ -49,6 +49,8 @@ def assert_as_alone(systems, method, states=None, whole=None, members=None, **op
     """Compare the members of a batch with runs of them alone, bit for bit."""
     if states is None:
         states = 0.3 * np.random.default_rng(len(systems)).standard_normal((len(systems), systems[0].dim))
+        if "z" in systems[0].casimirs:
+            states[:, np.argmax(np.abs(systems[0].casimirs["z"].gradient(states[0])))] = 1.0
     if whole is None:
         whole = co.prepare(co.batch(systems), method, STEP, **options).run(states, SPAN, save_every=4)
     for m, one in enumerate(systems):
