@@ -171,7 +171,7 @@ def test_torques_are_functions_of_matrices():
 
 def test_a_noise_does_not_run_backward():
     s = SPHERES[0].with_forces(some.RandomForcing(1.0, (2, 3), seed=1))
-    W = random_matrix(s.system)
+    W = random_matrix(s.unforced)
     with refused(ValueError, "backward"):
         co.integrate(s, W, (1, 0), 0.125, GAUSS)
     with refused(TypeError, "noise"):

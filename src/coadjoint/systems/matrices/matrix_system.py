@@ -193,6 +193,9 @@ class MatrixSystem(System):
             raise ValueError(f"the energy of {self.name} is a user function; forces need a system without energy=")
         return super().with_forces(*forces)
 
+    def power(self, x: Any, t: float = 0.0) -> dict[str, float]:
+        return super().power(x if self.is_in_numbers(x) else self.read(x, "x"), t)
+
     def bracket(self, Y: Matrix, X: Matrix) -> Matrix:
         """Return the commutator of states (..., N, N)."""
         return self.algebra.bracket(Y, X)
