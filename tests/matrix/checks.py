@@ -80,7 +80,8 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     )
     if chosen["inputs"] == "none":
         yield same(f"numbers(ready.run(x0, span{passed}))")
-        yield same(f"numbers(ready.run(x0, span{passed}))", lines="ready.run(0.5 * x0, span)\n")
+        other = "x0" if "z" in getattr(value_of(case.system), "casimirs", {}) else "0.5 * x0"
+        yield same(f"numbers(ready.run(x0, span{passed}))", lines=f"ready.run({other}, span)\n")
         yield same("ready.end(x0, span)", "ready.run(x0, span).x[-1]")
         return
     name = {"linear": "linear", "torque": "pushed"}[chosen["inputs"]]
