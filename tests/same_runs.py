@@ -43,7 +43,7 @@ def check_same(found: co.Solution, expected: co.Solution, *, left_out: tuple[str
     """
     computed = expected.t[0] != expected.t_span[0]
     for part in PARTS:
-        read, saved = plain(getattr(found, part, None)), plain(getattr(expected, part, None))
+        read, saved = plain(getattr(found, part)), plain(getattr(expected, part))
         if part == "initial" and computed:
             for invariant, values in saved.items():
                 np.testing.assert_allclose(read[invariant], values, rtol=16 * UNIT_ROUNDOFF)

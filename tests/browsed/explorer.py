@@ -112,7 +112,7 @@ def check_data(text: str, states: list[list[float]], rotations: list[Any], sol: 
     if not np.array_equal(numbers[1, :, 0] * sol.t[1], sol.t) or not np.array_equal(numbers[1, :, 1], sol.t):
         found.append("the steps or times differ")
     if header[-9:] != [f"R{i}{j}" for i in (1, 2, 3) for j in (1, 2, 3)]:
-        return [*found, *(["there are attitudes in Python only"] if sol.carried is not None else [])]
+        return [*found, *(["there are attitudes in Python only"] if sol.attitude is not None else [])]
     if columns[1][:, -1].tolist() != rotations:
         found.append("the last rotations differ from those of the page")
     if not np.array_equal(columns[1][1], sol.attitude[:, :3, :3].reshape(-1, 9)):

@@ -37,7 +37,7 @@ def run(shown: Shown, name: str, scheme: str, values: Values, step: float, x0: A
         "save_every": SAVED,
         "x": sol.x.tolist(),
         "invariants": np.array(invariants).T.tolist(),
-        "attitudes": [] if sol.carried is None else sol.attitude[1:].reshape(len(sol.t) - 1, -1).tolist(),
+        "attitudes": [] if sol.attitude is None else sol.attitude[1:].reshape(len(sol.t) - 1, -1).tolist(),
     }
 
 

@@ -61,7 +61,7 @@ def arrays_of(solution: co.Solution) -> list[np.ndarray]:
     found += [drift.tenths for drift in solution.change().values()]
     found += [drift.tenths for drift in solution.balance().values()] if solution.work else []
     found += [done for of_force in solution.work.values() for done in of_force.values()]
-    return found if solution.carried is None else [*found, solution.attitude]
+    return found if solution.attitude is None else [*found, solution.attitude]
 
 
 def runs() -> Iterator[tuple[str, co.Solution]]:

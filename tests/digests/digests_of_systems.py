@@ -59,7 +59,7 @@ def digests(every: int) -> dict[str, str]:
     for name, sol in ready_made(every):
         arrays = {"x": sol.x, "energy": sol.energy, **sol.casimirs}
         arrays |= {f"change of {key}": change.tenths for key, change in sol.change().items()}
-        arrays |= {} if sol.carried is None else {"attitude": sol.attitude}
+        arrays |= {} if sol.attitude is None else {"attitude": sol.attitude}
         found |= {f"{name}: {key}": digest(array) for key, array in arrays.items()}
     for seed in SEEDS[::every]:
         case, _ = case_of(seed)

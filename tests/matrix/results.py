@@ -26,7 +26,7 @@ def numbers(sol: co.Solution, m: int | None = None, every: Any = slice(None), fo
     """
     along = {"x": sol.x, "energy": sol.energy, **(sol.observed or {})}
     along |= {f"Casimir {name}": values for name, values in sol.casimirs.items() if followed or "log" not in name}
-    if sol.carried is not None:
+    if sol.attitude is not None:
         along["attitude"] = sol.attitude
     if sol.work is not None:
         along |= {f"work of {force} on {name}": v for force, done in sol.work.items() for name, v in done.items()}

@@ -29,7 +29,7 @@ class Result(NamedTuple):
 def result_of(solution: co.Solution, failure: tuple[Any, ...] | None) -> Result:
     """Return every number of a solution; a single state is an ensemble of one."""
     along = {"x": solution.x, "energy": solution.energy, **{f"C {n}": v for n, v in solution.casimirs.items()}}
-    if solution.carried is not None:
+    if solution.attitude is not None:
         along["attitude"] = solution.attitude
     single = solution.x.ndim == 2
     arrays = {name: values[:, None] if single else values for name, values in along.items()}

@@ -220,6 +220,6 @@ def _precession(run: Solution, system: Any, x0: Floats, reference: Any, member: 
 
 
 def _attitude(run: Solution, member: int | None, name: str) -> Floats:
-    if run.carried is None or not acts_by_rotations(member_of(run.system)):
+    if run.attitude is None or not acts_by_rotations(member_of(run.system)):
         raise ValueError(f"{name} has no attitude of a body, 3 x 3; integrate with attitude=True")
     return run.attitude if member is None or run.attitude.ndim == 3 else run.attitude[:, member]

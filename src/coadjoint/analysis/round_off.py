@@ -170,7 +170,7 @@ def orthogonality(solution: Any, size: int | None = None) -> RandomWalk:
     True
     """
     check_solution(solution)
-    if solution.carried is None or solution.attitude.ndim != 4:
+    if solution.attitude is None or solution.attitude.ndim != 4:
         raise ValueError("the solution is not of an ensemble with an attitude; give x0 members, and attitude=True")
     if size is not None:
         size = read_integer(size, "size", 1, solution.attitude.shape[-1])

@@ -75,7 +75,7 @@ def _signal_of_run(run: Solution, signal: Any) -> NDArray[Any]:
         return _flat(run.x, several)
     if isinstance(signal, str):
         if signal == "attitude":
-            if run.carried is None:
+            if run.attitude is None:
                 raise ValueError(missing_attitude(run))
             return _flat(run.attitude, several)
         if signal == "energy":

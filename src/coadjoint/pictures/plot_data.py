@@ -111,7 +111,7 @@ class PlottedRun:
         states = np.ascontiguousarray(interpolated.x)
         states = states.view(np.float64) if np.iscomplexobj(states) else states
         copied.t, copied.x = times, self._select_members(states.reshape(len(times), -1, self.n))
-        has_attitude = self.solution.carried == "representation"
+        has_attitude = self.solution.carried == "representation" and interpolated.attitude is not None
         copied.__dict__["attitude"] = self.select(interpolated.attitude) if has_attitude else None
         copied.__dict__["refined"] = copied
         return copied
@@ -125,7 +125,9 @@ class PlottedRun:
     @cached_property
     def attitude(self) -> Floats | None:
         """Group elements in the representation of the system, (members, k, d, d)."""
-        return self.select(self.solution.attitude) if self.solution.carried == "representation" else None
+        if self.solution.carried != "representation" or self.solution.attitude is None:
+            return None
+        return self.select(self.solution.attitude)
 
     @cached_property
     def rotation(self) -> Floats | None:

@@ -204,7 +204,7 @@ class PiecewiseRun:
         """Record the first point at which an energy or a group element is not finite although the state is."""
         running, shape = self.run.state["status"] == 0, (len(solution.t), len(self.run.state["status"]))
         series = {"energy": solution.energy.reshape(shape)[:, running]}
-        if self._may_overflow and solution.carried is not None:
+        if self._may_overflow and solution.attitude is not None:
             series["attitude"] = solution.attitude.reshape(*shape, solution.attitude.shape[-1] ** 2)[:, running]
         for name, values in series.items():
             first = first_point_not_finite(values)

@@ -197,10 +197,11 @@ class Run:
             if self.start.representation is not None and self.loops.attitude_may_overflow(self.start, self.times):
                 self._check_attitude(solution)
             return solution
+        taken = None
         if self.start.single and self.state["status"][0]:
-            saved_points = int(np.searchsorted(self.times.saved, self.state["step"][0]))
+            failed = int(self.state["step"][0])
+            saved_points, taken = int(np.searchsorted(self.times.saved, failed)), failed - 1
         incomplete = "failed" if self.start.single else None
-        taken = int(np.max(np.where(self.state["status"], self.state["step"] - 1, self.times.steps)))
         raise self.failure(solution_of_run(self, saved_points, observed, incomplete=incomplete, _taken=taken))
 
     def interrupted(self, observed: Observed | None) -> Solution:

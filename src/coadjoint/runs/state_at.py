@@ -113,7 +113,7 @@ def _from_point(
     """
     x, element, values = solution.x0, solution.attitude0, solution.initial
     if j >= 0:
-        x, element = solution.x[j], None if solution.carried is None else solution.attitude[j]
+        x, element = solution.x[j], None if solution.attitude is None else solution.attitude[j]
         values = {name: series[j] for name, series in solution.casimirs.items()}
     times = Times(start, direction * solution.step, count, 1)
     low, high = sorted((start, times.end))
@@ -135,7 +135,7 @@ def _from_point(
         name: np.where(offsets[name] == 0.0, computed, computed + offsets[name])
         for name, computed in run.casimirs.items()
     }
-    x, energy, attitude = run.x, run.energy, None if run.carried is None else run.attitude
+    x, energy, attitude = run.x, run.energy, run.attitude
     if past_end.any():
         x, energy, attitude = (_where(past_end, np.nan, series) for series in (x, energy, attitude))
         casimirs = {name: _where(past_end, np.nan, series) for name, series in casimirs.items()}

@@ -142,6 +142,7 @@ class Stepper:
         if not isinstance(kind, bool | str):
             raise TypeError("attitude of `both` must be True or 'coadjoint'; give the initial group element as g")
         sol = self._advance(x, t, kind, g, inputs)
+        assert sol.attitude is not None
         return np.asarray(sol.x[-1]), np.asarray(sol.attitude[-1])
 
     def _matrices(self, attitude: Any) -> Any:
@@ -175,6 +176,7 @@ class Stepper:
         kind = self._matrices(attitude)
         has_element = not isinstance(kind, bool | str)
         sol = self._advance(x, t, has_element or kind, kind if has_element else None, inputs)
+        assert sol.attitude is not None
         return np.asarray(sol.attitude[-1])
 
     @ignore_overflow

@@ -55,7 +55,7 @@ def test_changelog_begins_with_this_version_and_its_date():
 
 def test_highlights_of_the_changelog_fit_a_page():
     sections = re.split(r"^## ", text_of("CHANGELOG.md"), flags=re.MULTILINE)[1:]
-    assert max(len(section.rstrip().splitlines()) for section in sections) <= 90
+    assert max(len(section.rstrip().splitlines()) for section in sections) <= 80
 
 
 def test_minimum_versions_are_those_of_the_project():

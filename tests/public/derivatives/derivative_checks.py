@@ -25,7 +25,7 @@ def difference(function: Callable[[float], Any], distance: float = DISTANCE) -> 
 
 def outputs(result: Any) -> dict[str, np.ndarray]:
     """Return the arrays of a solution, or of tangents, by name."""
-    found = {name: getattr(result, name, None) for name in ("x", "energy", "attitude")}
+    found = {name: getattr(result, name) for name in ("x", "energy", "attitude")}
     events = result.events
     if events is not None:
         events = events if isinstance(events, dict) else {name: getattr(events, name) for name in ("t", "x")}

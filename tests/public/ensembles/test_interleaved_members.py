@@ -36,7 +36,7 @@ def assert_member(whole, m, alone):
     """Compare the member m of a run with the run of this member alone."""
     count = len(alone.t)
     for name in ("x", "energy", "attitude"):
-        assert np.array_equal(getattr(whole, name, None)[:count, m], getattr(alone, name, None)), (name, m)
+        assert np.array_equal(getattr(whole, name)[:count, m], getattr(alone, name)), (name, m)
     assert np.array_equal(whole.casimirs["|x|^2"][:count, m], alone.casimirs["|x|^2"])
     assert np.array_equal(whole.observed["x1"][:count, m], alone.observed["x1"])
     for name, drift in alone.drift(relative=False).items():
@@ -59,7 +59,7 @@ def test_events_end_members_at_their_own_times(way):
         for m, own in enumerate(single):
             alone, found = own.run(X[m], span, save_every=3, events=events), whole.events.of(m)
             for name in ("t", "x", "which", "direction", "attitude"):
-                assert np.array_equal(getattr(found, name, None), getattr(alone.events, name, None)), (name, m)
+                assert np.array_equal(getattr(found, name), getattr(alone.events, name)), (name, m)
             going = ~(way * whole.t >= way * ends[m])
             assert np.array_equal(whole.x[going, m], alone.x[: going.sum()]) and np.isnan(whole.x[~going, m]).all()
             assert np.array_equal(whole.energy[going, m], alone.energy[: going.sum()])

@@ -38,7 +38,7 @@ def test_saved_times_and_array_shapes():
     s, x0 = e3_and_start()
     sol = co.integrate(s, x0, (0.5, 3.0), 0.1, save_every=10)
     assert sol.t.tolist() == [0.5, 0.5 + 10 * 0.1, 0.5 + 20 * 0.1, 0.5 + 25 * 0.1]
-    assert sol.x.shape == (4, 6) and sol.energy.shape == (4,) and not hasattr(sol, "attitude") and sol.failed is None
+    assert sol.x.shape == (4, 6) and sol.energy.shape == (4,) and sol.attitude is None and sol.failed is None
     assert set(sol.casimirs) == set(s.casimirs) and all(v.shape == (4,) for v in sol.casimirs.values())
     many = co.integrate(s, np.stack([x0] * 3), (0.5, 3.0), 0.1, save_every=10, attitude=True)
     assert many.x.shape == (4, 3, 6) and many.energy.shape == (4, 3) and many.attitude.shape == (4, 3, 4, 4)

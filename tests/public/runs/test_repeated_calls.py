@@ -117,7 +117,7 @@ def outcome(prepared, x0, span, every, given):
 
 def shown(sol):
     arrays = [sol.t, sol.x, sol.x0, sol.energy, sol.change()["energy"].tenths, *sol.casimirs.values()]
-    arrays += [*sol.observed.values(), *([] if sol.carried is None else [sol.attitude])]
+    arrays += [*sol.observed.values(), *([] if sol.attitude is None else [sol.attitude])]
     bits = [(np.shape(array), np.asarray(array).tobytes()) for array in arrays]
     stats = dataclasses.replace(sol.stats, seconds=0.0, elapsed=0.0)
     return (

@@ -126,6 +126,7 @@ def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats,
             if steps == 1:
                 raise
         else:
+            assert run.attitude is not None
             values = np.linalg.svd(run.attitude, compute_uv=False)
             condition = float(np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)))
             if condition <= MAX_CONDITION or steps == 1:
@@ -134,6 +135,7 @@ def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats,
 
 
 def _rounding(subject: Subject, run: Solution) -> float:
+    assert run.attitude is not None
     evaluations = run.stats.evaluations / len(subject.states) + run.stats.steps + 1
     return 4 * run.attitude.shape[-1] * UNIT_ROUNDOFF * evaluations
 
@@ -207,7 +209,7 @@ def _limit(subject: Subject, study: Study) -> Measurement | None:
     measurable = [k for k, error in enumerate(study.errors) if error > FLOOR_FACTOR * study.floors[k]]
     count = study.counts[measurable[-1] if measurable else len(study.counts) - 1]
     runs = [subject.run(x, study.span / steps, steps, attitude="coadjoint") for steps in (count, 2 * count)]
-    elements = [run.attitude[-1] for run in runs]
+    elements = [run.attitude[-1] for run in runs if run.attitude is not None]
     error = float(np.linalg.norm(elements[1] - element)) / size
     change = float(np.linalg.norm(elements[1] - elements[0])) / size
     floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(runs[1].stats.evaluations)))

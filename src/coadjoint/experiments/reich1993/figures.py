@@ -134,6 +134,7 @@ def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
     from coadjoint.systems.examples.paper_examples import paper_rigid_body
 
     attitude = run.solution.attitude
+    assert attitude is not None
     last = run.at(end) + 1
     times = np.arange(0.0, end + DENSE_SPACING / 2, DENSE_SPACING)
     exact = paper_rigid_body().exact(BODY_START, times, attitude=True)[1][:, 0, 0]

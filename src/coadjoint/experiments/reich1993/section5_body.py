@@ -50,12 +50,14 @@ def statements(long_time: float = 500.0) -> list[Statement]:
 
 def _momentum_defect(run: BodyRun) -> float:
     attitude = run.solution.attitude
+    assert attitude is not None
     momentum = np.einsum("kij,kj->ki", attitude, run.solution.x)
     return float(np.max(np.linalg.norm(momentum - momentum[0], axis=1)))
 
 
 def _orthogonality_defect(run: BodyRun) -> float:
     attitude = run.solution.attitude
+    assert attitude is not None
     products = np.swapaxes(attitude, 1, 2) @ attitude
     return float(np.max(np.linalg.norm(products - np.eye(3), axis=(1, 2))))
 
@@ -133,6 +135,7 @@ def _runge() -> Statement:
 
     def error(run: BodyRun) -> float:
         attitude = run.solution.attitude
+        assert attitude is not None
         return float(np.max(np.abs(attitude[:, 0, 0] - run.exact[:, 0, 0])))
 
     errors = {name: error(run) for name, run in runs.items()}

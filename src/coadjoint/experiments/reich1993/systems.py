@@ -66,12 +66,16 @@ class BodyRun(NamedTuple):
     @property
     def angle(self) -> Floats:
         """Angle between computed and exact attitude in radians, shape (k,)."""
-        return np.asarray(attitude_angle(self.solution.attitude, self.exact))
+        attitude = self.solution.attitude
+        assert attitude is not None
+        return np.asarray(attitude_angle(attitude, self.exact))
 
     @property
     def phase(self) -> Floats:
         """Phase lead of the computed body about the constant spatial momentum, in radians, signed, shape (k,)."""
-        return np.asarray(precession_error(self.solution.attitude, self.exact, self.solution.x[0]))
+        attitude = self.solution.attitude
+        assert attitude is not None
+        return np.asarray(precession_error(attitude, self.exact, self.solution.x[0]))
 
     @property
     def drift(self) -> PhaseDrift:

@@ -92,7 +92,7 @@ class LoadedSolution(StoredSolution):
         if ENDED_ATTRIBUTE not in self.attributes:
             return None
         values = np.array([self.energy[-1], *(series[-1] for series in self.casimirs.values())])
-        attitude = None if self.carried is None else self.attitude[-1]
+        attitude = None if self.attitude is None else self.attitude[-1]
         steps = int(self.attributes[ENDED_ATTRIBUTE])
         return TerminalEvent(len(self.t), steps, float(self.t[-1]), self.x[-1], values, attitude)
 

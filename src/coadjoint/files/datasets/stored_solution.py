@@ -153,9 +153,8 @@ class StoredSolution(Solution):
         return np.concatenate([np.moveaxis(self._read(name), -2, -1) for name in names], axis=-1)
 
     @cached_property
-    def attitude(self) -> Floats:
-        found = self._read_if_stored("attitude")
-        return super().attitude if found is None else found
+    def attitude(self) -> Floats | None:
+        return self._read_if_stored("attitude")
 
     @cached_property
     def attitude0(self) -> Floats | None:

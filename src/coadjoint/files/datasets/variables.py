@@ -115,7 +115,7 @@ def time_variables(solution: Solution) -> Variables:
         work = [values for of_force in solution.work.values() for values in of_force.values()]
         long_name = "what a force has changed of an invariant since the start"
         variables["work"] = ((*dims, "account"), np.stack(work, axis=-1), cf_attributes(long_name))
-    if solution.carried is not None:
+    if solution.attitude is not None:
         variables["attitude"] = ((*dims, "row", "column"), solution.attitude, cf_attributes("group element"))
     return variables
 

@@ -59,9 +59,9 @@ def read_cotangents(
             raise unknown_name("observed quantity of this run", name, solution.observed)
         if given is not None:
             of_observed[name] = _read(given, solution.observed[name], f"observed {name}")
-    if attitude is not None and solution.carried is None:
+    if attitude is not None and solution.attitude is None:
         raise ValueError("attitude was given to a pullback of a run without one; prepare it with attitude=True")
-    of_attitude = None if attitude is None else _read(attitude, solution.attitude, "attitude")
+    of_attitude = _read(attitude, solution.attitude, "attitude")
     if events is not None and solution.events is None:
         raise ValueError("events was given to a pullback of a run without them; give events= to vjp")
     if unknown := set(events or {}) - {"t", "x"}:

@@ -94,7 +94,7 @@ class ParametrizedRun:
         """Integrate; `for_gradient` caches the trajectory for `gradients`."""
         run = self._run_at(values).prepared.run
         solution = self._pullback(values).solution if for_gradient else run(**self._at(values).keywords)
-        return [solution.x, *([] if solution.carried is None else [solution.attitude])]
+        return [one for one in (solution.x, solution.attitude) if one is not None]
 
     def tangents(self, values: Mapping[str, Floats], directions: Mapping[str, Floats]) -> list[Floats]:
         """Return the tangents of the outputs; directions and tangents have a first axis for several of them."""

@@ -119,10 +119,10 @@ class MemorySolution(Solution):
         return NamedValues()
 
     @cached_property
-    def attitude(self) -> Floats:
+    def attitude(self) -> Floats | None:
         start = self._start
         if start.representation is None:
-            return super().attitude
+            return None
         groups = self._corrected_groups(start, self._times, self._saved, self._saved_points)
         if self._ending is not None:
             groups[-1] = self._ending.attitude

@@ -34,7 +34,7 @@ class Statistics:
     Parameters
     ----------
     steps : int
-        Steps of each member; of a failed run those before the failure, and of an interrupted one those up to its last
+        Steps of each member; of a failed run of one member those before the failure, and of an interrupted one those up to its last
         saved point.
     evaluations : int
         Elementary flows (splitting) or evaluations of the vector field, summed over members. An interrupted run has not
@@ -163,12 +163,9 @@ class SolutionAttributes:
         raise NotImplementedError
 
     @cached_property
-    def attitude(self) -> Floats:
-        """Group elements (attitudes), (k, d, d) or (k, members, d, d), of runs with `attitude`; others raise.
-
-        ``carried`` is None for a run without group elements.
-        """
-        raise AttributeError(missing_attitude(self))
+    def attitude(self) -> Floats | None:
+        """Group elements (attitudes), (k, d, d) or (k, members, d, d); None if they were not computed."""
+        raise NotImplementedError
 
     @cached_property
     def attitude0(self) -> Floats | None:
