@@ -34,8 +34,8 @@ class Statistics:
     Parameters
     ----------
     steps : int
-        Steps of each member; of a failed run of one member those before the failure, and of an interrupted one those up to its last
-        saved point.
+        Steps of each member; of a failed run of one member those before the failure, and of an interrupted one those up
+        to its last saved point.
     evaluations : int
         Elementary flows (splitting) or evaluations of the vector field, summed over members. An interrupted run has not
         counted those since the last update of its progress, nor its iterations.
