@@ -103,10 +103,10 @@ class Preparation:
         threads: int | None = None,
         inputs: Any = None,
     ) -> None:
+        check_system(system)
         scheme = default_scheme(system) if method is None else read_method(method)
         watching = read_bool(watch, "watch")
         workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
-        check_system(system)
         self.inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
         self.given_method = scheme  # whose parts may depend on the system
         if self.inputs is not None:

@@ -52,7 +52,7 @@ def among(system: Any, first: int, last: int) -> Any:
 
 def unforced(system: Any) -> Any:
     """Return the Hamiltonian part of a system, of a batch that of its first member; None for an unknown system."""
-    return getattr(member_of(system), "unforced", None)
+    return None if system is None else member_of(system).unforced
 
 
 def forces_of(system: Any) -> tuple[tuple[str, Force], ...]:

@@ -151,6 +151,10 @@ class System:
         """
         return self.sign * self._product(x, self.hamiltonian.gradient(x, t))
 
+    def _vector(self, x: Any) -> npt.NDArray[Any]:
+        """Return a state of real numbers as a vector, in which forces take it."""
+        return read_point(read_numbers(x, "x"), self.dim)
+
     @vectorized_over_states
     @ignore_overflow
     def vector_field(self, x: npt.ArrayLike, t: Any = 0.0) -> npt.NDArray[Any]:
@@ -175,7 +179,7 @@ class System:
         """
         if not self.forces:
             return self.hamiltonian_field(read_point(x, self.dim), t)
-        y, t = read_point(read_numbers(x, "x"), self.dim), read_number(t, "t")
+        y, t = self._vector(x), read_number(t, "t")
         field = self.unforced.vector_field(y, t)
         return np.asarray(sum((force.field(self.unforced, y, t) for force in self.forces), start=field))
 
@@ -348,7 +352,7 @@ class System:
         >>> body.power([0.0, 0.0, 2.0])
         {'LinearDamping': -0.5}
         """
-        y, t = read_point(read_numbers(x, "x"), self.dim), read_number(t, "t")
+        y, t = self._vector(x), read_number(t, "t")
         gradient = self.hamiltonian.gradient(y, t)
         pairs = zip(self.labels, self.forces, strict=True)
         return {label: float(gradient @ force.field(self.unforced, y, t)) for label, force in pairs}

@@ -193,8 +193,8 @@ class MatrixSystem(System):
             raise ValueError(f"the energy of {self.name} is a user function; forces need a system without energy=")
         return super().with_forces(*forces)
 
-    def power(self, x: Any, t: float = 0.0) -> dict[str, float]:
-        return super().power(x if self.is_in_numbers(x) else self.read(x, "x"), t)
+    def _vector(self, x: Any) -> Floats:
+        return super()._vector(x if self.is_in_numbers(x) else self.read(x, "x"))
 
     def bracket(self, Y: Matrix, X: Matrix) -> Matrix:
         """Return the commutator of states (..., N, N)."""
@@ -204,9 +204,8 @@ class MatrixSystem(System):
         """Return W' for matrices (..., N, N) or vectors, in the same form; with forces for one matrix."""
         if not self.forces:
             return self.hamiltonian_field(x, t)
-        if self.is_in_numbers(x):
-            return super().vector_field(x, t)
-        return self.from_vector(super().vector_field(self.read(x, "x"), t))
+        field = super().vector_field(x, t)
+        return field if self.is_in_numbers(x) else self.from_vector(field)
 
     def hamiltonian_field(self, x: Any, t: float = 0.0) -> Matrix:
         W = self.matrices(x)
