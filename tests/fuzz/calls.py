@@ -113,6 +113,7 @@ OWN = {
     "co.spectra.structure_factor": {"solution": WAVES},
     "co.certify": {"steps": 4},
     "co.export_c": {"prepared": READY, "path": ARCHIVE.with_name("run.h")},
+    "co.export_table": {"prepared": READY, "path": ARCHIVE.with_name("run.json")},
     "co.analysis.phase_error": {"t": [1.0], "x": [X]},
     "co.resume": {"t_end": 2.0},
     "co.integrate_ensemble": {"x0": ENSEMBLE.x0, "threads": 1},

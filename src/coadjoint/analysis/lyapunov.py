@@ -189,8 +189,8 @@ def lyapunov(
     >>> bool(abs(result.exponents - [rate, 0.0, -rate]).max() < 1e-3)
     True
     """
-    scheme = default_scheme(system) if method is None else read_method(method)
     check_system(system)
+    scheme = default_scheme(system) if method is None else read_method(method)
     if is_matrix_system(system):
         check_vector_states(system, "Lyapunov exponents are available for states that are vectors")
     count = system.dim if exponents is None else read_integer(exponents, "exponents (None is all)", 1, system.dim)

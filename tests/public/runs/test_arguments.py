@@ -66,7 +66,7 @@ def test_valid_arguments_are_accepted(name):
     call(*ENTRIES[name])
 
 
-SLOW = {("co.predicted_drift", "step"), ("co.certify", "step"), ("LiePoissonSystem.exact", "t")}
+SLOW = {("co.predicted_drift", "step"), ("co.certify", "step"), ("System.exact", "t")}
 EVERY = [(name, parameter) for name, (_, known) in ENTRIES.items() for parameter in known]
 
 

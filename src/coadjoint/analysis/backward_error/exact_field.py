@@ -18,6 +18,7 @@ from coadjoint.analysis.backward_error.field_of_step import Field, size_of
 from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
 from coadjoint.analysis.backward_error.polynomial_fields import Matrix, bracket_change, hamiltonian_of, skew_factor
 from coadjoint.analysis.backward_error.step_series import ExactSystem
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
@@ -126,6 +127,7 @@ class ExactField(ModifiedField):
     def _skew_table(self) -> ProductSum:
         return Polynomial.side_by_side([F for K in self.skew_terms.values() for row in K for F in row])
 
+    @suggest_keywords
     @ignore_overflow
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         if self._exact_system.energy.total_degree() > 2:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system import System
@@ -106,6 +107,7 @@ class ModifiedField(ABC):
             total = total * step + term
         return total.reshape(shape)
 
+    @suggest_keywords
     @ignore_overflow
     def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
         """Return the skew K(x, h) = J(x) + O(h^p) with the field sign K grad H, of a scheme that preserves the energy.

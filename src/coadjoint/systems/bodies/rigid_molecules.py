@@ -209,9 +209,9 @@ def rigid_molecules(
 def _depth(values: Any) -> int:
     """Return the number of axes of nested lists, by their first entries."""
     depth = 0
-    while isinstance(values, list | tuple | np.ndarray) and len(values):
+    while isinstance(values, list | tuple) and values:
         values, depth = values[0], depth + 1
-    return depth
+    return depth + (values.ndim if isinstance(values, np.ndarray) else 0)
 
 
 def _read_kinds(several: bool, *arguments: Any) -> list[Kind]:
