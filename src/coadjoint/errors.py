@@ -102,7 +102,7 @@ class OneLineError(ValueError):
 
 
 MAX_MESSAGE_LENGTH = 900  # characters: some lines of a terminal, whatever the value that is named
-MAX_LISTED_NAMES = 40
+MAX_LISTED_NAMES = 50
 """Maximum number of names listed in a message."""
 
 

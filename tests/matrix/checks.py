@@ -80,8 +80,7 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     )
     if chosen["inputs"] == "none":
         yield same(f"numbers(ready.run(x0, span{passed}))")
-        other = "x0" if "z" in getattr(value_of(case.system), "casimirs", {}) else "0.5 * x0"
-        yield same(f"numbers(ready.run(x0, span{passed}))", lines=f"ready.run({other}, span)\n")
+        yield same(f"numbers(ready.run(x0, span{passed}))", lines="ready.run(fixed(system, 0.5 * x0, 1.0), span)\n")
         yield same("ready.end(x0, span)", "ready.run(x0, span).x[-1]")
         return
     name = {"linear": "linear", "torque": "pushed"}[chosen["inputs"]]
@@ -128,7 +127,7 @@ def bits_of_single_steps(case: Case, space: dict[str, Any]) -> Iterator[str]:
         yield same("co.stepper(system, method, way)(x0, span[0])", "one", first)
         if forces_in(case):
             yield (
-                f"{first}{BY_DIFFERENCES[0]}step, move = co.stepper(system, method, way), 0.1 * x0[::-1]\n"
+                f"{first}{BY_DIFFERENCES[0]}step, move = co.stepper(system, method, way), fixed(system, 0.1 * x0[::-1], 0.0)\n"
                 "a, b, c, d = (step(x0 + k * e * move, span[0]) for k in (-2, -1, 1, 2))\n"
                 f"found, expected = step.tangent(x0, span[0]) @ move, {BY_DIFFERENCES[1]}\nallowed = {ACCURATE}\n"
             )
@@ -150,7 +149,7 @@ def order(case: Case, space: dict[str, Any]) -> Iterator[str]:
         return
     one, _ = one_and_properties(case, space)
     lines = f"{one}from matrix.references import convergence, convergence_of_attitude, exact_end, run_of\n"
-    lines += "states = np.stack([x, 0.95 * x, 1.05 * x])\n"
+    lines += "states = np.stack([x, *(fixed(one, k * x, 1.0) for k in (0.95, 1.05))])\n"
     if method.own_steps:
         # A tolerance of 1e-9 for each of less than a hundred steps; a stride of 0.2 of a scheme of order 2 with forces.
         allowed = 1e-7 if "tolerance" in case.method and not forces_in(case) else 0.2**2
@@ -339,7 +338,7 @@ def derivatives(case: Case, space: dict[str, Any]) -> Iterator[str]:
     lines = "x = x0[0]\n" if chosen["members"] == "many" and steps == 1 else "x = x0\n"
     lines += f"few = (span[0], span[0] + (span[1] - span[0]) / {STEPS} * {steps})\n"
     moved = "system.algebra.projected(x @ x)" if matrices(value_of(case.system)) else "x[..., ::-1]"
-    lines += f"move = 0.1 * {moved}\n"
+    lines += f"move = fixed(system, 0.1 * {moved}, 0.0)\n"
     key = {"none": "", "linear": "linear", "torque": "pushed"}[chosen["inputs"]]
     if matrices(value_of(case.system)):
         key = ""

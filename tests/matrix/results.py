@@ -17,6 +17,16 @@ def attempted(*arguments: Any, **options: Any) -> co.Solution:
         return error.partial
 
 
+def fixed(system: Any, values: np.ndarray, to: float) -> np.ndarray:
+    """Return states or directions whose central coordinate, if the system has one, is `to`: 1 in states."""
+    one = getattr(system, "systems", [system])[0].unforced
+    if one.name not in co.systems.names() or "z" not in one.casimirs:
+        return values
+    values = np.array(values)
+    values[..., np.argmax(np.abs(one.casimirs["z"].gradient(np.zeros(one.dim))))] = to
+    return values
+
+
 def numbers(sol: co.Solution, m: int | None = None, every: Any = slice(None), followed: bool = True) -> dict[str, Any]:
     """Return every number of a run, or of one of its members, at some of the saved times.
 

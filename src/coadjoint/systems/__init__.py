@@ -35,7 +35,8 @@ __all__ = sorted([*ready_made_systems(), *(block.__name__ for block in BUILDING_
 
 
 def __getattr__(name: str) -> Any:
-    raise unknown_attribute("co.systems", name, __all__)
+    # Of functions and classes, which begin with a capital, those like the name are listed.
+    raise unknown_attribute("co.systems", name, [one for one in __all__ if one[0].isupper() == name[:1].isupper()])
 
 
 def __dir__() -> list[str]:

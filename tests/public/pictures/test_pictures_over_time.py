@@ -292,7 +292,7 @@ def test_members_have_the_colours_of_their_energies_at_the_start():
     states = np.array([(0.2, 2.0, 0.1), (1.6, 0.1, 0.2), (0.1, 0.3, 2.5)])
     late = co.integrate(damped, states, (0, 2), 0.1, t_eval=[1.0, 1.5, 2.0])
     (bar,) = axes_of(late, "components", [2, 0], chosen=[1]).child_axes
-    np.testing.assert_allclose(bar.get_ylim(), sorted(damped.system.energy(states[m]) for m in (2, 0)), rtol=1e-14)
+    np.testing.assert_allclose(bar.get_ylim(), sorted(damped.energy(states[m]) for m in (2, 0)), rtol=1e-14)
 
 
 def deviating(deviations, energy):

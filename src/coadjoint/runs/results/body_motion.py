@@ -131,7 +131,7 @@ class BodyMotion(SolutionAttributes):
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
             if self.carried is None:
-                raise TypeError(missing_attitude(self))
+                raise TypeError(f"no rotation is known: {missing_attitude(self)}")
             A = rotations_of(self.attitude) if self.carried == "representation" else None
             if A is None:
                 carried = "coadjoint matrices" if self.carried == "coadjoint" else "group elements"
