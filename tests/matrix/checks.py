@@ -127,7 +127,8 @@ def bits_of_single_steps(case: Case, space: dict[str, Any]) -> Iterator[str]:
         yield same("co.stepper(system, method, way)(x0, span[0])", "one", first)
         if forces_in(case):
             yield (
-                f"{first}{BY_DIFFERENCES[0]}step, move = co.stepper(system, method, way), fixed(system, 0.1 * x0[::-1], 0.0)\n"
+                f"{first}{BY_DIFFERENCES[0]}step = co.stepper(system, method, way)\n"
+                "move = fixed(system, 0.1 * x0[::-1], 0.0)\n"
                 "a, b, c, d = (step(x0 + k * e * move, span[0]) for k in (-2, -1, 1, 2))\n"
                 f"found, expected = step.tangent(x0, span[0]) @ move, {BY_DIFFERENCES[1]}\nallowed = {ACCURATE}\n"
             )

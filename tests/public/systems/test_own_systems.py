@@ -195,3 +195,16 @@ def test_the_dataset_of_a_class_of_ones_own_names_it():
         co.results.rebuild(dataset)
     repeated = co.integrate(**co.results.solution_inputs(dataset, system=OwnBody()))
     assert np.array_equal(repeated.x, sol.x)
+
+
+@pytest.mark.parametrize("name", ["torus_euler", "sphere_euler", "reduced_mhd", "matrix_body"])
+def test_jacobians_of_matrices_are_the_derivatives_of_their_fields(name):
+    """By central differences along the algebra: the fields are quadratic, so that only rounding is left."""
+    system = co.systems.get(name, **({} if name == "matrix_body" else {"N": 5}))
+    x, *units = system.to_vector(
+        system.algebra.projected(
+            system.from_vector(np.vstack([np.random.default_rng(2).standard_normal(system.dim), np.eye(system.dim)]))
+        )
+    )
+    expected = [(system.vector_field(x + u) - system.vector_field(x - u)) / 2 for u in units]
+    np.testing.assert_allclose(np.array(units) @ system.jacobian(x).T, expected, rtol=0, atol=1e-12)
