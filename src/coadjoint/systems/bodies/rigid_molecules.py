@@ -211,7 +211,7 @@ def _depth(values: Any) -> int:
     depth = 0
     while isinstance(values, list | tuple) and values:
         values, depth = values[0], depth + 1
-    return depth + (values.ndim if isinstance(values, np.ndarray) else 0)
+    return depth + getattr(values, "ndim", 0)
 
 
 def _read_kinds(several: bool, *arguments: Any) -> list[Kind]:
