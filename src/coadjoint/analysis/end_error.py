@@ -15,7 +15,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns
-from coadjoint.runs.start import momenta_of, start_without_groups
+from coadjoint.runs.start import any_momenta_of, start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -51,7 +51,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
         )
     starts = solution._starts
     if starts is None:
-        starts, _ = momenta_of(system, solution.x0)
+        starts, _ = any_momenta_of(system, solution.x0)
     last = np.asarray(solution.x[-1])
     lost = ~np.isfinite(last.reshape(len(starts), -1)).all(axis=1)
     if lost.all():
@@ -59,7 +59,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
             "no member has a state at the end of the run: they have not run yet, have failed, or were ended"
         )
     # Those without a last state are replaced, and left out.
-    ends, _ = momenta_of(
+    ends, _ = any_momenta_of(
         system, np.where(lost.reshape(-1, *(1,) * (solution.x0.ndim - 1)), solution.x0, last) if lost.any() else last
     )
     time = float(solution.t[-1]) - solution.t_span[0]

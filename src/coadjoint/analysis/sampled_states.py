@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import member_count
-from coadjoint.runs.start import momenta_of, vector_size
+from coadjoint.runs.start import any_momenta_of, vector_size
 from coadjoint.systems.protocol import is_batch
 
 Floats = NDArray[np.float64]
@@ -23,7 +23,7 @@ NUMBERS = 2**20
 def states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
     """Return the momenta of the members at a saved point; of members that have ended or failed, those at the start."""
     states = np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0)
-    return momenta_of(solution.system, states)[0][members]
+    return any_momenta_of(solution.system, states)[0][members]
 
 
 def sampled_members(solution: Solution, system: Any) -> NDArray[np.int64]:
@@ -43,7 +43,7 @@ def sampled_points(
 ) -> list[tuple[float, Floats, NDArray[np.bool_]]]:
     """Return a few times of a run, the start included, the states (members, n) of some members, and who has one."""
     size = vector_size(system)
-    start = momenta_of(system, solution.x0)[0] if size is None else np.asarray(solution.x0).reshape(-1, size)
+    start = any_momenta_of(system, solution.x0)[0] if size is None else np.asarray(solution.x0).reshape(-1, size)
     start = start if len(start) == 1 else start[members]
     count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
     points = [(solution.t_span[0], start, np.ones(len(start), dtype=bool))]
@@ -52,7 +52,7 @@ def sampled_points(
     for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
         # Members that have ended or failed need some state; their steps are left out.
         finite = np.isfinite(solution.x[k])
-        states, _ = momenta_of(system, np.where(finite, solution.x[k], solution.x0))
+        states, _ = any_momenta_of(system, np.where(finite, solution.x[k], solution.x0))
         held = finite.reshape(member_count(solution), -1).all(axis=1)
         points.append((float(solution.t[k]), states[members], held[members]))
     return points

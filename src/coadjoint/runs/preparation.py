@@ -28,6 +28,7 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
     Representation,
     Start,
+    any_momenta_of,
     momenta_of,
     read_attitude,
     representations_of,
@@ -220,17 +221,21 @@ class Preparation:
         """Return the system of a run with the values from `values_of`."""
         return self.system if values is None or self.inputs is None else self.inputs.system_of(values)
 
-    def start(self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None) -> Start:
-        """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`."""
+    def start(
+        self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None, *, begins: bool = True
+    ) -> Start:
+        """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`.
+
+        Unless it `begins` a motion, x0 is any state; see `any_momenta_of`.
+        """
         representation = self._representations[0]
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(
                 "attitude of a run is an initial group element, an array; the representation must be given "
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"
             )
-        momenta, single = (
-            momenta_of(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
-        )
+        read = momenta_of if begins else any_momenta_of
+        momenta, single = read(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
         if values is not None and values.ndim > 1:
             if single:
                 assert self.inputs is not None

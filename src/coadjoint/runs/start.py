@@ -89,7 +89,10 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
 
 def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
-    """Return what `momenta_of` returns, also for states that differ from allowed ones in every coordinate."""
+    """Return what `momenta_of` returns, also for states that do not begin a motion.
+
+    Forces may have moved the coordinate that is 1 at the beginning; tangents are taken in every direction.
+    """
     matrices = unforced_matrix_system(system)
     if matrices is not None:
         rows = matrices.read(x0)

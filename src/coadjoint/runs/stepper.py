@@ -20,7 +20,7 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.start import momenta_of
+from coadjoint.runs.start import any_momenta_of, momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system import System
@@ -75,7 +75,7 @@ class Stepper:
     def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
         prepared = self._prepared_with(attitude)
         values = prepared.values_of(inputs)
-        start = prepared.start(x, initial, values)
+        start = prepared.start(x, initial, values, begins=not self.system.forces)
         times = Times(read_number(t, "t"), self.h, 1, 1)
         check_steps(self.system, times.t0, times.h)
         return prepared.follow(times, start, values=values)
@@ -314,7 +314,7 @@ class Stepper:
         return effective_scheme(system, prepared.method), system
 
     def _read_point(self, x: Any, t: float) -> tuple[NDArray[np.float64], float]:
-        momenta, single = momenta_of(self.system, x)
+        momenta, single = (any_momenta_of if self.system.forces else momenta_of)(self.system, x)
         if not single:
             raise ValueError(
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"

@@ -335,3 +335,18 @@ def test_wrong_forces_are_refused(make, error, named):
 def test_failures_name_the_step(force, named):
     with refused(co.IntegrationError, *named):
         co.integrate(BODY.with_forces(force), (0.1, 0.2, 0.3), (0, 2), 0.125)
+
+
+def test_forces_may_move_the_central_coordinate():
+    """It is 1 at the beginning of a motion; its errors are estimated, and steps continue from where it is."""
+    system = co.systems.satellite().with_forces(co.forces.LinearDamping(0.1))
+    x0 = np.array([0.1, 0.2, 0.3, 0.0, 0.1, 0.0, 5.0, 0.0, 0.0, 1.0])
+    sol = co.integrate(system, x0, (0.0, 1.0), 0.125)
+    assert sol.x[-1, -1] == pytest.approx(np.exp(-0.1)) and sol.step_error() < 0.01
+    assert np.isfinite(sol.error_estimate())
+    step, x = co.stepper(system, co.Splitting(), 0.125), x0
+    for k in range(8):
+        x = step(x, 0.125 * k)
+    np.testing.assert_array_equal(x, sol.x[-1])
+    with refused(ValueError, "satellite", "must be 1"):
+        co.integrate(system, x, (0.0, 1.0), 0.125)
