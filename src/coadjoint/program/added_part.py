@@ -7,6 +7,7 @@ coefficients of that part times J(x) grad G(x) at its rows, carried on by the ta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,6 +30,7 @@ class CoefficientMap(NamedTuple):
     """Coefficients of terms as functions of parameters: `factor` times parameter `entry` is added to `coefficient`.
 
     Coefficients are numbered as in the compiled loops: all offsets, all weights, then all coefficients of monomials.
+    Members of a batch have factors (members, count).
     """
 
     coefficient: NDArray[np.int64]
@@ -54,16 +56,31 @@ class CoefficientMap(NamedTuple):
             start += size
         return found
 
+    def of_energies(self, energies: Sequence[EnergyDerivative]) -> CoefficientMap:
+        """Return the map of members, from the one of monomials that are `apart`."""
+        factors = np.stack([one.coefficients for one in energies])
+        return CoefficientMap(self.coefficient, energies[0].entries[self.entry], self.factor * factors[:, self.entry])
+
+    def of_energy(self, energy: EnergyDerivative) -> CoefficientMap:
+        """Return the map of one system, from the one of monomials that are `apart`."""
+        of_one = self.of_energies([energy])
+        return of_one._replace(factor=of_one.factor[0])
+
     def of_entries(self, by_coefficient: NDArray[np.float64], entries: int) -> NDArray[np.float64]:
-        """Return derivatives by the entries, (entries,), of derivatives by coefficients (count,)."""
-        weights = self.factor * by_coefficient[self.coefficient]
-        return np.bincount(self.entry, weights, minlength=entries).astype(np.float64)
+        """Return derivatives by the entries, (..., entries), of derivatives by coefficients (..., count)."""
+        return _sums(self.factor * by_coefficient[..., self.coefficient], self.entry, entries)
 
     def of_coefficients(self, directions: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-        """Return directions of the coefficients (k, count) for directions of the entries (k, entries)."""
-        weights = self.factor * directions[:, self.entry]
-        rows = [np.bincount(self.coefficient, row, minlength=count) for row in weights]
-        return np.array(rows, dtype=np.float64)
+        """Return directions of the coefficients (..., k, count) for directions of the entries (..., k, entries)."""
+        return _sums(self.factor[..., None, :] * directions[..., self.entry], self.coefficient, count)
+
+
+def _sums(numbers: NDArray[np.float64], index: NDArray[np.int64], count: int) -> NDArray[np.float64]:
+    """Return the sums (..., count) of the numbers (..., k) of each index, in their order."""
+    rows = prod(numbers.shape[:-1])
+    positions = index + count * np.arange(rows)[:, None]
+    sums = np.bincount(positions.ravel(), numbers.ravel(), minlength=count * rows)
+    return sums.astype(np.float64).reshape(*numbers.shape[:-1], count)
 
 
 class AddedPart(NamedTuple):
@@ -84,10 +101,10 @@ class AddedPart(NamedTuple):
     coefficients: CoefficientMap
     counts: NDArray[np.int64]
 
-    def split(self, coefficients: CoefficientMap, sizes: Mapping[str, int]) -> dict[str, CoefficientMap]:
-        """Assign to coefficients of `terms_of` the numbers of those of all terms, by parameters of these sizes."""
+    def split(self, sizes: Mapping[str, int]) -> dict[str, CoefficientMap]:
+        """Assign to the coefficients of the part the numbers of those of all terms, by parameters of these sizes."""
         to = starts_of(self.counts.sum(axis=0))[:-1] + self.counts[0]
-        return _moved(coefficients, starts_of(self.counts[1]), to).split(sizes)
+        return _moved(self.coefficients, starts_of(self.counts[1]), to).split(sizes)
 
     def renumbered(self, coefficients: CoefficientMap) -> CoefficientMap:
         """Assign to coefficients of the program the numbers of those of all terms."""

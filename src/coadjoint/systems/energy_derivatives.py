@@ -132,6 +132,38 @@ class EnergyDerivative(NamedTuple):
         return self.of_monomials(self.size)._replace(functions=self.functions)
 
     @property
+    def entries(self) -> Integers:
+        """Entry of each monomial: those of the first degree, of the second, the others, and then the functions."""
+        others = np.array([one.entry for one in self.others], dtype=np.int64)
+        functions = (one.entries for one in self.functions)
+        return np.concatenate([self.linear_entry, self.quadratic_entry, others, *functions])
+
+    @property
+    def coefficients(self) -> Floats:
+        """Factor of each monomial, in the order of `entries`; it is one for functions."""
+        others = np.array([one.factor for one in self.others], dtype=np.float64)
+        functions = np.ones(sum(len(one.entries) for one in self.functions))
+        return np.concatenate([self.linear_factor, self.quadratic_factor, others, functions])
+
+    @property
+    def apart(self) -> EnergyDerivative:
+        """The monomials with factors of one, and the functions, each with an entry of its own."""
+        linear, low = len(self.linear), len(self.linear) + len(self.quadratic)
+        ends = low + len(self.others) + np.cumsum([0, *(len(one.entries) for one in self.functions)])
+        return self._replace(
+            size=int(ends[-1]),
+            linear_entry=np.arange(linear),
+            linear_factor=np.ones(linear),
+            quadratic_entry=np.arange(linear, low),
+            quadratic_factor=np.ones(low - linear),
+            others=tuple(one._replace(entry=low + k, factor=1.0) for k, one in enumerate(self.others)),
+            functions=tuple(
+                one._replace(entries=np.arange(first, last))
+                for one, first, last in zip(self.functions, ends[:-1], ends[1:], strict=True)
+            ),
+        )
+
+    @property
     def monomials(self) -> tuple[Any, ...]:
         """The monomials without their factors; energies of the same ones have tables of one structure."""
         columns = (self.linear, self.linear_entry, self.quadratic, self.quadratic_entry)

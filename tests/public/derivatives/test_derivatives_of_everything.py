@@ -375,28 +375,79 @@ def _lattices(rng, count):
     return [co.systems.spin_lattice("chain", (3,), exchange=exchange) for exchange in rng.uniform(0.5, 1.5, count)]
 
 
-@pytest.mark.parametrize("count", [3, 19], ids=["few", "more than lanes"])
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(compensated=True), co.GaussLegendre(2)])
-@pytest.mark.parametrize("systems_of", [_tops, _full, _quartic, _lattices])
-def test_members_that_are_differentiated_together_have_the_bits_of_single_runs(systems_of, method, count):
-    """Backward in time, between steps, with members that share a system, and by the energy."""
+def _functions(rng, count):
+    """A function that is not defined at zero, where lanes without a member might call it."""
+    pytest.importorskip("numba")
+
+    def slope(x):
+        if x <= 0.0:
+            raise ValueError("outside")
+        return -1.0 / x
+
+    def curvature(x):
+        if x <= 0.0:
+            raise ValueError("outside")
+        return 1.0 / x**2
+
+    piece = co.Separable({0: (lambda x: -np.log(x), slope, curvature)})
+    energies = [co.Quadratic(rng.uniform(0.5, 1.0, 3)) + piece for _ in range(count)]
+    return [co.LiePoissonSystem(co.algebras.so(3), energy) for energy in energies]
+
+
+TOGETHER = [
+    (2, True, co.Splitting(order=4)),
+    (3, False, co.Splitting(compensated=True)),
+    (3, True, co.GaussLegendre(2)),
+    (8, True, co.Splitting(compensated=True)),
+    (9, True, co.Splitting(order=6)),
+    (17, False, co.Splitting(order=4)),
+    (33, False, co.GaussLegendre(2)),
+]
+
+
+@pytest.mark.parametrize(("count", "attitude", "method"), TOGETHER, ids=str)
+@pytest.mark.parametrize("systems_of", [_tops, _full, _quartic, _lattices, _functions])
+def test_members_that_are_differentiated_together_have_the_bits_of_single_runs(
+    systems_of, method, count, attitude, capfd
+):
+    """In both directions of time, between steps, with members that share a system, and by the energy."""
     rng = np.random.default_rng(count)
     different = systems_of(rng, count)
-    systems = [*different, different[1]]
-    x0, span, options = rng.uniform(0.2, 0.9, (count + 1, systems[0].dim)), (1.0, 0.5), {"t_eval": (0.9, 0.66, 0.5)}
-    ready = co.prepare(co.batch(systems), method, H)
+    if systems_of is _functions:
+        method = co.Splitting(order=method.order, parts="coordinates")
+    systems, group = [*different, different[1]], {}
+    if attitude and (count < 8 or systems_of in (_tops, _full)):
+        group["attitude"] = True if systems_of is _tops and count == 9 and method.explicit else "coadjoint"
+    x0, span = rng.uniform(0.2, 0.9, (count + 1, systems[0].dim)), (1.0, 0.5) if count % 2 else (0.5, 1.0)
+    options = {"t_eval": (0.9, 0.66, 0.5)[:: 1 if count % 2 else -1]} if count != 8 else {"save_every": 2}
+    ready = co.prepare(co.batch(systems), method, H, **group)
     directions = {name: rng.standard_normal((*v.shape, 2)) for name, v in [("x0", x0), *ready.parameters.items()]}
     sol, tangents = ready.jvp(x0, span, directions, **options)
     weights = {name: rng.standard_normal(value.shape) for name, value in outputs(sol).items()}
     gradient = ready.vjp(x0, span, **options)[1](**weights)
     assert gradient.rule == tangents.rule
-    for m, system in enumerate(systems):
-        single = co.prepare(system, method, H)
+    assert "outside" not in capfd.readouterr().err
+    for m in range(0, count + 1, 1 + count // 8):
+        single = co.prepare(systems[m], method, H, **group)
         alone, one = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()}, **options)
         assert np.array_equal(sol.x[:, m], alone.x)
         assert all(np.array_equal(value, outputs(tangents)[name][:, m]) for name, value in outputs(one).items())
         found = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items())
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(compensated=True)], ids=str)
+@pytest.mark.parametrize("systems_of", [_tops, _full, _quartic, _lattices])
+def test_gradients_of_an_ensemble_with_attitudes_have_the_bits_of_single_runs(systems_of, method):
+    """Sums over the rows of elements of three to nine rows, which are lanes of a single run."""
+    rng, span = np.random.default_rng(4), (0.5, 1.0)
+    system = systems_of(rng, 2)[1]
+    x0, ready = rng.uniform(0.2, 0.9, (5, system.dim)), co.prepare(system, method, H, attitude="coadjoint")
+    sol, pullback = ready.vjp(x0, span)
+    weights = rng.standard_normal(sol.attitude.shape)
+    found = pullback(attitude=weights)["x0"]
+    for m in range(5):
+        assert np.array_equal(found[m], ready.vjp(x0[m], span)[1](attitude=weights[:, m])["x0"])
 
 
 def test_a_member_of_a_batch_whose_derivatives_overflow_leaves_those_of_the_others():

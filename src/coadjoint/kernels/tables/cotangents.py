@@ -39,6 +39,7 @@ class FlowCotangents(NamedTuple):
     group_dual: Action
     hessians: NDArray[np.int64]
     added: int
+    stride: int
 
 
 class RungeKuttaCotangents(NamedTuple):
@@ -73,6 +74,7 @@ class ForwardRun(NamedTuple):
     group_tangents: Floats
     coefficients: Floats
     threads: int
+    apart: bool
 
 
 class BackwardRun(NamedTuple):
@@ -142,7 +144,7 @@ def flow_cotangents(
         by_coefficients, owners = addresses_by_coefficients(added.functions, added.shares)
         hessians, keepalive = np.concatenate([hessians, by_coefficients]), (*keepalive, *owners)
     return CompiledTables(
-        FlowCotangents(tables, dual, group_dual, hessians, index), (*base.keepalive, *keepalive), base.sources
+        FlowCotangents(tables, dual, group_dual, hessians, index, 0), (*base.keepalive, *keepalive), base.sources
     )
 
 

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.kernels.tables.structures import unrecorded
 
 if TYPE_CHECKING:
     from coadjoint.program.added_part import CoefficientMap
     from coadjoint.program.sources import Sources
-    from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 EXACT = "exact"
 ADDED_PART = "added part"
@@ -28,8 +30,10 @@ class DerivativeTables(NamedTuple):
     by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`, by `factors`. The
     `rules` are those above. `reversible` steps can be undone from their end.
 
-    Systems that differ in coefficients share tables: `of_members` are the `coefficients` of each, and `tables_at`
-    gives a list. `maps(energies)` are the `coefficients` for energies of the same monomials with other factors.
+    `monomials` are `coefficients` and `factors` by the monomials of the derivatives of the energy, with factors of one.
+    The members of a batch may differ in coefficients of H: then `of_members` are the factors of the Casimirs, (members,
+    casimirs), `coefficients` and `factors` those of each, and `tables_at` returns the ranges of members that share
+    tables, (first, last, tables).
 
     The coefficients are all entries of the fields `located`, one after the other; if there are none, they are those of
     the derivative of the energy only. `sources` are those of the tables.
@@ -46,6 +50,6 @@ class DerivativeTables(NamedTuple):
     shift: tuple[Any, ...]
     reversible: bool
     located: tuple[str, ...] = ()
-    maps: Callable[[Mapping[str, EnergyDerivative]], Mapping[str, CoefficientMap]] | None = None
-    of_members: Sequence[Mapping[str, CoefficientMap]] = ()
+    monomials: Mapping[str, tuple[CoefficientMap, CoefficientMap]] = {}
+    of_members: NDArray[np.float64] | None = None
     sources: Callable[[], Sources] = unrecorded

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, EXACT, DerivativeTables
-from coadjoint.program.added_part import CoefficientMap, terms_of, with_added_part
+from coadjoint.program.added_part import CoefficientMap, with_added_part
 from coadjoint.program.provenance import in_parts
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
@@ -32,50 +32,34 @@ def flow_derivatives(
     which the forms of the parts depend, are differentiated as an added part of size zero.
     """
     program = method.program(system, group=representation)
-    found = {name: in_parts(program, G) for name, G in energies.items()}
-    factors = {name: pair[1] for name, pair in found.items() if pair is not None}
+    apart = {name: G.apart for name, G in energies.items()}
+    found = {name: in_parts(program, G) for name, G in apart.items()}
     others = [name for name, pair in found.items() if pair is None]
-
-    def in_added_part(of: Mapping[str, EnergyDerivative]) -> EnergyDerivative:
-        pieces = {name: G if name in others else G.of_functions for name, G in of.items()}
-        return EnergyDerivative.joined([pieces[name] for name in energies])
-
-    added = None
-    if others or any(G.functions for G in energies.values()):
-        added = with_added_part(program, method, system, representation, in_added_part(energies))
-
-    def numbered(in_own: Mapping[str, CoefficientMap], in_added: CoefficientMap | None) -> dict[str, CoefficientMap]:
-        if added is None or in_added is None:
-            return dict(in_own)
-        split = added.split(in_added, {name: G.size for name, G in energies.items()})
-        renumbered = {name: added.renumbered(one) for name, one in in_own.items()}
-        return {name: one.joined(renumbered[name]) if name in renumbered else one for name, one in split.items()}
-
-    def maps(of_other: Mapping[str, EnergyDerivative]) -> dict[str, CoefficientMap]:
-        pairs = ((name, in_parts(program, G)) for name, G in of_other.items() if name not in others)
-        in_added = None if added is None else terms_of(in_added_part(of_other), system.dim)[1]
-        return numbered({name: pair[0] for name, pair in pairs if pair is not None}, in_added)
-
-    in_own = {name: pair[0] for name, pair in found.items() if pair is not None}
+    own, empty, added = {name: pair[0] for name, pair in found.items() if pair}, CoefficientMap.of_triplets(()), None
+    in_added = [G if name in others else G.of_functions for name, G in apart.items()]
+    if others or any(G.functions for G in in_added):
+        added = with_added_part(program, method, system, representation, EnergyDerivative.joined(in_added))
+        split = added.split({name: G.size for name, G in apart.items()})
+        own = {name: one.joined(added.renumbered(own[name])) if name in own else one for name, one in split.items()}
+    monomials = {name: (own[name], pair[1] if pair else empty) for name, pair in found.items()}
     built = flow_cotangents(program, system, representation, h, method.compensates, added)
     terms = built.tables.base.terms
 
     def tables_at(step: float) -> Any:
         return built.tables if step == h else with_step(built.tables, step)
 
-    empty = CoefficientMap.of_triplets(())
     return DerivativeTables(
         tables_at=tables_at,
         keepalive=built.keepalive,
         forward=FORWARD,
         backward=BACKWARD,
         coefficient_count=len(terms.offset) + len(terms.weight) + len(terms.coefficient),
-        coefficients=numbered(in_own, None if added is None else added.coefficients),
-        factors={name: factors.get(name, empty) for name in energies},
+        coefficients={name: one.of_energy(energies[name]) for name, (one, _) in monomials.items()},
+        factors={name: one.of_energy(energies[name]) for name, (_, one) in monomials.items()},
         rules={name: ADDED_PART if name in others else EXACT for name in energies},
         shift=program.shift,
         reversible=True,
         located=COEFFICIENTS,
-        maps=maps,
+        monomials=monomials,
         sources=lambda: built.sources().within("base."),
     )

@@ -26,13 +26,13 @@ def runge_kutta_derivatives(
     fractions: Sequence[float],
 ) -> DerivativeTables:
     """Return the tables of a method with substeps; derivatives by parameters are those of the computed map."""
-    joined = EnergyDerivative.joined(list(energies.values()))
+    apart = {name: energy.apart for name, energy in energies.items()}
+    joined = EnergyDerivative.joined(list(apart.values()))
     added, coefficients = terms_of(joined, system.dim)
-    sizes = {name: energy.size for name, energy in energies.items()}
-
-    def maps(of_other: Mapping[str, EnergyDerivative]) -> Mapping[str, CoefficientMap]:
-        return terms_of(EnergyDerivative.joined([of_other[name] for name in energies]), system.dim)[1].split(sizes)
-
+    of_monomials, empty = (
+        coefficients.split({name: G.size for name, G in apart.items()}),
+        CoefficientMap.of_triplets(()),
+    )
     loop = method.loop_of_substeps(system, h, representation, fractions)
     built = runge_kutta_cotangents(loop, system, added, joined.functions)
     return DerivativeTables(
@@ -41,11 +41,11 @@ def runge_kutta_derivatives(
         forward=FORWARD,
         backward=BACKWARD,
         coefficient_count=len(added.offset) + len(added.weight) + len(added.coefficient),
-        coefficients=coefficients.split(sizes),
-        factors=dict.fromkeys(energies, CoefficientMap.of_triplets(())),
+        coefficients={name: one.of_energy(energies[name]) for name, one in of_monomials.items()},
+        factors=dict.fromkeys(energies, empty),
         rules=dict.fromkeys(energies, EXACT),
         shift=(),
         reversible=False,
-        maps=maps,
+        monomials={name: (one, empty) for name, one in of_monomials.items()},
         sources=lambda: loop.sources().within("base."),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -37,6 +38,12 @@ class AttitudeDerivatives:
             assert entries is not None
             for i, j, value in zip(*entries, strict=True):
                 self.of_casimir[number, j] -= system.sign * value * rho[i]
+
+    def with_factors(self, factors: Floats) -> AttitudeDerivatives:
+        """Return the derivatives for other factors of the same Casimirs."""
+        other = copy.copy(self)
+        other.factors = factors
+        return other
 
     @property
     def shifted(self) -> bool:

@@ -176,19 +176,20 @@ class Pullback:
                 for some, energy in run.energies(name, members):
                     weights = np.ascontiguousarray(of_energy[:, some])
                     total[some] += np.einsum("pm,pmj->mj", weights, energy.at(states[:, some]))
-        attitudes = run.attitudes(tables)
+        attitudes = run.attitudes(tables, members)
         of_x0, of_A0, of_groups = np.zeros((members, trajectory.n)), np.zeros(groups.shape[1:]), np.zeros(groups.shape)
         if attitudes is not None and of_attitude is not None:
+            of_factors = np.zeros((members, len(tables.shift)))
             for m in range(members):
-                of_x0[m], of_A0[m], of_factors, of_groups[:, m] = attitudes.cotangents(
+                of_x0[m], of_A0[m], of_factors[m], of_groups[:, m] = attitudes[m].cotangents(
                     trajectory.start.momenta[m],
                     trajectory.start.groups[m],
                     trajectory.elapsed,
                     groups[:, m],
                     of_attitude[:, m],
                 )
-                for name, total in totals.items():
-                    total[m] += tables.factors[name].of_entries(of_factors, total.shape[1])
+            for name, total in totals.items():
+                total += tables.factors[name].of_entries(of_factors, total.shape[1])
         through_steps, of_element, coefficients = self._through_steps(tables, of_x, of_groups)
         of_x0 += through_steps
         states0 = states_of(run.system, of_x0)
@@ -196,14 +197,13 @@ class Pullback:
         for name, total in totals.items():
             by_coefficients, entries, shape = tables.coefficients[name], total.shape[1], shapes[name]
             if by_member or name == INPUTS:
-                maps = [one[name] for one in tables.of_members] or [by_coefficients] * members
-                total += [one.of_entries(row, entries) for one, row in zip(maps, coefficients, strict=True)]
+                total += by_coefficients.of_entries(coefficients, entries)
                 values[name] = total.reshape(members, *shape)
             else:
                 sums = total.sum(axis=0) + by_coefficients.of_entries(coefficients.sum(axis=0), entries)
                 values[name] = sums.reshape(shape)
         if attitudes is not None:
-            of_start = of_A0 if attitudes.shifted else of_element
+            of_start = of_A0 if attitudes[0].shifted else of_element
             values["attitude0"] = of_start[0] if trajectory.start.single else of_start
         of_inputs = values.pop(INPUTS, None)
         arrays = dict(values)

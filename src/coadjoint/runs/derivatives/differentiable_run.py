@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
+from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.kernels.tables.tangents import check_differentiable
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
@@ -25,7 +26,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import distinct
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
-from coadjoint.systems.protocol import is_batch, rows_of, unforced
+from coadjoint.systems.protocol import is_batch, member_of, rows_of, unforced
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.crossings import Crossings
@@ -115,11 +116,14 @@ class DifferentiableRun:
             )
         return self._tables[h, chosen]
 
-    def attitudes(self, tables: DerivativeTables) -> AttitudeDerivatives | None:
-        """Return the derivatives of the attitudes, or None without a group element."""
+    def attitudes(self, tables: DerivativeTables, members: int) -> list[AttitudeDerivatives] | None:
+        """Return the derivatives of the attitude of each member, or None without a group element."""
         if self.representation is None:
             return None
-        return AttitudeDerivatives(self.system, tables.shift, self.representation)
+        of_first = AttitudeDerivatives(member_of(self.system), tables.shift, self.representation)
+        if tables.of_members is None:
+            return [of_first] * members
+        return [of_first.with_factors(factors) for factors in tables.of_members]
 
 
 class Trajectory:
@@ -204,7 +208,7 @@ class Trajectory:
         steps, numbers = self.times.steps, self.n + self.side**2
         lanes = min(self.members, limit("MOST_LANES"))
         # Where a stretch of an implicit scheme begins may alter the last bits, which do not depend on other members.
-        side_by_side = min(lanes, SIDE_BY_SIDE) if scheme.explicit and not is_batch(self.system) else 1
+        side_by_side = SIDE_BY_SIDE if scheme.explicit and self.members > 1 else 1
         length, bytes_of_each = max(1, NUMBERS_OF_STRETCH // (numbers * side_by_side)), 16 * numbers * self.members
         length = max(length, min(STEPS_OF_STRETCH, BYTES_OF_CHECKPOINTS // (8 * numbers * lanes)))
         length = max(length, -(-steps * bytes_of_each // BYTES_OF_CHECKPOINTS))
@@ -253,8 +257,8 @@ class Trajectory:
 
     def _structures(self, tables: DerivativeTables, h: float) -> Iterator[tuple[int, int, Any]]:
         """Yield ranges of members that share tables, with these."""
-        if tables.of_members:
-            yield from ((m, m + 1, one) for m, one in enumerate(tables.tables_at(h)))
+        if tables.of_members is not None:
+            yield from tables.tables_at(h)
         elif self.values is None or self.values.ndim == 1:
             yield 0, self.members, tables.tables_at(h, *(() if self.values is None else (self.values,)))
         else:
@@ -267,9 +271,12 @@ class Trajectory:
 
     def _carry(self, tables: DerivativeTables, run: ForwardRun | BackwardRun) -> None:
         """Carry the vectors of all members, each with its inputs, on the threads of the run."""
-        solved = True
+        compiled, solved = not callable(tables.forward), True
+        arrays = as_structure(run) if compiled else run
         for first, last, structure in self._structures(tables, run.h):
-            own = run._replace(coefficients=run.coefficients[first]) if run.coefficients.ndim == 3 else run
+            own = arrays
+            if run.coefficients.ndim == 3 and not compiled:
+                own = cast(ForwardRun, run)._replace(coefficients=run.coefficients[first], apart=False)
             solved = solved and carry(tables, structure, own, first, last, self.workers)
         if not solved:
             begin, end = distinct(run.t0 + run.k0 * run.h, run.t0 + run.k1 * run.h)

@@ -82,9 +82,9 @@ class Directions:
         self.x0 = np.ascontiguousarray(np.moveaxis(x0, 0, 1))
         groups = rows("attitude0").reshape(self.count, members, d, d) if d else np.zeros((self.count, members, 0, 0))
         self.attitude0 = np.ascontiguousarray(np.moveaxis(groups, 0, 1))
-        by_system = (members,) if is_batch(run.system) else ()
+        self.by_system = (members,) if is_batch(run.system) else ()
         self.parameters = {
-            name: np.moveaxis(rows(name).reshape(self.count, *by_system, -1), 0, -2)
+            name: np.moveaxis(rows(name).reshape(self.count, *self.by_system, -1), 0, -2)
             for name in run.parameters
             if name in arrays
         }
@@ -107,9 +107,6 @@ class Directions:
 
     def of_coefficients(self, tables: DerivativeTables) -> Floats:
         """Return the directions of the coefficients of the tables, (count, their number), or of each member."""
-        if tables.of_members:
-            each = enumerate(tables.of_members)
-            return np.stack([self.along(maps, tables.coefficient_count, m) for m, maps in each])
         total = self.along(tables.coefficients, tables.coefficient_count)
         if self.inputs is None:
             return total
@@ -117,11 +114,11 @@ class Directions:
         by_inputs = tables.coefficients[INPUTS].of_coefficients(rows, tables.coefficient_count)
         return total + by_inputs.reshape(*self.inputs.shape[:-1], tables.coefficient_count)
 
-    def along(self, maps: Mapping[str, CoefficientMap], number: int, member: Any = ...) -> Floats:
-        """Return the directions (count, number) of numbers that maps give for the entries of the parameters."""
-        total = np.zeros((self.count, number))
+    def along(self, maps: Mapping[str, CoefficientMap], number: int) -> Floats:
+        """Return the directions (count, number), or of each member, of numbers that maps give for the parameters."""
+        total = np.zeros((*self.by_system, self.count, number))
         for name, directions in self.parameters.items():
-            total += maps[name].of_coefficients(directions[member], number)
+            total += maps[name].of_coefficients(directions, number)
         return total
 
 
@@ -136,21 +133,24 @@ def tangents_of_outputs(
     check_available_memory(
         16 * points * numbers * directions.count, f"the tangents of {points} points along {directions.count} directions"
     )
-    attitudes = run.attitudes(tables)
-    of_x, of_groups = _tangents_at_outputs(trajectory, tables, directions, attitudes is not None and attitudes.shifted)
+    attitudes = run.attitudes(tables, trajectory.members)
+    of_x, of_groups = _tangents_at_outputs(
+        trajectory, tables, directions, attitudes is not None and attitudes[0].shifted
+    )
     if attitudes is None:
         return directions, of_x, None
     _, groups = trajectory.outputs
     factors = directions.along(tables.factors, len(tables.shift))
+    factors = np.broadcast_to(factors, (trajectory.members, *factors.shape[-2:]))
     for m in range(trajectory.members):
-        of_groups[:, m] = attitudes.tangents(
+        of_groups[:, m] = attitudes[m].tangents(
             trajectory.start.momenta[m],
             trajectory.start.groups[m],
             trajectory.elapsed,
             groups[:, m],
             directions.x0[m],
             directions.attitude0[m],
-            factors,
+            factors[m],
             of_groups[:, m],
         )
     return directions, of_x, of_groups

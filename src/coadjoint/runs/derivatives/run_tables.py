@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.cotangents import FlowCotangents
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import (
@@ -22,7 +24,8 @@ from coadjoint.runs.derivatives.force_flows import FlowEntry
 from coadjoint.runs.derivatives.forced_steps import ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
 from coadjoint.runs.inputs import InputLoops, Inputs
-from coadjoint.runs.loops.loops import loops_of_system
+from coadjoint.runs.loops.groups import Columns
+from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.force_parameters import check_may_change, force_numbers
 from coadjoint.systems.parameters import parameters_of
@@ -36,6 +39,8 @@ Floats = NDArray[np.float64]
 
 NONE = np.zeros(0)
 """Values of no inputs."""
+FEWEST_IN_LANES = 8
+"""Members of a batch below which lanes are not faster than one member after the other."""
 
 
 def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:
@@ -78,7 +83,7 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
 def differ_in_columns(prepared: Preparation) -> bool:
     """Return whether the members of a batch differ in coefficients of one set of tables, also those of derivatives."""
     loops: Any = prepared.loops(prepared.step)
-    if prepared.representation is not None or loops.columns_of_members is None or loops.order is not None:
+    if loops.columns_of_members is None or loops.order is not None:
         return False
     each = [[one.energy().monomials for one in parameters_of(member).values()] for member in prepared.system.distinct]
     return all(one == each[0] for one in each)
@@ -86,22 +91,39 @@ def differ_in_columns(prepared: Preparation) -> bool:
 
 def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) -> DerivativeTables:
     """Return the tables of the members of a batch, which differ in columns."""
-    systems, columns = run.system.systems, cast(Any, run.prepared.loops(run.prepared.step)).columns_of_members
-    energies = [{name: run.energy(name, m) for name in names} for m in range(len(systems))]
-    tables = run.base.derivative_tables(systems[0], h, None, energies[0])
-    assert tables.maps is not None
+    systems, loops = run.system.systems, cast(Loops, run.prepared.loops(run.prepared.step))
+    columns = cast(Columns, loops.columns_of_members)
+    energies = {name: [run.energy(name, m) for m in range(len(systems))] for name in names}
+    tables = run.base.derivative_tables(
+        systems[0], h, run.representation, {name: each[0] for name, each in energies.items()}
+    )
     watch = invariants_table([], systems[0].dim)
 
     @cache
-    def tables_at(step: float) -> list[Any]:
+    def tables_at(step: float) -> list[tuple[int, int, Any]]:
         loop = CompiledLoop("", tables.tables_at(step), sources=tables.sources)
         writable = columns.written_from(loop, watch, columns.values[0])
-        structures = [writable.shared(values)[0] for values in columns.values]
-        for structure in structures:
+        count = 0
+        ranges: list[tuple[int, int, Any]] = []
+        in_lanes = type(loop.tables) is FlowCotangents and systems[0].dim <= limit("WIDEST")
+        if in_lanes and not writable.separate_tables:
+            rest = len(systems) % limit("MOST_LANES")
+            count = len(systems) - (rest if rest < FEWEST_IN_LANES else 0)
+        if count:
+            together, _, stride = writable.each(columns.values[:count])
+            together.stride = stride
+            ranges.append((0, count, together))
+        ranges += [(m, m + 1, writable.shared(columns.values[m])[0]) for m in range(count, len(systems))]
+        for *_, structure in ranges:
             structure.owner = writable
-        return structures
+        return ranges
 
-    return tables._replace(tables_at=tables_at, of_members=[tables.maps(one) for one in energies])
+    coefficients, factors = (
+        {name: tables.monomials[name][k].of_energies(each) for name, each in energies.items()} for k in range(2)
+    )
+    return tables._replace(
+        tables_at=tables_at, of_members=loops.shift_factors, coefficients=coefficients, factors=factors
+    )
 
 
 def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntry]:

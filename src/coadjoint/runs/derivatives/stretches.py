@@ -66,6 +66,7 @@ class Stretch(NamedTuple):
             group_tangents=group_tangents,
             coefficients=coefficients,
             threads=threads,
+            apart=coefficients.ndim == 3,
         )
 
     def backward(

@@ -187,6 +187,12 @@ class Loops:
         return self._columns[0].take(self._numbers)
 
     @property
+    def shift_factors(self) -> Floats:
+        """The factors of the Casimirs subtracted from H, for each member of a batch with attitudes."""
+        shifts = [() if one is None else one.shift for one in self.corrections]
+        return np.array([[factor for _, factor in shift] for shift in shifts])[self._corrected]
+
+    @property
     def tracked(self) -> int:
         """Number of values tracked for each member."""
         return len(self.names) * (2 if self.accounts else 1)

@@ -51,14 +51,14 @@ class ShiftCorrection:
     """
 
     def __init__(self, system: System, shift: Shift, representation: Representation) -> None:
-        self._system, self._shift, self._representation = system, shift, representation
+        self.shift, self._system, self._representation = shift, system, representation
 
     @cached_property
     def _compiled_correction(self) -> CompiledShiftCorrection:
         """Tables, built lazily."""
         from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
 
-        system, shift, rate = self._system, self._shift, 1.0
+        system, shift, rate = self._system, self.shift, 1.0
         if len(shift) == 1:
             # The factor of a single Casimir scales the time: a scan over factors shares the tables.
             ((casimir, rate),) = shift
@@ -69,7 +69,7 @@ class ShiftCorrection:
 
     def of_system(self, system: System, factors: Sequence[float]) -> ShiftCorrection:
         """Return the correction of a system with the same algebra for other factors of the Casimirs."""
-        shift = tuple((casimir, factor) for (casimir, _), factor in zip(self._shift, factors, strict=True))
+        shift = tuple((casimir, factor) for (casimir, _), factor in zip(self.shift, factors, strict=True))
         other = ShiftCorrection(system, shift, self._representation)
         if len(shift) == 1:
             other._compiled_correction = self._compiled_correction.at_rate(shift[0][1])
@@ -78,7 +78,7 @@ class ShiftCorrection:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the tables."""
         compiled = self._compiled_correction
-        return _with_tables, (self._system, self._shift, self._representation, compiled.tables, compiled.rate)
+        return _with_tables, (self._system, self.shift, self._representation, compiled.tables, compiled.rate)
 
     def build(self) -> None:
         """Build the tables."""

@@ -168,9 +168,11 @@ TABLE(RungeKuttaTangents, RUNGE_KUTTA_TANGENTS_FIELDS)
 
 // Cotangents of a program. `dual` moves them as minus the transposes of the generators of `base.state`, `group_dual` as
 // those of `base.group`. The part `added`, unless it is negative, moves nothing: its angles are components of a gradient
-// whose coefficients are differentiated, by those of functions with their derivatives at `hessians`.
+// whose coefficients are differentiated, by those of functions with their derivatives at `hessians`. With a `stride` the
+// constants of members are columns, as many as that.
 #define FLOW_COTANGENTS_FIELDS(_)                                                                                    \
-    _(FlowTables, base) _(Action, dual) _(Action, group_dual) _(addresses, hessians) _(integer, added)
+    _(FlowTables, base) _(Action, dual) _(Action, group_dual) _(addresses, hessians) _(integer, added)            \
+    _(integer, stride)
 TABLE(FlowCotangents, FLOW_COTANGENTS_FIELDS)
 
 // A Runge-Kutta method whose steps are differentiated. `added` are the terms of the derivative of the energy by
@@ -182,18 +184,19 @@ TABLE(RungeKuttaCotangents, RUNGE_KUTTA_COTANGENTS_FIELDS)
 // The steps k0 + 1 to k1 of the members with tangent vectors, `carried` for each, of the state and of the group element
 // (members, carried, n) and (members, carried, d, d), which end as those of unfinished states. Those of the states finished
 // after the steps `marks`, ascending, are `at_points` (marked, members, carried, n) and `at_groups`. All vectors have the
-// directions `coefficients` (carried, number) of the offsets, weights and coefficients of the terms. `threads` may share
-// the work of one member.
+// directions `coefficients` (carried, number) of the offsets, weights and coefficients of the terms, or if `apart` each
+// member has its own, (members, carried, number). `threads` may share the work of one member.
 #define FORWARD_RUN_FIELDS(_)                                                                                        \
     _(integer, size) _(integer, square) _(integer, members) _(integer, carried) _(number, t0) _(number, h)            \
     _(integer, k0) _(integer, k1) _(numbers, momenta) _(numbers, errors) _(numbers, groups) _(integer, marked)       \
     _(integers, marks) _(numbers, at_points) _(numbers, at_groups) _(numbers, tangents) _(numbers, group_tangents)   \
-    _(numbers, coefficients) _(integer, threads)
+    _(numbers, coefficients) _(integer, threads) _(flag, apart)
 TABLE(ForwardRun, FORWARD_RUN_FIELDS)
 
 // The steps k0 + 1 to k1 of the members, backward. Given are the unfinished states after step k0, with their errors, from
-// which the steps are repeated, or if `undone` those after step k1, from which they are undone, and the cotangents `at_points` (marked, members, n) and `at_groups` (marked, members, d, d) of the states finished after
-// the steps `marks`, ascending. Accumulated are `cotangents` (members, n) and `group_cotangents` (members, d, d) of the
+// which the steps are repeated, or if `undone` those after step k1, from which they are undone, and the cotangents
+// `at_points` (marked, members, n) and `at_groups` (marked, members, d, d) of the states finished after the steps
+// `marks`, ascending. Accumulated are `cotangents` (members, n) and `group_cotangents` (members, d, d) of the
 // unfinished states, and the derivatives by the offsets, weights and coefficients of the terms (members, their number).
 #define BACKWARD_RUN_FIELDS(_)                                                                                       \
     _(integer, size) _(integer, square) _(integer, members) _(number, t0) _(number, h) _(integer, k0) _(integer, k1)  \

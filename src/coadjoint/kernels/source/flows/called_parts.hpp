@@ -219,10 +219,10 @@ void derivative_of_call(const CalledBody<A>& called, double tau, A* jacobian) {
 
 // The further rotation of the element of a called share under changes of the momentum: changes of its rotations about
 // e1, e2, e3 that are applied last, for vectors side by side.
-template <class A, class V>
-NOINLINE void called_changes(const FlowTables& tables, int64_t body, double tau, const A* x, const V* vectors,
-                             int64_t rows, V* changes) {
-    const CalledBody<A> called(tables, SharedConstants{}, body, x);
+template <class A, class V, class C>
+NOINLINE void called_changes(const FlowTables& tables, const C& constants, int64_t body, double tau, const A* x,
+                             const V* vectors, int64_t rows, V* changes) {
+    const CalledBody<A> called(tables, constants, body, x);
     const uint32_t* column = called.column;
     A jacobian[9];
     derivative_of_call(called, tau, jacobian);

@@ -108,7 +108,7 @@ class LoneMember {
     AngleWorkspace<double> angles;
     SharedSteps shared_steps;
     PartialStep<double> partial_step;
-    std::vector<ElementaryFlow> opening, repeated;
+    std::vector<ElementaryFlow<double>> opening, repeated;
 
     // `carried` numbers of the momentum and its errors.
     LoneMember(const FlowLoop& loop, int64_t member, int64_t carried, Sweep<double, GroupRows> sweep)
@@ -131,7 +131,7 @@ class LoneMember {
         });
         std::copy_n(elements.at, 2 * square, checkpoint_elements.at);
         if (partial_step.needed) return;  // flows contain the angles of the tables
-        FlowsOfRows flows_of(tables, loop.arrays.square > 0);
+        FlowsOfRows<double, SharedConstants> flows_of(tables, SharedConstants{}, loop.arrays.square > 0);
         opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
         repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
     }
@@ -231,10 +231,10 @@ NOINLINE void take_steps_alone(LoneMember& alone, Recorder& recorder) {
         loop.interrupts.after(work);
         shared_steps.begin();
         const double t = start_of(schedule, member, k);
-        const std::vector<ElementaryFlow>& flows = k == 1 ? alone.opening : alone.repeated;
-        for (const ElementaryFlow& flow : flows)
+        const std::vector<ElementaryFlow<double>>& flows = k == 1 ? alone.opening : alone.repeated;
+        for (const ElementaryFlow<double>& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
-                apply_flow<summation, with_group>(flow, momentum, group);
+                apply_flow<summation, with_group>(flow, SharedConstants{}, momentum, group);
             else
                 sweep<summation, with_group>(tables, SharedConstants{}, flow.row, flow.row + 1, momentum, group, t,
                                              schedule.h, alone.angles);

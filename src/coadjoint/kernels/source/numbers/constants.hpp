@@ -6,7 +6,11 @@
 
 namespace coadjoint {
 
+// A constant beside numbers A is a Constant<A>; `from` is where the constants begin that follow an entry of a table.
 struct SharedConstants {
+    template <class A>
+    using Constant = double;
+    static INLINE const double* from(const double* at, int64_t position) { return at + position; }
     template <class A>
     static INLINE A number_at(const double* from, int64_t position) { return A(from[position]); }
     static INLINE int64_t address(const int64_t* from, int64_t position, int) { return from[position]; }
@@ -27,6 +31,9 @@ struct MemberConstants {
 // Constants that differ by member: a row of `stride` numbers for each entry of a table. The lanes begin at `first`.
 struct LaneConstants {
     int64_t stride, first;
+    template <class A>
+    using Constant = A;
+    INLINE const double* from(const double* at, int64_t position) const { return at + position * stride; }
     template <class A>
     INLINE A number_at(const double* from, int64_t position) const { return load<A>(from + position * stride + first); }
     INLINE int64_t address(const int64_t* from, int64_t position, int lane) const {

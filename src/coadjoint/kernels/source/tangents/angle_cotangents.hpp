@@ -7,23 +7,26 @@
 namespace coadjoint {
 
 // Call `visit(a, i, component)` for each component i that D_a changes, of all angles a of a part: component(at) is that of
-// D_a x for the x with the components at(0), at(1), ...
-template <class Visit>
-INLINE void each_generator(const Action& action, uint32_t part, bool apart, const Visit& visit) {
+// D_a x for the x with the components at(0), at(1), ... A constant is an N.
+template <class N, class C, class Visit>
+INLINE void each_generator(const Action& action, const C& constants, uint32_t part, bool apart, const Visit& visit) {
     share_runs(action, part, apart, [&](uint32_t run, uint32_t low, uint32_t high) {
         const int kind = action.kind[run] % RATIONAL;
         const uint32_t repeat = action.repeat[run], angle = action.angle[run];
         const uint32_t* index = action.indices + action.position[run] + (kind == SCALE ? 1 : 2) * uint64_t(repeat) * low;
-        const double* constants = action.constants + action.constant[run];
+        const double* values_of_run = constants.from(action.constants, action.constant[run]);
+        const auto number = [&](int64_t position) {
+            return constants.template number_at<N>(values_of_run, position);
+        };
         if (kind == CUBIC || kind == SERIES) {
             const BlockRows block(action, run);
-            const double* values = constants + (kind == CUBIC ? CUBIC_HEADER : 1);
+            const int64_t values = kind == CUBIC ? CUBIC_HEADER : 1;
             for (uint32_t k = 0; k < block.width; ++k)
                 visit(angle, block.coordinates[k], [&](const auto& at) {
                     typedef std::decay_t<decltype(at(0u))> V;
                     V total(0.0);
                     for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
-                        total = fma(V(values[entry]), at(block.coordinates[block.columns[entry]]), total);
+                        total = fma(V(number(values + entry)), at(block.coordinates[block.columns[entry]]), total);
                     return total;
                 });
             return;
@@ -31,16 +34,18 @@ INLINE void each_generator(const Action& action, uint32_t part, bool apart, cons
         for (uint32_t q = low; q < high; ++q)
             for (uint32_t b = 0; b < repeat; ++b, index += kind == SCALE ? 1 : 2) {
                 const uint32_t i = index[0], j = kind == SCALE ? i : index[1];
-                const double *plane = constants + 4 * q, by = constants[kind == SHEAR ? q * repeat + b : q];
+                const N by = number(kind == SHEAR ? q * repeat + b : q);
                 if (kind == ROTATE) {
                     visit(angle + q, i, [&](const auto& at) { return -(by * at(j)); });
                     visit(angle + q, j, [&](const auto& at) { return by * at(i); });
                 } else if (kind == PLANE) {
-                    const auto sum = [](double first, const auto& x, double second, const auto& y) {
+                    const auto sum = [](const N& first, const auto& x, const N& second, const auto& y) {
                         return fma(std::decay_t<decltype(x)>(first), x, second * y);
                     };
-                    visit(angle + q, i, [&](const auto& at) { return sum(plane[0] + plane[1], at(i), plane[2], at(j)); });
-                    visit(angle + q, j, [&](const auto& at) { return sum(plane[3], at(i), plane[0] - plane[1], at(j)); });
+                    const N mean = number(4 * q), half = number(4 * q + 1), upper = number(4 * q + 2),
+                            lower = number(4 * q + 3);
+                    visit(angle + q, i, [&](const auto& at) { return sum(mean + half, at(i), upper, at(j)); });
+                    visit(angle + q, j, [&](const auto& at) { return sum(lower, at(i), mean - half, at(j)); });
                 } else {
                     visit(angle + q, i, [&](const auto& at) { return by * at(j); });
                 }
@@ -48,28 +53,31 @@ INLINE void each_generator(const Action& action, uint32_t part, bool apart, cons
     });
 }
 
-// out[a] += cotangents . D_a x for all angles of a part, for vectors side by side.
-template <class V>
-NOINLINE void angle_cotangents(const Action& action, uint32_t part, bool apart, const V* x, const V* cotangents,
-                               int64_t rows, V* out) {
-    each_generator(action, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
+// out[a] += cotangents . D_a x for all angles of a part, for the vectors first, first + step, ... of those side by
+// side.
+template <class N, class V, class C>
+NOINLINE void angle_cotangents(const Action& action, const C& constants, uint32_t part, bool apart, const V* x,
+                               const V* cotangents, int64_t rows, V* out, int64_t first = 0, int64_t step = 1) {
+    each_generator<N>(action, constants, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
         V total = out[a];
-        for (int64_t row = 0; row < rows; ++row)
+        for (int64_t row = first; row < rows; row += step)
             total = fma(component([&](uint32_t j) { return x[j * rows + row]; }), cotangents[i * rows + row], total);
         out[a] = total;
     });
 }
 
-// The sum over the rows of a group element that are lanes; members as lanes remain.
-template <class A, class G>
-INLINE A over_rows(const G& total) {
+// The sum over the rows of a group element: `part(first, step)` is that of the rows first, first + step, ..., which are
+// lanes, or for members as lanes as many sums, so that a member has the bits of its run alone.
+template <class A, class G, class Part>
+INLINE A over_rows(const Part& part) {
+    A sum(0.0);
     if constexpr (Numbers<A>::lanes == Numbers<G>::lanes) {
-        return total;
+        for (int64_t first = 0; first < ROWS; ++first) sum += part(first, ROWS);
     } else {
-        A sum(0.0);
+        const G total = part(0, 1);
         for (int lane = 0; lane < Numbers<G>::lanes; ++lane) sum += lane_of(total, lane);
-        return sum;
     }
+    return sum;
 }
 
 // Derivatives by the offsets, weights and coefficients of the terms, one after the other.
@@ -142,9 +150,9 @@ class EntriesOfTerms {
 
 // Add to the cotangents of the coefficients of term k, and unless `of_coefficients_only`, of x. Those of its rows are
 // `of_rows`, which begin at row `first`. The derivatives of functions by x, or then by coefficients, are at `functions`.
-template <class A>
-NOINLINE void term_cotangents(const Terms& terms, const int64_t* functions, int64_t k, const A* x, const A& t,
-                              const A* of_rows, int64_t first, bool of_coefficients_only, A* cotangents,
+template <class A, class C>
+NOINLINE void term_cotangents(const Terms& terms, const C& constants, const int64_t* functions, int64_t k, const A* x,
+                              const A& t, const A* of_rows, int64_t first, bool of_coefficients_only, A* cotangents,
                               const CoefficientCotangents<A>& coefficients, HessianWorkspace<A>& workspace,
                               const EntriesByColumn* by_column = nullptr) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
@@ -157,13 +165,16 @@ NOINLINE void term_cotangents(const Terms& terms, const int64_t* functions, int6
                 for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry) {
                     const uint32_t column = terms.column[entry];
                     coefficients.weight[entry] = fma(of_row, x[column], coefficients.weight[entry]);
-                    if (of_x) cotangents[column] = fma(A(terms.weight[entry]), of_row, cotangents[column]);
+                    if (of_x)
+                        cotangents[column] = fma(constants.template number_at<A>(terms.weight, entry), of_row,
+                                                 cotangents[column]);
                 }
             }
         };
         of_x ? rows(0, count) : share(count, rows);
         if (!of_coefficients_only && by_column)
-            by_column->add(cotangents, [&](uint32_t entry) { return A(terms.weight[entry]); },
+            by_column->add(cotangents,
+                           [&](uint32_t entry) { return constants.template number_at<A>(terms.weight, entry); },
                            [&](uint32_t row) { return of_rows[row - first]; });
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
@@ -183,19 +194,20 @@ NOINLINE void term_cotangents(const Terms& terms, const int64_t* functions, int6
                 for (uint32_t other = low; other < high; ++other) {
                     if (one == other && terms.exponent[one] < 2) continue;
                     A& cotangent = cotangents[terms.target[terms.factor_row[other]]];
-                    cotangent = fma(A(terms.coefficient[monomial]) * product_without(one, other), of_row, cotangent);
+                    const A coefficient = constants.template number_at<A>(terms.coefficient, monomial);
+                    cotangent = fma(coefficient * product_without(one, other), of_row, cotangent);
                 }
             }
         }
     } else if (of_coefficients_only) {
-        const A* change = by_coefficients(terms, functions, k, x, t, workspace);
+        const A* change = by_coefficients(terms, constants, functions, k, x, t, workspace);
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
             for (int64_t i = 0; i < count; ++i)
                 coefficients.coefficient[monomial] =
                     fma(*change++, of_rows[start + i - first], coefficients.coefficient[monomial]);
     } else {
         for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
-        call_function(SharedConstants{}, functions, k, workspace.arguments.at, count, t, workspace.matrix.at,
+        call_function(constants, functions, k, workspace.arguments.at, count, t, workspace.matrix.at,
                       count * count, workspace.calls.data());
         for (int64_t i = 0; i < count; ++i)
             for (int64_t j = 0; j < count; ++j) {
@@ -206,18 +218,21 @@ NOINLINE void term_cotangents(const Terms& terms, const int64_t* functions, int6
 }
 
 // One term of an entry of D_a: x[to] changes by factor x[from], and if it rotates, x[from] by -factor x[to].
+template <class N>
 struct GeneratorEntry {
     uint32_t to, from;
-    double factor;
+    N factor;
     bool rotates;
 };
 
 // The angles of the added part: its generators and the linear terms, preprocessed when a loop starts.
+template <class N>
 class AddedAngles {
   public:
     bool simple = false;  // only linear terms, and blocks of one or two coordinates
 
-    explicit AddedAngles(const FlowCotangents& all, bool with_group) {
+    template <class C>
+    AddedAngles(const FlowCotangents& all, const C& constants, bool with_group) {
         if (all.added < 0) return;
         const FlowTables& tables = all.base;
         const Terms& terms = tables.terms;
@@ -225,7 +240,8 @@ class AddedAngles {
         first = terms.row[low], count = terms.row[high] - first;
         for (uint32_t a = 0; a < count; ++a)
             angle_of.insert(angle_of.end(), terms.entry[first + a + 1] - terms.entry[first + a], a);
-        simple = append(tables.state, part, state) && (!with_group || append(tables.group, part, group));
+        simple = append(tables.state, constants, part, state) &&
+                 (!with_group || append(tables.group, constants, part, group));
         for (uint32_t k = low; k < high; ++k) simple = simple && terms.kind[k] == LINEAR;
     }
 
@@ -240,18 +256,20 @@ class AddedAngles {
                 A total(0.0);
                 for (uint32_t e = state.start[a]; e < state.start[a + 1]; ++e)
                     total = product(state.entries[e], at.x, at.of_x, total);
-                if (with_group) {
-                    const int64_t rows = at.group.rows;
-                    G sum(0.0);
-                    for (uint32_t e = group.start[a]; e < group.start[a + 1]; ++e)
-                        for (int64_t row = 0; row < rows; ++row) {
-                            const GeneratorEntry& entry = group.entries[e];
-                            const GeneratorEntry moved{uint32_t(entry.to * rows + row),
-                                                       uint32_t(entry.from * rows + row), entry.factor, entry.rotates};
-                            sum = product(moved, at.group.at, at.of_group.at, sum);
-                        }
-                    total += over_rows<A>(sum);
-                }
+                if (with_group)
+                    total += over_rows<A, G>([&](int64_t first, int64_t step) {
+                        const int64_t rows = at.group.rows;
+                        G sum(0.0);
+                        for (uint32_t e = group.start[a]; e < group.start[a + 1]; ++e)
+                            for (int64_t row = first; row < rows; row += step) {
+                                const GeneratorEntry<N>& entry = group.entries[e];
+                                const GeneratorEntry<N> moved{uint32_t(entry.to * rows + row),
+                                                              uint32_t(entry.from * rows + row), entry.factor,
+                                                              entry.rotates};
+                                sum = product(moved, at.group.at, at.of_group.at, sum);
+                            }
+                        return sum;
+                    });
                 totals[a] = total * A(tau);
                 of_offset[first + a] += totals[a];
             }
@@ -264,30 +282,31 @@ class AddedAngles {
   private:
     struct Generators {
         std::vector<uint32_t> start;
-        std::vector<GeneratorEntry> entries;
+        std::vector<GeneratorEntry<N>> entries;
     };
     Generators state, group;
     std::vector<uint32_t> angle_of;  // the angles of the entries of the terms
     uint32_t first = 0, count = 0;
 
     template <class V>
-    static INLINE V product(const GeneratorEntry& entry, const V* x, const V* cotangents, const V& total) {
+    static INLINE V product(const GeneratorEntry<N>& entry, const V* x, const V* cotangents, const V& total) {
         const V factor(entry.factor);
         V moved = x[entry.from] * cotangents[entry.to];
         if (entry.rotates) moved = moved - x[entry.to] * cotangents[entry.from];
         return fma(factor, moved, total);
     }
 
-    bool append(const Action& action, uint32_t part, Generators& to) const {
-        std::vector<std::vector<GeneratorEntry>> of_angle(count);
+    template <class C>
+    bool append(const Action& action, const C& constants, uint32_t part, Generators& to) const {
+        std::vector<std::vector<GeneratorEntry<N>>> of_angle(count);
         for (uint32_t run = action.run[part]; run < action.run[part + 1]; ++run) {
             const int kind = action.kind[run];
             if (kind != ROTATE && kind != SHEAR && kind != SCALE) return false;
             const uint32_t repeat = action.repeat[run], *index = action.indices + action.position[run];
-            const double* constants = action.constants + action.constant[run];
             for (uint32_t q = 0; q < action.angles[run]; ++q)
                 for (uint32_t b = 0; b < repeat; ++b, index += kind == SCALE ? 1 : 2) {
-                    const double factor = constants[kind == SHEAR ? q * repeat + b : q];
+                    const N factor = constants.template number_at<N>(
+                        action.constants, action.constant[run] + (kind == SHEAR ? q * repeat + b : q));
                     const uint32_t from = kind == SCALE ? index[0] : index[1];
                     of_angle[action.angle[run] + q].push_back(
                         {index[0], from, kind == ROTATE ? -factor : factor, kind == ROTATE});

@@ -5,32 +5,37 @@
 namespace coadjoint {
 
 // Apply a CUBIC block, and return its factors.
-template <Summation summation, class A, class V>
-static NOINLINE Rotation<A> apply_cubic(const Action& action, uint32_t run, const A& theta, const Vectors<V>& vectors) {
-    const CubicFactors<A> factors = cubic_factors(action, run, theta);
+template <Summation summation, class A, class V, class C>
+static NOINLINE Rotation<A> apply_cubic(const Action& action, const C& constants, uint32_t run, const A& theta,
+                                        const Vectors<V>& vectors) {
+    const CubicFactors<A> factors = cubic_factors(action, constants, run, theta);
     gather(BlockRows(action, run), vectors);
-    cubic_by<summation>(action, SharedConstants{}, run, factors, vectors);
+    cubic_by<summation>(action, constants, run, factors, vectors);
     return {factors.s, factors.c};
 }
 
 // Apply a flow, and store its rotations, or the factors of its CUBIC blocks in the places of sine and cosine.
-template <Summation summation, bool with_group, class A, class G>
-static INLINE void apply_and_store(const FlowTables& tables, const ElementaryFlow& flow, const Vectors<A>& x,
-                                   const Vectors<G>& group, AppliedRotations<A>* applied) {
-    if (__builtin_expect(flow.kind != CUBIC, 1)) return apply_flow<summation, with_group>(flow, x, group, applied);
-    const A theta = angle_of(flow, x.at);
-    applied->momentum = apply_cubic<summation>(tables.state, flow.momentum.run, flow.momentum.factor * theta, x);
+template <Summation summation, bool with_group, class A, class G, class N, class C>
+static INLINE void apply_and_store(const FlowTables& tables, const C& constants, const ElementaryFlow<N>& flow,
+                                   const Vectors<A>& x, const Vectors<G>& group, AppliedRotations<A>* applied) {
+    if (__builtin_expect(flow.kind != CUBIC, 1))
+        return apply_flow<summation, with_group>(flow, constants, x, group, applied);
+    const A theta = angle_of(flow, constants, x.at);
+    applied->momentum =
+        apply_cubic<summation>(tables.state, constants, flow.momentum.run, flow.momentum.factor * theta, x);
     if (with_group)
-        applied->group = apply_cubic<CORRECTED>(tables.group, flow.group.run, flow.group.factor * theta, group);
+        applied->group =
+            apply_cubic<CORRECTED>(tables.group, constants, flow.group.run, flow.group.factor * theta, group);
 }
 
 // Members as lanes, or one member with the rows of its group element as lanes.
-template <class A, class G>
+template <class A, class G, class C>
 class StepsBackward {
   public:
-    StepsBackward(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t count,
+    StepsBackward(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first, int64_t count,
                   InterruptCheck& interrupts)
-        : all(all), tables(all.base), run(run), interrupts(interrupts), first(first), count(count), size(run.size),
+        : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), first(first),
+          used(of_members ? count : 1), size(run.size),
           d(run.square > 0 ? tables.group.size : 0),
           rows(of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes), square(d * rows),
           steps(run.undone ? 0 : run.k1 - run.k0), coefficients(CoefficientCotangents<A>::count(tables.terms)),
@@ -38,10 +43,11 @@ class StepsBackward {
           scratch(3 * size), of_coefficients(coefficients), groups((steps + 1) * square), group(2 * square),
           group_cotangents(square), copies(2 * square), group_added(square), group_scratch(3 * square),
           angles(tables.longest), derivatives(tables.terms, of_coefficients.at),
-          backward(all, derivatives, run.square > 0, angles), shared_steps(of_members ? 1 : run.threads, size),
+          backward(all, constants, derivatives, run.square > 0, angles),
+          shared_steps(of_members ? 1 : run.threads, size),
           work(Numbers<A>::lanes * work_of_flows(tables)) {
         if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables);
-        FlowsOfRows flows_of(tables, run.square > 0, true);
+        FlowsOfRows<N, C> flows_of(tables, constants, run.square > 0, true);
         opening = flows_of(tables.section[0], tables.section[1]);
         repeated = flows_of(tables.section[1], tables.section[2]);
         finish = flows_of(tables.section[2], tables.section[3]);
@@ -64,8 +70,9 @@ class StepsBackward {
             const A t(run.t0 + double(k - 1) * run.h);
             const auto& flows = k == 1 ? opening : repeated;
             for (size_t position = 0; position < flows.size(); ++position)
-                if (const ElementaryFlow& flow = flows[position]; __builtin_expect(flow.kind != WHOLE_ROW, 1))
-                    apply_and_store<summation, with_group>(tables, flow, momentum, element, rotations_of(k) + position);
+                if (const Flow& flow = flows[position]; __builtin_expect(flow.kind != WHOLE_ROW, 1))
+                    apply_and_store<summation, with_group>(tables, constants, flow, momentum, element,
+                                                           rotations_of(k) + position);
                 else
                     row_forward<summation>(flow.row, momentum, element, t);
             for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
@@ -110,27 +117,30 @@ class StepsBackward {
                             {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
             run.undone ? shared_steps.end() : shared_steps.end_as_measured();
         }
-        each_number(cotangents.at, size,
+        each_number(cotangents.at, size, used,
                     [&](A& entry, int lane, int64_t position) { run.cotangents[position] = lane_of(entry, lane); });
-        each_number(of_coefficients.at, coefficients,
+        each_number(of_coefficients.at, coefficients, used,
                     [&](A& entry, int lane, int64_t position) { run.coefficients[position] += lane_of(entry, lane); });
-        each_entry(group_cotangents.at,
+        each_entry(group_cotangents.at, used,
                    [&](G& entry, int lane, int64_t position) { run.group_cotangents[position] = lane_of(entry, lane); });
     }
 
   private:
     static constexpr bool of_members = Numbers<A>::lanes == Numbers<G>::lanes;
+    typedef typename RowsBackward<A, G, C>::N N;
+    typedef ElementaryFlow<N> Flow;
     const FlowCotangents& all;
     const FlowTables& tables;
+    const C constants;
     const BackwardRun& run;
     InterruptCheck& interrupts;
-    const int64_t first, count, size, d, rows, square, steps, coefficients;
+    const int64_t first, used, size, d, rows, square, steps, coefficients;
     AlignedArray<A> states, x, cotangents, finished, added, scratch, of_coefficients;
     AlignedArray<G> groups, group, group_cotangents, copies, group_added, group_scratch;
     AngleWorkspace<A> angles;
     const CoefficientCotangents<A> derivatives;
-    RowsBackward<A, G> backward;
-    std::vector<ElementaryFlow> opening, repeated, finish;
+    RowsBackward<A, G, C> backward;
+    std::vector<Flow> opening, repeated, finish;
     SharedSteps shared_steps;
     const int64_t work;
     size_t longest;
@@ -141,24 +151,25 @@ class StepsBackward {
     NOINLINE void row_forward(uint32_t r, const Vectors<A>& momentum, const Vectors<G>& element, const A& t) {
         if (int64_t(tables.part[r]) == all.added) return;
         if (d > 0)
-            sweep<summation, true>(tables, SharedConstants{}, r, r + 1, momentum, element, t, run.h, angles);
+            sweep<summation, true>(tables, constants, r, r + 1, momentum, element, t, run.h, angles);
         else
-            sweep<summation, false>(tables, SharedConstants{}, r, r + 1, momentum, element, t, run.h, angles);
+            sweep<summation, false>(tables, constants, r, r + 1, momentum, element, t, run.h, angles);
     }
 
-    // Numbers of a member are contiguous; entries (i, r) of a group element are at i * rows + r, or in its lanes.
+    // Numbers of a member are contiguous; entries (i, r) of a group element are at i * rows + r, or in its lanes. The
+    // last member fills further `lanes`.
     template <class Number, class Visit>
-    void each_number(Number* to, int64_t length, const Visit& visit) const {
-        for (int64_t lane = 0; lane < (of_members ? count : 1); ++lane)
-            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), (first + lane) * length + i);
+    void each_number(Number* to, int64_t length, int64_t lanes, const Visit& visit) const {
+        for (int64_t lane = 0; lane < lanes; ++lane)
+            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), member_of(lane) * length + i);
     }
 
     template <class Visit>
-    void each_entry(G* to, const Visit& visit) const {
-        for (int64_t lane = 0; lane < (of_members ? count : 1); ++lane)
+    void each_entry(G* to, int64_t lanes, const Visit& visit) const {
+        for (int64_t lane = 0; lane < lanes; ++lane)
             for (int64_t i = 0; i < d; ++i)
                 for (int64_t r = 0; r < d; ++r) {
-                    const int64_t from = (first + lane) * d * d + i * d + r;
+                    const int64_t from = member_of(lane) * d * d + i * d + r;
                     if constexpr (of_members)
                         visit(to[i * rows + r], int(lane), from);
                     else
@@ -166,12 +177,16 @@ class StepsBackward {
                 }
     }
 
+    int64_t member_of(int64_t lane) const { return first + std::min(lane, used - 1); }
+
     NOINLINE void read(A* to, const double* from) const {
-        each_number(to, size, [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_number(to, size, Numbers<A>::lanes,
+                    [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
     }
 
     NOINLINE void read_group(G* to, const double* from) const {
-        each_entry(to, [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_entry(to, Numbers<A>::lanes,
+                   [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
     }
 
     void store(int64_t k) {
@@ -184,10 +199,10 @@ class StepsBackward {
     }
 };
 
-template <class A, class G>
-static void run_backward(const FlowCotangents& all, const BackwardRun& run, int64_t first, int64_t count,
-                         InterruptCheck& interrupts) {
-    StepsBackward<A, G> steps(all, run, first, count, interrupts);
+template <class A, class G, class C>
+static void run_members(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first,
+                         int64_t count, InterruptCheck& interrupts) {
+    StepsBackward<A, G, C> steps(all, constants, run, first, count, interrupts);
     if (all.base.compensated)
         run.square > 0 ? steps.template forward<CORRECTED, true>() : steps.template forward<CORRECTED, false>();
     else
@@ -200,10 +215,18 @@ EXPORT int64_t flow_cotangents(const FlowCotangents* tables, const BackwardRun* 
                                const int64_t* stop) {
     InterruptCheck interrupts(stop);
     try {
-        for (; run->size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(MEMBER_LANES, last - first))
-            run_backward<Lanes<MEMBER_LANES>, Lanes<MEMBER_LANES>>(
-                *tables, *run, first, std::min<int64_t>(MEMBER_LANES, last - first), interrupts);
-        for (; first < last; ++first) run_backward<double, GroupRows>(*tables, *run, first, 1, interrupts);
+        const bool narrow = run->size <= WIDEST;
+        while (first < last && (tables->stride || (narrow && last - first >= MIN_LANES))) {
+            const int64_t count = std::min<int64_t>(MEMBER_LANES, last - first);
+            if (tables->stride)
+                run_members<ManyMembers, ManyMembers>(*tables, LaneConstants{tables->stride, first}, *run, first, count,
+                                                      interrupts);
+            else
+                run_members<ManyMembers, ManyMembers>(*tables, SharedConstants{}, *run, first, count, interrupts);
+            first += count;
+        }
+        for (; first < last; ++first)
+            run_members<double, GroupRows>(*tables, SharedConstants{}, *run, first, 1, interrupts);
         return 0;
     } catch (const Interrupted&) {
         return INTERRUPTED;

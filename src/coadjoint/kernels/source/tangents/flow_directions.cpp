@@ -5,9 +5,9 @@
 namespace coadjoint {
 
 // Members as lanes, each with all of its vectors, or one member with its vectors as lanes.
-template <class A, class V>
-static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_t first, int64_t count,
-                        InterruptCheck& interrupts) {
+template <class A, class V, class C>
+static void run_members(const FlowCotangents& all, const C& constants, const ForwardRun& run, int64_t first,
+                        int64_t count, InterruptCheck& interrupts) {
     const FlowTables& tables = all.base;
     constexpr bool of_members = Numbers<A>::lanes == Numbers<V>::lanes;
     constexpr int64_t per_block = of_members ? 1 : Numbers<V>::lanes;
@@ -19,11 +19,13 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
     AlignedArray<A> x(2 * size), finished(2 * size), group(square), finished_group(square);
     AlignedArray<V> vectors(size * rows), copies(size * rows), of_group(square * rows), copies_of_group(square * rows);
     AlignedArray<V> directions(coefficients * rows);
-    FlowTangentState<A, V> tangents(tables, all.hessians, size, rows);
-    // Numbers of members (members, length), or of their vectors (members, carried, length).
+    FlowTangentState<A, V, C> tangents(tables, constants, all.hessians, size, rows);
+    // Numbers of members (members, length), or of their vectors (members, carried, length). Functions of the user are
+    // called for all lanes: the last member fills them.
     const auto each_number = [&](A* to, int64_t length, auto&& visit) {
-        for (int64_t lane = 0; lane < used; ++lane)
-            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), (first + lane) * length + i);
+        for (int64_t lane = 0; lane < Numbers<A>::lanes; ++lane)
+            for (int64_t i = 0; i < length; ++i)
+                visit(to[i], int(lane), (first + std::min(lane, used - 1)) * length + i);
     };
     const auto each_component = [&](V* to, int64_t length, auto&& visit) {
         for (int64_t lane = 0; lane < used; ++lane)
@@ -45,16 +47,19 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
         each_number(group.at, square, read(run.groups));
         each_component(of_group.at, square, read(run.group_tangents));
     }
-    for (int64_t lane = 0; lane < used; ++lane)
-        for (int64_t v = 0; v < run.carried; ++v)
-            for (int64_t i = 0; i < coefficients; ++i)
-                set_lane(directions.at[i * rows + v / per_block], int(of_members ? lane : v % per_block),
-                         run.coefficients[v * coefficients + i]);
+    const int64_t of_member = run.carried * coefficients;
     bool directed = false;
-    for (int64_t i = 0; i < run.carried * coefficients; ++i) directed = directed || run.coefficients[i] != 0.0;
+    for (int64_t lane = 0; lane < used; ++lane) {
+        const double* from = run.coefficients + (run.apart ? (first + lane) * of_member : 0);
+        for (int64_t v = 0; v < run.carried; ++v)
+            for (int64_t i = 0; i < coefficients; ++i, ++from) {
+                set_lane(directions.at[i * rows + v / per_block], int(of_members ? lane : v % per_block), *from);
+                directed = directed || *from != 0.0;
+            }
+    }
     V* const of_coefficients = directed ? directions.at : nullptr;
     const FurtherTangents<A, V> further{square > 0 ? group.at : nullptr, of_group.at, of_coefficients, all.added};
-    FlowsOfRows flows_of(tables, square > 0, true);
+    FlowsOfRows<typename C::template Constant<A>, C> flows_of(tables, constants, square > 0, true);
     const auto opening = flows_of(tables.section[0], tables.section[1]);
     const auto repeated = flows_of(tables.section[1], tables.section[2]);
     const auto finish = flows_of(tables.section[2], tables.section[3]);
@@ -83,20 +88,24 @@ static void run_forward(const FlowCotangents& all, const ForwardRun& run, int64_
     if (square > 0) each_component(of_group.at, square, write(run.group_tangents));
 }
 
-static void run_members(const FlowCotangents& all, const ForwardRun& run, int64_t first, int64_t last,
-                        InterruptCheck& interrupts) {
-    typedef Lanes<NATIVE> Members;  // the vectors of a member hide the latency
-    for (; run.size <= WIDEST && last - first >= MIN_LANES; first += std::min<int64_t>(NATIVE, last - first))
-        run_forward<Members, Members>(all, run, first, std::min<int64_t>(NATIVE, last - first), interrupts);
-    for (; first < last; ++first) run_forward<double, TangentLanes>(all, run, first, 1, interrupts);
-}
-
 // Carry the tangent vectors of the members first to last - 1; return zero or the outcome.
 EXPORT int64_t flow_directions(const FlowCotangents* tables, const ForwardRun* run, int64_t first, int64_t last,
                                const int64_t* stop) {
     InterruptCheck interrupts(stop);
     try {
-        run_members(*tables, *run, first, last, interrupts);
+        typedef Lanes<NATIVE> Members;  // the vectors of a member hide the latency
+        const bool narrow = run->size <= WIDEST;
+        while (first < last && (tables->stride || (narrow && last - first >= MIN_LANES))) {
+            const int64_t count = std::min<int64_t>(NATIVE, last - first);
+            if (tables->stride)
+                run_members<Members, Members>(*tables, LaneConstants{tables->stride, first}, *run, first, count,
+                                              interrupts);
+            else
+                run_members<Members, Members>(*tables, SharedConstants{}, *run, first, count, interrupts);
+            first += count;
+        }
+        for (; first < last; ++first)
+            run_members<double, TangentLanes>(*tables, SharedConstants{}, *run, first, 1, interrupts);
         return 0;
     } catch (const Interrupted&) {
         return INTERRUPTED;

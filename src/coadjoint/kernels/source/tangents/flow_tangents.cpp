@@ -21,7 +21,8 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
     const int64_t size = arrays.size;
     TangentBundle<double, TangentLanes> bundle(loop.tables.tangents);
     bundle.begin(loop.memory_of(member), loop.k0 == 0);
-    FlowTangentState<double, TangentLanes> tangent_state(tables, loop.tables.tangents.hessians, size, bundle.rows);
+    FlowTangentState<double, TangentLanes, SharedConstants> tangent_state(
+        tables, SharedConstants{}, loop.tables.tangents.hessians, size, bundle.rows);
     RecorderBySize<ManyMembers> recorder(
         without_tangents(loop), member,
         tables.compensated ? sweep<CORRECTED, false, ManyMembers, ManyMembers, SharedConstants>
@@ -83,7 +84,8 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
     TangentBundle<A, A> bundle(loop.tables.tangents);
     const auto memory_of = [&](int lane) { return loop.memory_of(members[std::min<int64_t>(lane, count - 1)]); };
     for (int lane = 0; lane < MEMBER_LANES; ++lane) bundle.begin(memory_of(lane), loop.k0 == 0, lane);
-    FlowTangentState<A, A> tangent_state(tables, loop.tables.tangents.hessians, size, bundle.rows);
+    FlowTangentState<A, A, SharedConstants> tangent_state(
+        tables, SharedConstants{}, loop.tables.tangents.hessians, size, bundle.rows);
     const auto sweep_momenta = tables.compensated ? sweep_groups<CORRECTED, false, A, A, SharedConstants>
                                                   : sweep_groups<PLAIN, false, A, A, SharedConstants>;
     FlowLanes<A, SharedConstants> lane_group(plain, SharedConstants{}, {sweep_momenta, sweep_momenta}, members, count,

@@ -9,10 +9,11 @@ namespace coadjoint {
 
 // Add D_a x times the change of its angle to the vectors, for all angles of a part (the operation `apply`). Component i of
 // state r of `states` is at i * states + r.
-template <class A, class V>
-NOINLINE void add_angle_changes(const Action& action, uint32_t part, bool apart, const A* x, int64_t states,
-                                const V* changes, V* vectors, int64_t rows) {
-    each_generator(action, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
+template <class A, class V, class C>
+NOINLINE void add_angle_changes(const Action& action, const C& constants, uint32_t part, bool apart, const A* x,
+                                int64_t states, const V* changes, V* vectors, int64_t rows) {
+    typedef typename C::template Constant<A> N;
+    each_generator<N>(action, constants, part, apart, [&](uint32_t a, uint32_t i, const auto& component) {
         const V* change = changes + int64_t(a) * rows;
         for (int64_t r = 0; r < states; ++r) {
             const V by(component([&](uint32_t j) { return x[j * states + r]; }));
@@ -25,9 +26,9 @@ NOINLINE void add_angle_changes(const Action& action, uint32_t part, bool apart,
 // Add the changes of the rows of term k under directions of its offsets, weights and coefficients. Entry i of direction b
 // is at i * rows + b, after those of the offsets those of the weights, and of the coefficients. The derivatives of functions
 // by their coefficients are at `functions`.
-template <class A, class V>
-NOINLINE void add_coefficient_changes(const Terms& terms, const int64_t* functions, int64_t k, const A* x, const A& t,
-                                      const V* directions, int64_t rows, V* out, int64_t first,
+template <class A, class V, class C>
+NOINLINE void add_coefficient_changes(const Terms& terms, const C& constants, const int64_t* functions, int64_t k,
+                                      const A* x, const A& t, const V* directions, int64_t rows, V* out, int64_t first,
                                       HessianWorkspace<A>& workspace) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], all = terms.row[terms.size];
     const V *weight = directions + all * rows, *coefficient = weight + terms.entry[all] * rows;
@@ -54,7 +55,7 @@ NOINLINE void add_coefficient_changes(const Terms& terms, const int64_t* functio
                 add(terms.factor_row[one], product, coefficient + monomial * rows);
             }
     if (terms.kind[k] == FUNCTION) {
-        const A* change = by_coefficients(terms, functions, k, x, t, workspace);
+        const A* change = by_coefficients(terms, constants, functions, k, x, t, workspace);
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
             for (int64_t row = start; row < stop; ++row) add(row, *change++, coefficient + monomial * rows);
     }
@@ -79,9 +80,11 @@ INLINE void with_sums(bool corrected, const Move& move) {
 }
 
 // One member of a flow method, or many as lanes. Momenta have the same bits as without tangent vectors.
-template <class A, class V>
+template <class A, class V, class C>
 struct FlowTangentState {
+    typedef typename C::template Constant<A> N;
     const FlowTables& tables;
+    const C constants;
     const bool compensated;
     const int64_t* hessians;
     const int64_t size, rows, side;
@@ -91,9 +94,10 @@ struct FlowTangentState {
     AngleWorkspace<A> angles;
     HessianWorkspace<A> workspace;
 
-    FlowTangentState(const FlowTables& tables, const int64_t* hessians, int64_t size, int64_t rows)
-        : tables(tables), compensated(tables.compensated), hessians(hessians), size(size), rows(rows), side(tables.group.size), scratch(3 * size),
-          group_scratch(3 * side * side), wide(3 * size * rows), wide_group(3 * side * side * rows),
+    FlowTangentState(const FlowTables& tables, const C& constants, const int64_t* hessians, int64_t size, int64_t rows)
+        : tables(tables), constants(constants), compensated(tables.compensated), hessians(hessians), size(size),
+          rows(rows), side(tables.group.size), scratch(3 * size), group_scratch(3 * side * side),
+          wide(3 * size * rows), wide_group(3 * side * side * rows),
           changes(tables.longest * rows), angles(tables.longest), workspace(tables.terms) {}
 
     NOINLINE void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h,
@@ -102,10 +106,10 @@ struct FlowTangentState {
     }
 
     // The same with elementary flows, if there are any, of the rows.
-    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow>& flows, A* x, A* dx,
+    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow<N>>& flows, A* x, A* dx,
                         V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {
         if (flows.empty()) return sweep(first, last, x, dx, vectors, t, h, further);
-        for (const ElementaryFlow& flow : flows)
+        for (const ElementaryFlow<N>& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
                 rows == 1 ? follow(std::integral_constant<int64_t, 1>(), flow, x, dx, vectors, further)
                           : follow(rows, flow, x, dx, vectors, further);
@@ -114,11 +118,13 @@ struct FlowTangentState {
     }
 
   private:
+    N number(const double* from, int64_t position) const { return constants.template number_at<N>(from, position); }
+
     // Move states (at i * states + r) and their vectors by the blocks of an angle theta, whose changes are `of_angle`. A
     // single row is known to the compiler, which then keeps it in registers.
     template <class Rows>
-    INLINE void follow_blocks(Rows rows, bool corrected, const AngleBlocks& blocks, const A& theta, const V* of_angle,
-                              const Vectors<A>& x, V* vectors) {
+    INLINE void follow_blocks(Rows rows, bool corrected, const AngleBlocks<N>& blocks, const A& theta,
+                              const V* of_angle, const Vectors<A>& x, V* vectors) {
         const int64_t states = x.rows;
         const bool turns = blocks.kind == ROTATE;
         Rotation<A> rotation{A(0.0), A(0.0)};
@@ -127,7 +133,7 @@ struct FlowTangentState {
             if (turns)
                 rotate<sums()>(rotation, blocks.pairs, blocks.repeat, x);
             else
-                shear_blocks<sums()>(blocks, theta, x);
+                shear_blocks<sums()>(blocks, constants, theta, x);
         });
         const V sine(rotation.sine), cosm1(rotation.cosm1);
         for (uint32_t block = 0; block < blocks.repeat; ++block) {
@@ -142,7 +148,7 @@ struct FlowTangentState {
                         second[b] = fma(of_second, change, c + fma(cosm1, c, sine * a));
                     }
                 } else {
-                    const double factor = blocks.factor * blocks.constants[block];
+                    const N factor = blocks.factor * number(blocks.constants, block);
                     const V by(factor * theta), of_first(factor * x.at[j + r]);
                     for (int64_t b = 0; b < rows; ++b)
                         first[b] = fma(of_first, of_angle[b], first[b] + by * second[b]);
@@ -152,28 +158,30 @@ struct FlowTangentState {
     }
 
     // The same with a CUBIC block.
-    NOINLINE void follow_cubic(bool corrected, const Action& action, const AngleBlocks& blocks, const A& theta,
+    NOINLINE void follow_cubic(bool corrected, const Action& action, const AngleBlocks<N>& blocks, const A& theta,
                                const V* of_angle, const Vectors<A>& x, V* vectors, V* copies) {
         const BlockRows block(action, blocks.run);
-        const CubicFactors<A> factors(action, SharedConstants{}, blocks.run, blocks.factor * theta);
+        const CubicFactors<A> factors(action, constants, blocks.run, blocks.factor * theta);
         gather(block, x);
         with_sums(corrected,
-                  [&](auto sums) { cubic_by<sums()>(action, SharedConstants{}, blocks.run, factors, x); });
+                  [&](auto sums) { cubic_by<sums()>(action, constants, blocks.run, factors, x); });
         gather(block, x);
-        const double *values = action.constants + block.constant + CUBIC_HEADER, *squares = values + block.entries;
+        const int64_t values = block.constant + CUBIC_HEADER, squares = values + block.entries;
         const int64_t states = x.rows, length = states * rows;
         gather(block, Vectors<V>{vectors, nullptr, length, copies});
         for (uint32_t k = 0; k < block.width; ++k)
             for (int64_t r = 0; r < states; ++r) {
                 A moved(0.0);
                 for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry)
-                    moved = fma(A(values[entry]), x.workspace[block.columns[entry] * states + r], moved);
+                    moved = fma(A(number(action.constants, values + entry)),
+                                x.workspace[block.columns[entry] * states + r], moved);
                 const V change(blocks.factor * moved);
                 V* vector = vectors + block.coordinates[k] * length + r * rows;
                 for (int64_t b = 0; b < rows; ++b) {
                     V total = change * of_angle[b];
                     for (uint32_t entry = block.starts[k]; entry < block.starts[k + 1]; ++entry) {
-                        const V by(fma(factors.s, A(values[entry]), factors.c * squares[entry]));
+                        const V by(fma(factors.s, A(number(action.constants, values + entry)),
+                                       factors.c * number(action.constants, squares + entry)));
                         total = fma(by, copies[block.columns[entry] * length + r * rows + b], total);
                     }
                     vector[b] = vector[b] + total;
@@ -182,20 +190,21 @@ struct FlowTangentState {
     }
 
     template <class Rows>
-    INLINE void follow(Rows rows, const ElementaryFlow& flow, A* x, A* dx, V* vectors, const FurtherTangents<A, V>& further) {
+    INLINE void follow(Rows rows, const ElementaryFlow<N>& flow, A* x, A* dx, V* vectors,
+                       const FurtherTangents<A, V>& further) {
         A theta(flow.offset);
         V* change = changes.at;
         std::fill_n(change, rows, V(0.0));
         for (uint32_t entry = 0; entry < flow.entries; ++entry) {
             const uint32_t column = flow.column[entry];
-            theta = fma(A(flow.weight[entry]), x[column], theta);
-            const V weight(flow.weight[entry]);
+            const A of_entry = constants.template number_at<A>(flow.weight, entry);
+            theta = fma(of_entry, x[column], theta);
+            const V weight(of_entry);
             for (int64_t b = 0; b < rows; ++b) change[b] = fma(weight, vectors[column * rows + b], change[b]);
         }
         if (further.directions) {
             const Terms& terms = tables.terms;
-            const V* of_weight =
-                further.directions + (terms.row[terms.size] + (flow.weight - terms.weight)) * rows;
+            const V* of_weight = further.directions + (terms.row[terms.size] + terms.entry[flow.angle]) * rows;
             for (int64_t b = 0; b < rows; ++b) change[b] += further.directions[flow.angle * rows + b];
             for (uint32_t entry = 0; entry < flow.entries; ++entry) {
                 const V coordinate(x[flow.column[entry]]);
@@ -218,7 +227,7 @@ struct FlowTangentState {
     template <class W>
     NOINLINE void follow_row(const Action& action, uint32_t part, double tau, bool single, const A* theta,
                              CachedRotation<A>& cached, const Vectors<W>& moved) {
-        act<PLAIN, true>(action, SharedConstants{}, part, tau, single, single ? theta[0] : A(0.0), theta, cached, moved);
+        act<PLAIN, true>(action, constants, part, tau, single, single ? theta[0] : A(0.0), theta, cached, moved);
     }
 
     NOINLINE void row(uint32_t r, A* x, A* dx, V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {
@@ -235,22 +244,22 @@ struct FlowTangentState {
         if (is_called(tables, part)) {
             share(high - low, [&](int64_t first, int64_t last) {
                 for (uint32_t k = low + uint32_t(first); k < low + uint32_t(last); ++k)
-                    called_changes(tables, tables.called[k], tau, x, vectors, rows,
+                    called_changes(tables, constants, tables.called[k], tau, x, vectors, rows,
                                    changes.at + (terms.row[k] - base) * rows);
             });
-            const Rotations<A> rotations = rotations_of_part(tables, SharedConstants{}, part, A(tau), x, angles);
+            const Rotations<A> rotations = rotations_of_part(tables, constants, part, A(tau), x, angles);
             with_sums(compensated, [&](auto sums) {
                 if (rotates_bonds_directly<sums()>(tables, part))
-                    rotate_bonds(tables, SharedConstants{}, part, tau, x);
+                    rotate_bonds(tables, constants, part, tau, x);
                 else
-                    act_called<sums()>(tables.state, SharedConstants{}, part, rotations,
+                    act_called<sums()>(tables.state, constants, part, rotations,
                                        Vectors<A>{x, dx, 1, scratch.at}, size);
             });
-            act_called<PLAIN>(tables.state, SharedConstants{}, part, rotations,
+            act_called<PLAIN>(tables.state, constants, part, rotations,
                               Vectors<V>{vectors, nullptr, rows, wide.at}, size);
             if (further.group) {
-                act_called<PLAIN>(tables.group, SharedConstants{}, part, rotations, group, side);
-                act_called<PLAIN>(tables.group, SharedConstants{}, part, rotations, of_group, side);
+                act_called<PLAIN>(tables.group, constants, part, rotations, group, side);
+                act_called<PLAIN>(tables.group, constants, part, rotations, of_group, side);
             }
         } else {
             for (uint32_t k = low; k < high; ++k) {
@@ -258,18 +267,19 @@ struct FlowTangentState {
                 if (added) {
                     std::fill_n(of_term, (terms.row[k + 1] - terms.row[k]) * rows, V(0.0));
                 } else {
-                    gradient_rows(terms, SharedConstants{}, tables.addresses, k, x, moment, theta, base,
+                    gradient_rows(terms, constants, tables.addresses, k, x, moment, theta, base,
                                   angles.arguments.at, angles.calls.at);
-                    gradient_changes(terms, hessians, k, x, moment, vectors, rows, changes.at, base, workspace);
+                    gradient_changes(terms, constants, hessians, k, x, moment, vectors, rows, changes.at, base,
+                                     workspace);
                 }
                 if (further.directions)
-                    add_coefficient_changes(terms, hessians, k, x, moment, further.directions, rows, changes.at, base,
-                                            workspace);
+                    add_coefficient_changes(terms, constants, hessians, k, x, moment, further.directions, rows,
+                                            changes.at, base, workspace);
             }
             share(count, [&](int64_t first, int64_t last) {
                 for (int64_t a = first; a < last; ++a) {
                     // A rational rotation by phi rotates by 2 atan(phi/2).
-                    const A half = added ? A(0.0) : 0.5 * tables.frequency[base + a] * (tau * theta[a]);
+                    const A half = added ? A(0.0) : 0.5 * number(tables.frequency, base + a) * (tau * theta[a]);
                     const V by(A(tau) / fma(half, half, A(1.0)));
                     for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
                 }
@@ -281,18 +291,18 @@ struct FlowTangentState {
                 const Vectors<V> of_momentum{vectors, nullptr, rows, wide.at};
                 with_sums(compensated, [&](auto sums) {
                     if (apart)
-                        act_apart<sums()>(tables.state, SharedConstants{}, part, tau, theta, momentum);
+                        act_apart<sums()>(tables.state, constants, part, tau, theta, momentum);
                     else
-                        act<sums(), false>(tables.state, SharedConstants{}, part, tau, single, single_angle, theta,
+                        act<sums(), false>(tables.state, constants, part, tau, single, single_angle, theta,
                                            cached, momentum);
                 });
                 if (apart)
-                    act_apart<PLAIN>(tables.state, SharedConstants{}, part, tau, theta, of_momentum);
+                    act_apart<PLAIN>(tables.state, constants, part, tau, theta, of_momentum);
                 else
                     follow_row(tables.state, part, tau, single, theta, cached, of_momentum);
                 if (further.group && tables.bent[part]) {
                     for (int64_t a = 0; a < count; ++a)
-                        angles.rotated.at[a] = rational_angle(tau * theta[a], A(tables.frequency[base + a]));
+                        angles.rotated.at[a] = rational_angle(tau * theta[a], A(number(tables.frequency, base + a)));
                     follow_row(tables.group, part, 1.0, false, angles.rotated.at, cached, group);
                     follow_row(tables.group, part, 1.0, false, angles.rotated.at, cached, of_group);
                 } else if (further.group) {
@@ -301,9 +311,10 @@ struct FlowTangentState {
                 }
             }
         }
-        add_angle_changes(tables.state, part, apart, x, 1, changes.at, vectors, rows);
+        add_angle_changes(tables.state, constants, part, apart, x, 1, changes.at, vectors, rows);
         if (further.group)
-            add_angle_changes(tables.group, part, false, further.group, side, changes.at, further.vectors, rows);
+            add_angle_changes(tables.group, constants, part, false, further.group, side, changes.at, further.vectors,
+                              rows);
     }
 };
 

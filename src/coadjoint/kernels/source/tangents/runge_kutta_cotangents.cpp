@@ -65,11 +65,13 @@ static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& r
     const auto write = [](double* to) {
         return [to](V& entry, int lane, int64_t position) { to[position] = lane_of(entry, lane); };
     };
-    each(directions.at, count, 0, read(run.coefficients));
-    bool directed = false;
-    for (int64_t i = 0; i < run.carried * count; ++i) directed = directed || run.coefficients[i] != 0.0;
     const int64_t work = (2 + 4 * rows) * work_of_step(tables);
     for (int64_t member = first; member < last; ++member) {
+        const int64_t own = run.apart ? member * run.carried : 0;
+        const double* const of_coefficients = run.coefficients + own * count;
+        const bool directed = std::any_of(of_coefficients, of_coefficients + run.carried * count,
+                                          [](double direction) { return direction != 0.0; });
+        each(directions.at, count, own, read(run.coefficients));
         each(vectors.at, n, member * run.carried, read(run.tangents));
         if (square > 0) each(of_group.at, square, member * run.carried, read(run.group_tangents));
         stepped.begin(run, member);

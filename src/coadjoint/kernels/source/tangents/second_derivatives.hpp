@@ -33,23 +33,24 @@ struct HessianWorkspace {
 
 // The derivatives of the rows of a FUNCTION term by its coefficients, (coefficients, rows), from the function at its
 // address; none if it has no coefficients.
-template <class A>
-const A* by_coefficients(const Terms& terms, const int64_t* functions, int64_t k, const A* x, const A& t,
-                         HessianWorkspace<A>& workspace) {
+template <class A, class C>
+const A* by_coefficients(const Terms& terms, const C& constants, const int64_t* functions, int64_t k, const A* x,
+                         const A& t, HessianWorkspace<A>& workspace) {
     const int64_t start = terms.row[k], count = terms.row[k + 1] - start;
     const int64_t results = int64_t(terms.monomial[k + 1] - terms.monomial[k]) * count;
     for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
     if (results > 0)
-        call_function(SharedConstants{}, functions, k, workspace.arguments.at, count, t, workspace.matrix.at, results,
+        call_function(constants, functions, k, workspace.arguments.at, count, t, workspace.matrix.at, results,
                       workspace.calls.data());
     return workspace.matrix.at;
 }
 
 // Fill out[(row - first) * rows] with the change of every row of term k along the vectors. The rows are those of
 // `gradient_rows`.
-template <class A, class V>
-NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int64_t k, const A* x, const A& t,
-                               const V* vectors, int64_t rows, V* out, int64_t first, HessianWorkspace<A>& workspace) {
+template <class A, class V, class C>
+NOINLINE void gradient_changes(const Terms& terms, const C& constants, const int64_t* hessians, int64_t k, const A* x,
+                               const A& t, const V* vectors, int64_t rows, V* out, int64_t first,
+                               HessianWorkspace<A>& workspace) {
     const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
     V* changes = out + (start - first) * rows;
     std::fill_n(changes, count * rows, V(0.0));
@@ -62,7 +63,7 @@ NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int6
         share(count, [&](int64_t low, int64_t high) {
             for (int64_t row = start + low; row < start + high; ++row)
                 for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                    add(row - start, A(terms.weight[entry]), terms.column[entry]);
+                    add(row - start, constants.template number_at<A>(terms.weight, entry), terms.column[entry]);
         });
     } else if (terms.kind[k] == POLYNOMIAL) {
         for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
@@ -70,7 +71,7 @@ NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int6
             for (uint32_t one = low; one < high; ++one)
                 for (uint32_t other = low; other < high; ++other) {
                     if (one == other && terms.exponent[one] < 2) continue;
-                    A product(terms.coefficient[monomial]);
+                    A product = constants.template number_at<A>(terms.coefficient, monomial);
                     for (uint32_t factor = low; factor < high; ++factor)
                         product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
                                                      (factor == one) + (factor == other));
@@ -79,7 +80,7 @@ NOINLINE void gradient_changes(const Terms& terms, const int64_t* hessians, int6
         }
     } else {
         for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
-        call_function(SharedConstants{}, hessians, k, workspace.arguments.at, count, t, workspace.matrix.at,
+        call_function(constants, hessians, k, workspace.arguments.at, count, t, workspace.matrix.at,
                       count * count, workspace.calls.data());
         for (int64_t i = 0; i < count; ++i)
             for (int64_t j = 0; j < count; ++j) add(i, workspace.matrix.at[i * count + j], terms.target[start + j]);
@@ -102,7 +103,8 @@ class FieldChanges {
         std::fill_n(second_derivative.at, field.size * rows, V(0.0));
         for (int64_t k = 0; k < terms.size; ++k) {
             const int64_t first = terms.row[k];
-            gradient_changes(terms, tangents.hessians, k, x, t, vectors, rows, part.at, first, workspace);
+            gradient_changes(terms, SharedConstants{}, tangents.hessians, k, x, t, vectors, rows, part.at, first,
+                             workspace);
             for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
                 for (int64_t b = 0; b < rows; ++b)
                     second_derivative.at[terms.target[row] * rows + b] += part.at[(row - first) * rows + b];

@@ -105,8 +105,8 @@ class StageTangents {
         const Terms& added = at.all.added;
         for (int64_t k = 0; k < added.size; ++k) {
             std::fill_n(part.at, (added.row[k + 1] - added.row[k]) * rows, V(0.0));
-            add_coefficient_changes(added, at.all.functions, k, point, at.time_of(j), directions, rows, part.at,
-                                    added.row[k], of_added);
+            add_coefficient_changes(added, SharedConstants{}, at.all.functions, k, point, at.time_of(j), directions, rows,
+                                    part.at, added.row[k], of_added);
             add_rows(added, k, of_gradients.at + j * n * rows);
         }
     }
@@ -117,8 +117,8 @@ class StageTangents {
         std::fill_n(to, n * rows, V(0.0));
         const Terms& terms = at.field.terms;
         for (int64_t k = 0; k < terms.size; ++k) {
-            gradient_changes(terms, at.all.hessians, k, point, at.time_of(j), vectors, rows, part.at, terms.row[k],
-                             workspace);
+            gradient_changes(terms, SharedConstants{}, at.all.hessians, k, point, at.time_of(j), vectors, rows, part.at,
+                             terms.row[k], workspace);
             add_rows(terms, k, to);
         }
         if (directions) add_directions(j, point, directions);
@@ -320,8 +320,8 @@ class StageCotangents {
                 const int64_t first = terms.row[k];
                 for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
                     of_rows.at[row - first] = w.at[terms.target[row]];
-                term_cotangents(terms, of_coefficients_only ? at.all.functions : at.all.hessians, k, q, at.time_of(j),
-                                of_rows.at, first, of_coefficients_only, out, of,
+                term_cotangents(terms, SharedConstants{}, of_coefficients_only ? at.all.functions : at.all.hessians, k,
+                                q, at.time_of(j), of_rows.at, first, of_coefficients_only, out, of,
                                 of_coefficients_only ? of_added : workspace,
                                 of_coefficients_only ? nullptr : by_term(k, n));
             }
