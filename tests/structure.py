@@ -25,7 +25,7 @@ MAXIMA: dict[str, int] = {
     "isinstance": 910,  # kinds of molecules, shapes in JAX; fewer by one base of systems
     "files in cycles, with imports inside functions and for types": 51,  # motions of bodies
     "modules behind integrate": 131,  # torques on the state, of which forces on satellites are made
-    "C++ lines": 20258,  # the C interface, which checks tables of others; batches of Taylor methods, and gradients, in lanes
+    "C++ lines": 20258,  # the C interface, which checks tables of others; Taylor batches and gradients in lanes
     "test lines": 67950,  # molecules, asteroids, the C interface, JAX, fits of arrays, interrupted runs
     "test files that import internals": 74,
     "public names": 346,  # rigid_molecules, export_table and co.jax.free_body
