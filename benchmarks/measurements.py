@@ -14,9 +14,11 @@ SUBJECTS = {
         "one_trajectory": "One trajectory",
         "large_trajectories": "Large systems",
         "spins": "Spins",
+        "spins_more": "Spins on other machines",
         "molecules": "Rigid molecules",
         "first_run_of_a_lattice": "First runs of lattices",
         "fluids": "Fluids",
+        "fluids_more": "Fluids on more threads",
         "heat_baths": "Heat baths",
         "gauss_legendre": "Gauss-Legendre",
         "round_off": "Round-off",
@@ -65,7 +67,9 @@ SUBJECTS = {
         "building": "Building the kernels",
     },
 }
-"""Title of each stored section by its name, which is that of the benchmark that prints it if there is one."""
+"""Title of each stored section by its name: that of the benchmark that prints it, or of a text kept by hand."""
+DETAILS = "<!-- details -->"
+"""What a stored output has after this line is not on the page."""
 INTRODUCTION = """\
 This page collects the measured figures of the documentation: times, ratios to other programs, and how the rules of
 the library were tried. [benchmarks](../benchmarks/README.md) describes each measurement. `make bench` measures again
@@ -79,8 +83,10 @@ NEXT = "Next: [User-defined systems, Hamiltonians and forces](extending.md)."
 def section(name: str, title: str) -> str:
     """Return a stored section, with the command that prints it."""
     stored = (REPORT / f"{name}.md").read_text(encoding="utf-8").strip()
+    shown, _, details = stored.partition(f"\n\n{DETAILS}")
     command = f"`python benchmarks/{name}.py`\n\n" if (HERE / f"{name}.py").exists() else ""
-    return f"### {title}\n\n{command}{stored}"
+    more = f"\n\n`benchmarks/report/{name}.md` has the details." if details else ""
+    return f"### {title}\n\n{command}{shown}{more}"
 
 
 def page() -> str:

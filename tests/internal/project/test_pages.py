@@ -13,12 +13,16 @@ ROOT = Path(__file__).parents[3]
 PAGES = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md", *ROOT.glob("src/coadjoint/**/README.md")])
 
 
-@pytest.fixture(scope="module")
-def api():
-    specification = importlib.util.spec_from_file_location("write_api", ROOT / "docs" / "write_api.py")
+def loaded(path):
+    specification = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def api():
+    return loaded(ROOT / "docs" / "write_api.py")
 
 
 def test_every_public_name_is_listed(api):
@@ -36,6 +40,13 @@ def test_every_public_name_is_listed(api):
 def test_api_page_is_up_to_date(api):
     written = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     assert api.page() == written, "run python docs/write_api.py"
+
+
+def test_page_of_measurements_has_what_is_stored():
+    measurements = loaded(ROOT / "benchmarks" / "measurements.py")
+    assert measurements.page() == measurements.PAGE.read_text("utf-8"), "run python benchmarks/measurements.py"
+    stored = {path.stem for path in measurements.REPORT.glob("*.md")}
+    assert stored <= {name for sections in measurements.SUBJECTS.values() for name in sections}
 
 
 def test_public_names_and_parameters_are_those_that_are_written(api):
