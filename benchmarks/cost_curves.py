@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from measurements import DETAILS
 from scipy.sparse import diags_array
 
 import coadjoint as co
@@ -182,8 +183,18 @@ def exponents(family: Family, rows: list[Row]) -> dict[str, float]:
 
 
 def table(results: list[tuple[Family, list[Row]]]) -> str:
-    lines = ["| family | size | dimension | constants | entries of generators | parts | building, s | its peak, MB |"]
-    lines[0] += " tables, MB | a step, s | ns an entry |"
+    lines = ["| family | fitted from | " + " | ".join(COLUMNS) + " |", "|---" * (2 + len(COLUMNS)) + "|"]
+    for family, rows in results:
+        found = exponents(family, rows)
+        shown = [f"{found[name]:.2f}" if name in found else "" for name in COLUMNS]
+        lines.append(f"| {family.title} | {family.fitted} {family.against} | " + " | ".join(shown) + " |")
+    lines += [
+        "",
+        DETAILS,
+        "",
+        "| family | size | dimension | constants | entries of generators | parts | building, s |",
+    ]
+    lines[-1] += " its peak, MB | tables, MB | a step, s | ns an entry |"
     lines.append("|---" * 11 + "|")
     for family, rows in results:
         for row in rows:
@@ -193,11 +204,6 @@ def table(results: list[tuple[Family, list[Row]]]) -> str:
                 f"| {row.parts} | {row.building:.2g} | {row.peak / 1e6:.3g} | {row.tables / 1e6:.2g} "
                 f"| {row.step:.2g} | {each:.1f} |"
             )
-    lines += ["", "| family | fitted from | " + " | ".join(COLUMNS) + " |", "|---" * (2 + len(COLUMNS)) + "|"]
-    for family, rows in results:
-        found = exponents(family, rows)
-        shown = [f"{found[name]:.2f}" if name in found else "" for name in COLUMNS]
-        lines.append(f"| {family.title} | {family.fitted} {family.against} | " + " | ".join(shown) + " |")
     return "\n".join(lines)
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from measurements import DETAILS
+
 TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 DRIFTS_AT = 1e-6
 OURS = "coadjoint"
@@ -113,5 +115,6 @@ def tables(measured: dict[str, Any]) -> str:
         for name, reason in measured["missing"].items()
     ]
     parts.append(ratio_table(measured["problems"], measured["missing"]))
+    parts.append(DETAILS)
     parts += [problem_table(name, found) for name, found in measured["problems"].items()]
     return "\n\n".join(parts)

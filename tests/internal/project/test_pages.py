@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import runpy
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,6 @@ def api():
 
 
 def test_every_public_name_is_listed(api):
-
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     names = {f"co.{name}" for name in dir(co)}
     for space in "algebras analysis forces jax methods plotting results spectra systems torch".split():
@@ -67,14 +67,16 @@ def test_changes_of_the_public_interface_are_seen(api, monkeypatch):
     assert "PreparedRun.parameters" in lost and "co.batch" not in lost
 
 
-def test_stub_file_is_up_to_date(api):
-    written = (ROOT / "src/coadjoint/systems/__init__.pyi").read_text(encoding="utf-8")
-    assert api.names_of_systems() == written, "run python docs/write_api.py"
-
-
-def test_schema_file_is_up_to_date(api):
-    written = (ROOT / "docs" / "configuration.schema.json").read_text(encoding="utf-8")
-    assert api.written_schema() == written, "run python docs/write_api.py"
+def test_written_files_are_up_to_date(api):
+    measurements = runpy.run_path(str(ROOT / "benchmarks" / "measurements.py"))
+    for path, text, script in (
+        ("src/coadjoint/systems/__init__.pyi", api.names_of_systems(), "docs/write_api.py"),
+        ("docs/configuration.schema.json", api.written_schema(), "docs/write_api.py"),
+        ("docs/measurements.md", measurements["page"](), "benchmarks/measurements.py"),
+    ):
+        assert text == (ROOT / path).read_text(encoding="utf-8"), f"run python {script}"
+    listed = {name for sections in measurements["SUBJECTS"].values() for name in sections}
+    assert {path.stem for path in measurements["REPORT"].glob("*.md")} <= listed
 
 
 def test_installation_is_the_same_everywhere():

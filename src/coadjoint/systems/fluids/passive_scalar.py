@@ -52,7 +52,7 @@ def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     Returns
     -------
     TwoLayerSystem
-        States (2, N, N): Theta and W. Energy: the integral of |u|^2/2 over the surface. Casimirs tr Theta^k,
+        States (2, N, N): Theta and W. Energy: the integral of ``|u|^2/2`` over the surface. Casimirs tr Theta^k,
         tr W Theta^k and tr W^k.
 
     Notes

@@ -61,7 +61,7 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     Returns
     -------
     TwoLayerSystem
-        States (2, N, N): Theta and W. Energy: the integral of (|u|^2 + |b|^2)/2 over the surface,
+        States (2, N, N): Theta and W. Energy: the integral of ``(|u|^2 + |b|^2)/2`` over the surface,
         ``(tr(W* L^-1 W) + tr(Theta* L Theta))/2`` times `energy_unit`. Casimirs tr Theta^k and
         tr W Theta^k, of which k = 1 is the cross helicity.
 

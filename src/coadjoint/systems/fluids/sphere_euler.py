@@ -318,7 +318,7 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
     -------
     SphereEuler
         With `to_grid`, `modes`, initial states. The energy is the kinetic energy of the relative motion, the integral
-        of |u|^2/2 over the sphere: tr(V* L^-1 V)/(2 scale^2) of V = W - F. Casimirs tr W^k.
+        of ``|u|^2/2`` over the sphere: tr(V* L^-1 V)/(2 scale^2) of V = W - F. Casimirs tr W^k.
 
     Notes
     -----

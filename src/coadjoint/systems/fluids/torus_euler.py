@@ -274,7 +274,7 @@ def torus_euler(N: int = 33) -> TorusEuler:
     Returns
     -------
     TorusEuler
-        With grids, modes and initial states. The energy is the integral of |u|^2/2, ``4 pi^2 sum |w_n|^2 / |n|^2 / 2``.
+        With grids, modes and initial states. Energy: the integral of ``|u|^2/2``, ``4 pi^2 sum |w_n|^2 / |n|^2 / 2``.
 
     Notes
     -----

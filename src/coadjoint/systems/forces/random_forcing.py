@@ -23,13 +23,13 @@ class RandomForcing(OnLayer):
     The real and the imaginary part of every mode of the band have independent Wiener processes, with equal shares of
     the energy: the noise is isotropic. Its flow is exact in distribution.
     The mean of the energy grows at `energy_rate`, in the unit of ``sol.energy`` and of the sum of ``energy_spectrum``:
-    the integral of |u|^2/2 over the surface, for every N. The mean of the enstrophy grows at that rate times the mean
-    eigenvalue of minus the Laplacian over the components of the band.
+    the integral of ``|u|^2/2`` over the surface, for every N. The mean of the enstrophy grows at that rate times the
+    mean eigenvalue of minus the Laplacian over the components of the band.
 
     Parameters
     ----------
     energy_rate : float
-        Mean rate of energy input, not negative: of the integral of |u|^2/2, per time.
+        Mean rate of energy input, not negative: of the integral of ``|u|^2/2``, per time.
     band : (float, float)
         Lowest and highest degree l, or wave number ``|n|``, inclusive.
     seed : int
