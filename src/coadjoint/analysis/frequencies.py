@@ -297,7 +297,9 @@ def _nearest_combinations(
         )
     grid = np.array(list(product(range(-largest, largest + 1), repeat=d)))
     grid = grid[np.argsort(np.sum(np.abs(grid), axis=1), kind="stable")]
-    sums, slack = grid @ basis, np.abs(grid) @ basis_tolerance
+    # Rounded are the basis, the products and their sum.
+    rounded = (d + 1) * UNIT_ROUNDOFF * np.abs(basis)
+    sums, slack = grid @ basis, np.abs(grid) @ (basis_tolerance + rounded)
     integers, misfit, found = [], [], []
     for line, allowed in zip(w, tolerance, strict=True):
         distance = np.abs(sums - line)
