@@ -203,7 +203,7 @@ def test_the_uncertainties_of_all_lines_of_a_combination_add_up(seed: int):
 
 
 def test_round_off_of_a_line_is_within_its_uncertainty():
-    w = 4.5 + np.array([0, 2, -2, 3, -3]) * 8.0 * U  # neighbours; the uncertainty of 4 u w is 18 u
+    w = 4.5 + np.array([0, 3, -3, 4, -4]) * 8.0 * U  # the uncertainty of 4 u w is 18 u, the rounding of 3 (1.5) is 9 u
     for sign in (1, -1):
         lines = lines_at(sign * w, np.zeros(5), False)
         combined = lines.combinations([1.5])
