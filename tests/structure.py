@@ -18,15 +18,15 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 597,  # rigid molecules, the C interface, free bodies and forces in JAX, arrays measured by fits
-    "Python lines": 99010,  # rigid molecules, the C interface, free bodies and forces in JAX, fits
+    "Python files": 598,  # norms of certificates in SI units, rigid molecules, the C interface, free bodies and forces in JAX, arrays measured by fits
+    "Python lines": 99160,  # certificates in SI units, rigid molecules, the C interface, free bodies and forces in JAX, fits
     "longest file": 512,
-    "classes": 630,  # rigid molecules, forces in JAX, functions of parameters, arrays measured by fits
+    "classes": 631,  # the norm of certificates, rigid molecules, forces in JAX, functions of parameters, arrays measured by fits
     "isinstance": 910,  # kinds of molecules, shapes in JAX; fewer by one base of systems
     "files in cycles, with imports inside functions and for types": 51,  # motions of bodies
     "modules behind integrate": 131,  # torques on the state, of which forces on satellites are made
     "C++ lines": 20138,  # the C interface, which checks tables of others; batches of Taylor methods in lanes
-    "test lines": 67900,  # molecules, asteroids, the C interface, JAX, fits of arrays, interrupted runs
+    "test lines": 68000,  # certificates in SI units, molecules, asteroids, the C interface, JAX, fits of arrays, interrupted runs
     "test files that import internals": 74,
     "public names": 346,  # rigid_molecules, export_table and co.jax.free_body
 }
