@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.files.records.records import safe_name
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.protocol import is_batch, unforced
+from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 COMPLEX_PARTS = ("real", "imaginary")
 """Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
@@ -115,8 +115,21 @@ def time_variables(solution: Solution) -> Variables:
         work = [values for of_force in solution.work.values() for values in of_force.values()]
         long_name = "what a force has changed of an invariant since the start"
         variables["work"] = ((*dims, "account"), np.stack(work, axis=-1), cf_attributes(long_name))
+    variables |= _angular_motion(solution, dims)
     if solution.attitude is not None:
         variables["attitude"] = ((*dims, "row", "column"), solution.attitude, cf_attributes("group element"))
+    return variables
+
+
+def _angular_motion(solution: Solution, dims: tuple[str, ...]) -> Variables:
+    """Return the angular velocity and momentum of bodies in their frames; nothing for other systems."""
+    variables: Variables = {}
+    if not all(hasattr(unforced(one), "angular_velocity") for one in members_of(solution.system)):
+        return variables
+    for name in ("angular_velocity", "angular_momentum"):
+        values = getattr(solution, name)
+        of_body = ("body", "axis") if values.ndim > len(dims) + 1 else ("axis",)
+        variables[name] = ((*dims, *of_body), values, cf_attributes(f"{name.replace('_', ' ')} in the body frame"))
     return variables
 
 
