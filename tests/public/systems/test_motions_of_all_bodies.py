@@ -140,3 +140,33 @@ def test_what_has_no_attitude_is_refused_in_space():
         sol.in_space((1.0, 2.0))
     with refused(ValueError, "frame", "inertial"):
         sol.plot(co.plotting.Picture("angular velocity", frame="inertial"))
+
+
+def gravity(x, A):
+    """The torque gamma cross lever of a top, whose vertical gamma is the third row of the attitude."""
+    return np.array(
+        [A[2, 1] - A[2, 2] * 0.5, A[2, 2] * 0.75 - A[2, 0], A[2, 0] * 0.5 - A[2, 1] * 0.75],
+    )
+
+
+def test_a_top_with_wheels_is_a_body_under_gravity():
+    """Without wheels it is `heavy_top`, to order 2 of the torque; motors keep the vertical momentum of all together."""
+    inertia, omega = (1.0, 2.0, 2.5), (0.3, -0.2, 1.0)
+    top, torque = co.systems.heavy_top(inertia, (0.75, 0.5, 1.0)), co.forces.Torque(gravity)
+    wanted = co.integrate(top, np.r_[top.momentum(omega), 0, 0, 1], (0, 4), 0.01, co.Splitting(order=8)).x[-1]
+    body = co.systems.body(inertia).with_forces(torque)
+    x0 = body.state(None, omega)
+    errors = [
+        np.abs(co.integrate(body, x0, (0, 4), h, co.Splitting(order=2)).x[-1, [0, 1, 2, 9, 10, 11]] - wanted).max()
+        for h in (0.02, 0.01)
+    ]
+    assert errors[1] < 1e-3 and errors[0] / errors[1] == pytest.approx(4.0, abs=0.1)
+    motors = co.forces.ReactionWheels(co.forces.Pointing(stiffness=0.0, damping=0.5), period=0.1)
+    with refused(TypeError, "ReactionWheels", "heavy_top", "Torque"):
+        top.with_forces(motors)
+    wheeled = co.systems.body(inertia, wheels=0.05 * np.eye(3)).with_forces(torque, motors)
+    sol = co.integrate(wheeled, wheeled.state(None, omega), (0, 4), 0.01, co.Splitting(order=2))
+    vertical = sol.in_space(sol.angular_momentum)[:, 2]
+    # Rounding of 400 steps of some ten operations each, of one sign.
+    assert np.ptp(vertical) < 400 * 16 * U * np.abs(sol.angular_momentum).max()
+    assert np.abs(wheeled.wheel_speeds(sol.x[-1])).max() > 1.0

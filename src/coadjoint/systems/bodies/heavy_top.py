@@ -77,6 +77,9 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     point does not move. It is the integral of ``A lever`` over time, so ``r cross A gamma`` is minus the angular
     impulse of gravity, and ``A m + r cross A gamma`` is constant.
 
+    A top with reaction wheels or sampled controllers is `body` with gravity as a ``co.forces.Torque`` of (x, A), the
+    cross product of A[2] and the lever.
+
     Parameters
     ----------
     inertia : (3,) or (3, 3)
