@@ -115,15 +115,15 @@ def time_variables(solution: Solution) -> Variables:
         work = [values for of_force in solution.work.values() for values in of_force.values()]
         long_name = "what a force has changed of an invariant since the start"
         variables["work"] = ((*dims, "account"), np.stack(work, axis=-1), cf_attributes(long_name))
-    variables |= _angular_motion(solution, dims)
     if solution.attitude is not None:
         variables["attitude"] = ((*dims, "row", "column"), solution.attitude, cf_attributes("group element"))
     return variables
 
 
-def _angular_motion(solution: Solution, dims: tuple[str, ...]) -> Variables:
+def angular_motion_variables(solution: Solution) -> Variables:
     """Return the angular velocity and momentum of bodies in their frames; nothing for other systems."""
     variables: Variables = {}
+    dims = ("time", *_member(solution))
     if not all(hasattr(unforced(one), "angular_velocity") for one in members_of(solution.system)):
         return variables
     for name in ("angular_velocity", "angular_momentum"):
