@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.results.body_motion import reader_of
 from coadjoint.runs.results.observables import Observed
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
@@ -115,11 +114,11 @@ def _has(ready: PreparedRun, name: str) -> bool:
     system = unforced(ready.system)
     if name == "attitude" and not (getattr(system, "has_attitude", False) and ready.representation is None):
         return False
-    return reader_of(system, MOTIONS[name]) is not None
+    return getattr(unforced(system), MOTIONS[name], None) is not None
 
 
 def _reader(system: Any, name: str) -> Callable[[Any], Floats]:
-    found = reader_of(system, MOTIONS[name])
+    found = getattr(unforced(system), MOTIONS[name], None)
     assert found is not None
     return found
 

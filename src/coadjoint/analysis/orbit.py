@@ -16,7 +16,6 @@ from coadjoint.systems.evaluation import scatter
 Floats = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-10  # singular values of J(x) below this, relative to the largest, are zero
-SPREAD = 256.0  # ratio of sizes of groups of coordinates from which each has its own unit
 MAX_DEGREE = 40  # of the series of an exponential, whose substeps have norms of at most one
 NEGLIGIBLE = 2.0**-60  # of the state: the series of an exponential ends there, below round-off
 
@@ -104,11 +103,7 @@ class ScaledFunction:
 def units_of(system: Any, x: Floats) -> Floats:
     """Return powers of two as units of the coordinates: sizes of their groups in x if these differ much, else one."""
     groups = CoordinateGroups(system)
-    sizes = groups.norms(x)
-    found = sizes[sizes > 0.0]
-    if not found.size or found.max() < SPREAD * found.min():
-        return np.ones(len(x))
-    return np.asarray(np.exp2(np.round(np.log2(np.where(sizes > 0.0, sizes, 1.0))))[groups.labels])
+    return groups.units(groups.norms(x))
 
 
 class Tangents(NamedTuple):

@@ -18,6 +18,8 @@ from coadjoint.systems.registry import gallery_entry_of
 
 Function = TypeVar("Function")
 
+SPREAD = 256.0  # ratio of sizes of groups of coordinates from which each has its own unit
+
 
 def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
     """Return `count` (default: `dim`) coordinate names as plain text: those that the system or its algebra declares,
@@ -91,6 +93,20 @@ class CoordinateGroups:
             return np.linalg.norm(states, axis=-1, keepdims=True)
         ordered = states if self._sorted else states[..., self._order]
         return np.sqrt(np.add.reduceat(ordered**2, self._starts, axis=-1))
+
+    def matrix_norms(self, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the norms of the blocks of matrices (..., dim, dim) on the groups, shape (..., count, count)."""
+        if self.count == 1:
+            return np.linalg.norm(matrices, axis=(-2, -1), keepdims=True)
+        rows = np.swapaxes(self.norms(np.swapaxes(matrices, -1, -2)), -1, -2)
+        return self.norms(rows)
+
+    def units(self, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return powers of two as units of the coordinates for sizes of the groups; one if these are similar or 0."""
+        found = sizes[sizes > 0.0]
+        if not found.size or found.max() < SPREAD * found.min():
+            return np.ones(len(self.labels))
+        return np.asarray(np.exp2(np.round(np.log2(np.where(sizes > 0.0, sizes, 1.0))))[self.labels])
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the groups, by those of their coordinates: L for L1, L2, L3; x for all coordinates.

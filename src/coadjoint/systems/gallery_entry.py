@@ -34,6 +34,7 @@ class Picture:
     The kinds and their options (those without a default are needed):
 
     - ``"body"``: at, axis, up, vertical, view
+    - ``"angular momentum"``, ``"angular velocity"``: frame
     - ``"bodies"``: at, view
     - ``"body axis"``: axis, up, vertical, view
     - ``"coadjoint orbit"``: view

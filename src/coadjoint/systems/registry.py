@@ -44,7 +44,6 @@ _REGISTRY: dict[str, Callable[..., Any]] = {}
 _ENERGIES: dict[str, DeclaredEnergy] = {}
 _GALLERY_ENTRIES: dict[str, GalleryEntry] = {}
 _UNITS: dict[str, str] = {}
-_BODIES: set[str] = set()
 UNIT_TOLERANCE = 1e-6  # deviation of a coordinate from 1 that is taken for rounding
 
 
@@ -60,7 +59,6 @@ def ready_made(
     potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
     unit: str = "",
-    body: bool = False,
 ) -> Callable[[Builder], Builder]: ...
 
 
@@ -73,7 +71,6 @@ def ready_made(
     potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
     unit: str = "",
-    body: bool = False,
 ) -> Any:
     """Register a function that makes a system, under its own name.
 
@@ -97,9 +94,6 @@ def ready_made(
     unit : str, optional
         A Casimir that is a coordinate and must be 1 in every initial state, such as the central one beside canonical
         pairs.
-    body : bool
-        Whether the first three coordinates are an angular momentum in the frame of a body, with sign -1, so that runs
-        have its angular velocity, and torques may act on it.
 
     Returns
     -------
@@ -125,8 +119,6 @@ def ready_made(
             _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric, potential)
         if unit:
             _UNITS[wrapped.__name__] = unit
-        if body:
-            _BODIES.add(wrapped.__name__)
         return wrapped
 
     return register if function is None else register(function)
@@ -163,18 +155,6 @@ def unit_coordinate(system: Any) -> int | None:
     """Return the number of the coordinate that must be 1 in every state of this ready-made system; None without one."""
     casimir = system.casimirs.get(_UNITS[system.name]) if has_unit_coordinate(system) else None
     return None if casimir is None else int(np.argmax(np.abs(casimir.gradient(np.zeros(system.dim)))))
-
-
-def begins_with_momentum(name: str) -> bool:
-    """Return whether a ready-made system is declared as a body, by its first three coordinates.
-
-    Examples
-    --------
-    >>> begins_with_momentum("heavy_top"), begins_with_momentum("toda")
-    (True, False)
-    """
-    ready_made_systems()
-    return name in _BODIES
 
 
 def check_unit_coordinate(system: Any, states: npt.NDArray[np.float64]) -> None:

@@ -10,6 +10,7 @@ from coadjoint.analysis.certificates.claims import scheme_and_claims
 from coadjoint.analysis.checks import attitude, invariants, poisson, subject, symmetry
 from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.invariants import size_of
+from coadjoint.analysis.checks.norm import Norm
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.analysis.checks.subject import Subject
 from rounding import UNIT_ROUNDOFF as U
@@ -78,18 +79,18 @@ def test_the_size_of_an_invariant_is_before_cancellation():
         quadratic = co.Quadratic(M, linear=b, constant=c)
         slope = np.linalg.norm(M @ x + b) * np.linalg.norm(x)
         terms = np.abs(x) @ np.abs(M) @ np.abs(x) / 2 + np.abs(b) @ np.abs(x) + abs(c)
-        assert size_of(quadratic, x) == pytest.approx(terms + slope, rel=1e-12)
+        assert size_of(quadratic, x, Norm()) == pytest.approx(terms + slope, rel=1e-12)
         cubic = co.Polynomial({(3, 0, 0): -2.0, (1, 1, 1): 3.0, (0, 1, 0): -1.0})
         slope = np.linalg.norm(cubic.gradient(x)) * np.linalg.norm(x)
         terms = 2.0 * abs(x[0]) ** 3 + 3.0 * abs(x[0] * x[1] * x[2]) + abs(x[1])
-        assert size_of(cubic, x) == pytest.approx(terms + slope, rel=1e-12)
+        assert size_of(cubic, x, Norm()) == pytest.approx(terms + slope, rel=1e-12)
 
         def function(y):
             return y[0] - 2.0 * y[1] * y[2]
 
         slope = np.linalg.norm([1.0, -2.0 * x[2], -2.0 * x[1]]) * np.linalg.norm(x)
         # Central differences of a quadratic function, by steps of 2^-17: to 1e-16 * 2^17 and some.
-        assert size_of(function, x) == pytest.approx(abs(function(x)) + slope, rel=1e-9)
+        assert size_of(function, x, Norm()) == pytest.approx(abs(function(x)) + slope, rel=1e-9)
 
 
 def test_errors_that_are_allowed_follow_the_order_and_the_ratio_of_the_steps():

@@ -52,6 +52,8 @@ def certify(
     It measures the order and the convergence to a closed form or an independent integration (since a motion at the
     wrong speed preserves every invariant); the symmetry; the Poisson bracket, by the tangent map of the step; energy
     and Casimirs, in one step and over a long run; and the invariants of the group element, if the scheme computes one.
+    Groups of coordinates whose sizes differ much, such as the angular momentum and the position of a satellite in SI
+    units, are each compared with their own size; values and bounds of states are in the unit of the largest group.
 
     Parameters
     ----------

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.representation import invariant_form
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.convergence import allowed_error
+from coadjoint.analysis.checks.norm import worst_group
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
@@ -19,6 +20,7 @@ from coadjoint.analysis.fits import FLOOR_FACTOR
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
+from coadjoint.systems.coordinates import CoordinateGroups
 
 Floats = NDArray[np.float64]
 
@@ -127,11 +129,30 @@ def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats,
                 raise
         else:
             assert run.attitude is not None
-            values = np.linalg.svd(run.attitude, compute_uv=False)
-            condition = float(np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)))
+            condition = _condition(subject, run, attitude)
             if condition <= MAX_CONDITION or steps == 1:
                 return run, run.attitude, condition
         steps //= 2
+
+
+def _condition(subject: Subject, run: Solution, attitude: Any) -> float:
+    """Return the largest factor by which elements multiply rounding errors until the end of the run.
+
+    For groups of coordinates with different units it is the growth of the bound of a group of K x by K_s K_s^-1.
+    """
+    groups, g = CoordinateGroups(subject.system), np.asarray(run.attitude)
+    if attitude != "coadjoint" or groups.count == 1:
+        values = np.linalg.svd(g, compute_uv=False)
+        return float(np.max(values[..., 0] / np.maximum(values[..., -1], np.finfo(float).tiny)))
+    sizes = np.max(groups.matrix_norms(g), axis=0)
+    end = np.max(_sizes_of_moved(groups, run), axis=0)
+    moved = sizes @ np.max(groups.matrix_norms(np.asarray(np.linalg.inv(g))), axis=0) @ end[..., None]
+    return float(np.max(np.divide(moved[..., 0], end, out=np.ones_like(end), where=end > 0.0)))
+
+
+def _sizes_of_moved(groups: CoordinateGroups, run: Solution) -> Floats:
+    """Return the bounds (times, members, groups) of the groups of K x."""
+    return np.asarray((groups.matrix_norms(np.asarray(run.attitude)) @ groups.norms(run.x)[..., None])[..., 0])
 
 
 def _rounding(subject: Subject, run: Solution) -> float:
@@ -148,9 +169,11 @@ def _momentum(subject: Subject, steps: int) -> Measurement:
     """Measure the spatial momentum K x, which is constant; K is the coadjoint matrix."""
     run, K, condition = _run(subject, "coadjoint", steps)
     moved = np.einsum("kmij,kmj->kmi", K, run.x) - run.x[0]
-    size = float(np.max(_norm(K) * np.linalg.norm(run.x, axis=-1))) * condition
-    defect = float(np.max(np.linalg.norm(moved, axis=-1)))
-    return defect, _rounding(subject, run) * size, f"moves by {defect:.2g} in {run.stats.steps} steps"
+    groups = CoordinateGroups(subject.system)
+    defects = np.max(groups.norms(moved), axis=(0, 1))
+    bounds = _rounding(subject, run) * (np.max(_sizes_of_moved(groups, run), axis=(0, 1)) * condition)
+    defect, bound = worst_group(defects, bounds)
+    return defect, bound, f"moves by {defect:.2g} in {run.stats.steps} steps"
 
 
 def _form(subject: Subject, form: Floats, steps: int) -> Measurement:
@@ -171,9 +194,12 @@ def _one_element(subject: Subject, steps: int) -> Measurement:
         K_run, K, K_condition = _run(subject, "coadjoint", g_run.stats.steps)
     left = np.einsum("iab,kmbc->kmiac", rho, g)
     right = np.einsum("kmab,kmij,jbc->kmiac", g, K, rho, optimize=True)
-    defect = float(np.max(np.sqrt(np.sum((left - right) ** 2, axis=(-3, -2, -1)))))
-    size = float(np.max(_norm(g) * _norm(K)) * np.linalg.norm(rho)) * max(g_condition, K_condition)
-    bound = 2 * (_rounding(subject, g_run) + _rounding(subject, K_run)) * size
+    groups = CoordinateGroups(subject.system)
+    defects = np.max(groups.norms(_norm(left - right)), axis=(0, 1))
+    sizes = _norm(g)[..., None] * (groups.matrix_norms(K) @ groups.norms(_norm(rho)))
+    rounding = 2 * (_rounding(subject, g_run) + _rounding(subject, K_run))
+    bounds = rounding * (np.max(sizes, axis=(0, 1)) * max(g_condition, K_condition))
+    defect, bound = worst_group(defects, bounds)
     return defect, bound, f"representation and coadjoint matrix differ by {defect:.2g} after {g_run.stats.steps} steps"
 
 
@@ -200,18 +226,18 @@ def _limit(subject: Subject, study: Study) -> Measurement | None:
     """Compare the element at small steps with an independent integration."""
     n, x = subject.system.dim, subject.states[0]
     start = np.concatenate([x, np.eye(n).ravel()])
-    reference = motion(_with_element(subject.system), start[None], study.span)  # type: ignore[arg-type]
+    reference = motion(_with_element(subject.system), start[None], study.span, subject.norm.with_matrix(n))  # type: ignore[arg-type]
     if reference is None:
         return None
     element = reference.states[0, n:].reshape(n, n)
-    size = float(np.linalg.norm(element))
+    size = float(_norm(subject.norm.matrix(element)))
     # The smallest step at which the error of the momentum is above round-off, else the smallest step.
     measurable = [k for k, error in enumerate(study.errors) if error > FLOOR_FACTOR * study.floors[k]]
     count = study.counts[measurable[-1] if measurable else len(study.counts) - 1]
     runs = [subject.run(x, study.span / steps, steps, attitude="coadjoint") for steps in (count, 2 * count)]
     elements = [run.attitude[-1] for run in runs if run.attitude is not None]
-    error = float(np.linalg.norm(elements[1] - element)) / size
-    change = float(np.linalg.norm(elements[1] - elements[0])) / size
+    error = float(_norm(subject.norm.matrix(elements[1] - element))) / size
+    change = float(_norm(subject.norm.matrix(elements[1] - elements[0]))) / size
     floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(runs[1].stats.evaluations)))
     text = f"error {error:.2g} at the step {abs(study.span) / (2 * count):.3g}, against {reference.by}"
     return error, floor + allowed_error(change, 2.0, subject.claims.order), text

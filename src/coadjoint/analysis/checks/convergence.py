@@ -63,12 +63,12 @@ def _is_uncertain(fitted: Slope) -> bool:
 
 def _single_steps(subject: Subject, study: Study) -> Slope | None:
     """Return the order from errors of single steps, their slope minus one, for high orders with few steps in a span."""
-    p, size = subject.claims.order or 4, float(np.linalg.norm(subject.states)) or 1.0
+    p, size = subject.claims.order or 4, float(subject.norm(subject.states)) or 1.0
     largest = study.coarse_step(math.copysign(subject.span_time, subject.h))
     steps, errors, floors = [], [], []
     for k in range(MAX_SINGLE_STEPS):
         h = largest / ERROR_RATIO ** (k / (p + 1))
-        reference = motion(subject.system, subject.states, h)
+        reference = motion(subject.system, subject.states, h, subject.norm)
         if reference is None:
             continue
         try:
@@ -77,7 +77,7 @@ def _single_steps(subject: Subject, study: Study) -> Slope | None:
             continue
         rounding = UNIT_ROUNDOFF * (8 + 2 * math.sqrt(subject.evaluations)) + subject.noise / size
         steps.append(abs(h))
-        errors.append(float(np.linalg.norm(after - reference.states)) / size)
+        errors.append(float(subject.norm(after - reference.states)) / size)
         floors.append(2 * reference.error + rounding)
         if errors[-1] < FLOOR_FACTOR * floors[-1]:
             break
@@ -137,14 +137,14 @@ def _order_row(subject: Subject, study: Study, declared: str, evidence: dict[str
 def _reference_row(subject: Subject, study: Study, p: int | None, declared: str, evidence: dict[str, object]) -> Row:
     """Return the row on the limit of small steps, which every scheme must pass; it detects wrong speeds."""
     last, bound = study.errors[-1], FLOOR_FACTOR * study.floors[-1]
-    size = float(np.linalg.norm(study.reference.states)) or 1.0
+    size = float(subject.norm(study.reference.states)) or 1.0
     shorter = _by_shorter_own_steps(subject, study)
     if shorter is not None:
         end, left = shorter
-        last = float(np.linalg.norm(end - study.reference.states)) / size
-        bound += allowed_error(float(np.linalg.norm(end - study.ends[-1])) / size, 1.0 / left, 1)
+        last = float(subject.norm(end - study.reference.states)) / size
+        bound += allowed_error(float(subject.norm(end - study.ends[-1])) / size, 1.0 / left, 1)
     elif len(study.counts) > 1:
-        change = float(np.linalg.norm(study.ends[-1] - study.ends[-2])) / size
+        change = float(subject.norm(study.ends[-1] - study.ends[-2])) / size
         bound += allowed_error(change, study.counts[-1] / study.counts[-2], p)
     holds: bool | None = last <= bound
     reason = study.reference.contradiction

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
+from coadjoint.analysis.checks.norm import Norm
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.subject import Subject
 from coadjoint.analysis.fits import growth
@@ -67,14 +68,14 @@ def long_run(subject: Subject) -> LongRun:
     and the linear systems are worse conditioned than the bounds on round-off assume.
     """
     count, failed, until = steps_of(subject), "", 0.0
-    start = np.linalg.norm(subject.states, axis=1)
+    start = subject.norm(subject.states, axis=1)
     while count:
         try:
             run = subject.run(subject.states, subject.h, count, max(1, count // SAVED_POINTS), watch=True)
         except IntegrationError as error:
             failed, until = failed or str(error), until or error.time
         else:
-            if count == 1 or np.all(np.linalg.norm(run.x, axis=-1) <= MAX_GROWTH_FACTOR * start):
+            if count == 1 or np.all(subject.norm(run.x, axis=-1) <= MAX_GROWTH_FACTOR * start):
                 return LongRun(run, failed, until)
         count //= 2
     return LongRun(None, failed, until)
@@ -139,12 +140,12 @@ def _row(
     subject: Subject, run: LongRun, single: list[tuple[float, Solution]], name: str, invariant: Any, row: Row
 ) -> Row:
     """Return the row of an invariant: its errors in one step and over the run, each with its round-off bound."""
-    noise = subject.noise / (float(np.min(np.linalg.norm(subject.states, axis=1))) or 1.0)
+    noise = subject.noise / (float(np.min(subject.norm(subject.states, axis=1))) or 1.0)
     measurements: list[tuple[float, float, str, str]] = []  # error, bound, text, source of the bound
     evidence: dict[str, Any] = {}
     for h, step in single:
         values = _series(step, name)
-        sizes = np.maximum(*(_sizes(invariant, states) for states in step.x))
+        sizes = np.maximum(*(_sizes(invariant, states, subject.norm) for states in step.x))
         errors = np.abs(values[1] - values[0])
         rounding = subject.rounding(h, step.stats.evaluations / len(subject.states)) + 8 * UNIT_ROUNDOFF + 8 * noise
         k = int(np.argmax(errors / np.where(sizes > 0.0, sizes, 1.0)))
@@ -160,7 +161,9 @@ def _row(
         evidence |= {"window times": fitted.times, "window sizes": fitted.sizes, "power of time": fitted.power}
         drift = solution.drift()[name]
         samples = np.linspace(0, len(solution.x) - 1, SIZE_SAMPLES).astype(int)
-        sizes = np.max([_sizes(invariant, states) for states in solution.x[samples]], axis=0) / drift.scale
+        sizes = (
+            np.max([_sizes(invariant, states, subject.norm) for states in solution.x[samples]], axis=0) / drift.scale
+        )
         members = np.asarray(drift.members)
         k = int(np.argmax(members / np.where(sizes > 0.0, sizes, 1.0)))
         evaluations = solution.stats.evaluations / len(subject.states) + solution.stats.steps + 1
@@ -196,24 +199,25 @@ def _shortening(subject: Subject, run: LongRun) -> str:
     return f"of the steps before a state has grown {MAX_GROWTH_FACTOR:.0f} times" if shorter else ""
 
 
-def _sizes(invariant: Any, states: Floats) -> Floats:
-    return np.array([size_of(invariant, x) for x in states])
+def _sizes(invariant: Any, states: Floats, norm: Norm) -> Floats:
+    return np.array([size_of(invariant, x, norm) for x in states])
 
 
 def _series(solution: Solution, name: str) -> Floats:
     return np.asarray(solution.energy if name == "energy" else solution.casimirs[name])
 
 
-def size_of(invariant: Any, x: Floats) -> float:
+def size_of(invariant: Any, x: Floats, norm: Norm) -> float:
     """Return |gradient| |x| plus the sum of the absolute terms, the effect of rounding in units of u."""
     value = invariant(x) if callable(invariant) else invariant.value(x)
     terms = max(abs(float(value)), float(sum_of_absolute_terms(invariant, x)))
-    return terms + float(np.linalg.norm(_gradient(invariant, x)) * np.linalg.norm(x))
+    return terms + float(np.linalg.norm(norm.gradient(_gradient(invariant, x, norm))) * norm(x))
 
 
-def _gradient(invariant: Any, x: Floats) -> Floats:
+def _gradient(invariant: Any, x: Floats, norm: Norm) -> Floats:
     if getattr(invariant, "gradient", None) is not None:
         return np.asarray(invariant.gradient(x), dtype=np.float64)
-    small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
-    slopes = [(invariant(x + small * e) - invariant(x - small * e)) / (2 * small) for e in np.eye(len(x))]
+    small = 2.0**-17 * (float(np.max(np.abs(norm.scaled(x)))) or 1.0)
+    moves = norm.unscaled(small * np.eye(len(x)))
+    slopes = [(invariant(x + e) - invariant(x - e)) / (2 * e.sum()) for e in moves]
     return np.array(slopes, dtype=np.float64)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
+from coadjoint.analysis.checks.norm import worst_group
 from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject, directions
 from coadjoint.analysis.fits import Slope, slope_of_defects
 from coadjoint.analysis.poisson_defect import defect_of_tangent
@@ -18,6 +19,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.step_tangents import compiled_tangents
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.protocol import has_structure_constants
 
 SLOPE_STEPS = 4  # lengths of steps for the order of a defect, over a factor of 2.8
@@ -169,9 +171,17 @@ def _defect(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[float, 
     counted = after.stats.evaluations if by == "formula" else max(after.stats.evaluations, MIN_OPERATIONS)
     operations = (counted + 4) * system.dim
     J = system.structure_matrix(x)
-    measured = defect_of_tangent(P, J, system.structure_matrix(after.x[-1]), operations=operations)
-    floor = DIFFERENCE_FLOOR * float(np.linalg.norm(P) ** 2 * np.linalg.norm(J)) if by == "differences" else 0.0
-    return measured.defect, max(measured.bound, floor), by
+    image = system.structure_matrix(after.x[-1])
+    groups = CoordinateGroups(system)
+    if groups.count == 1:
+        measured = defect_of_tangent(P, J, image, operations=operations)
+        floor = DIFFERENCE_FLOOR * float(np.linalg.norm(P) ** 2 * np.linalg.norm(J)) if by == "differences" else 0.0
+        return measured.defect, max(measured.bound, floor), by
+    # Each block of J is compared with its own round-off, in any units of the groups.
+    defects, sizes = groups.matrix_norms(P @ J @ P.T - image), groups.matrix_norms(P)
+    relative = max(64 * UNIT_ROUNDOFF * operations, DIFFERENCE_FLOOR if by == "differences" else 0.0)
+    bounds = relative * (sizes @ groups.matrix_norms(J) @ sizes.T)
+    return *worst_group(defects, bounds), by
 
 
 def _defect_slope(subject: Subject, largest: float) -> Slope | None:
@@ -205,11 +215,14 @@ def tangent(subject: Subject, x: NDArray[np.float64], h: float) -> Tangent:
     except TypeError:
         # The system lacks a derivative; differentiate the step itself.
         by, P = _differences(subject, x, h)
+    if by == "differences" and not subject.norm.plain:
+        # Differences over the size of the state are too long for small groups.
+        by, P = _differences(subject, x, h)
     if by == "differences":
         # A step that rounds to float64 internally is detected by the disagreement of both derivatives.
         precise = _multiprecision_differences(subject, x, h)
-        size = 1.0 + float(np.linalg.norm(P))
-        if precise is not None and np.max(np.abs(precise - P)) <= AGREEMENT * size:
+        size = 1.0 + float(np.linalg.norm(subject.norm.matrix(P)))
+        if precise is not None and np.max(np.abs(subject.norm.matrix(precise - P))) <= AGREEMENT * size:
             return Tangent(precise, "multiprecision")
     return Tangent(P, by)
 
@@ -226,8 +239,9 @@ def _differences(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[st
             return subject.method.step(subject.system, y, 0.0, h)
         return subject.run(np.asarray(y, dtype=np.float64), h, 1).x[-1]
 
-    result = derivative_of(step, x)
-    return result.by, result.derivative
+    norm = subject.norm
+    result = derivative_of(norm.function(step), norm.scaled(x))
+    return result.by, norm.unscaled_matrix(result.derivative)
 
 
 def _multiprecision_differences(subject: Subject, x: NDArray[np.float64], h: float) -> NDArray[np.float64] | None:
@@ -238,12 +252,13 @@ def _multiprecision_differences(subject: Subject, x: NDArray[np.float64], h: flo
         return None
     with mpmath.workdps(DIGITS):
         point = np.array([mpmath.mpf(float(v)) for v in x])
-        length, size = mpmath.mpf(h), float(np.max(np.abs(x))) or 1.0
+        length, size = mpmath.mpf(h), float(np.max(np.abs(subject.norm.scaled(x)))) or 1.0
+        units = np.broadcast_to(subject.norm.units, len(x))
         # The truncation error is 1e-26, the cancellation error 1e-27.
-        small = mpmath.mpf(10) ** -13 * size
         columns = []
         try:
             for j in range(len(x)):
+                small = mpmath.mpf(10) ** -13 * (size * float(units[j]))
                 sides = []
                 for side in (1, -1):
                     moved = point.copy()

@@ -82,14 +82,14 @@ def study(subject: Subject) -> Study | None:
         given = given if halving else max(1, given)
         given = 0 if given > max_given else given
         span, first = (given * subject.h, given) if given else (math.copysign(duration, subject.h), default)
-        reference = motion(subject.system, subject.states, span)
+        reference = motion(subject.system, subject.states, span, subject.norm)
         if reference is not None:
             break
     else:
         return None
     ratio = min(2.0, ERROR_RATIO ** (1.0 / p)) if p else math.sqrt(2.0)
     result = Study(span, [], [], [], [], reference, given, [])
-    size = float(np.linalg.norm(reference.states)) or 1.0
+    size = float(subject.norm(reference.states)) or 1.0
 
     def run(count: int) -> bool:
         """Add the run with `count` steps to the study; return whether it succeeded."""
@@ -104,7 +104,7 @@ def study(subject: Subject) -> Study | None:
         rounding = UNIT_ROUNDOFF * (8 + 2 * math.sqrt(count * subject.evaluations)) + subject.noise * count / size
         result.counts.insert(index, count)
         result.ends.insert(index, end)
-        result.errors.insert(index, float(np.linalg.norm(end - reference.states)) / size)
+        result.errors.insert(index, float(subject.norm(end - reference.states)) / size)
         result.floors.insert(index, 2 * reference.error + rounding)
         return True
 

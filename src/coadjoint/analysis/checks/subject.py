@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.claims import Claims
+from coadjoint.analysis.checks.norm import Norm
 from coadjoint.analysis.checks.reference import motion, natural_time
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
@@ -72,6 +73,11 @@ class Subject:
             x = moved.states[0]
             states.append(x)
         return np.array(states)
+
+    @cached_property
+    def norm(self) -> Norm:
+        """The norm of errors and defects, with units for the groups of coordinates from their sizes in the states."""
+        return Norm.of(self.system, self.states)
 
     @cached_property
     def seconds(self) -> float:
@@ -137,14 +143,14 @@ class Subject:
         """
         worst = 0.0
         for x in self.states[:2]:
-            size = float(np.linalg.norm(x))
-            direction = np.cos(1.0 + np.arange(len(x))) * size / np.sqrt(len(x))
+            size = float(self.norm(x))
+            direction = self.norm.unscaled(np.cos(1.0 + np.arange(len(x))) * size / np.sqrt(len(x)))
             line = np.array([x + 2.0**-40 * k * direction for k in range(10)])
             try:
                 after = self.step(line, self.h)
             except IntegrationError:
                 continue
-            worst = max(worst, float(np.max(np.linalg.norm(np.diff(after, 2, axis=0), axis=1))) / np.sqrt(6.0))
+            worst = max(worst, float(np.max(self.norm(np.diff(after, 2, axis=0), axis=1))) / np.sqrt(6.0))
         return worst
 
     def rounding(self, h: float, evaluations: float | None = None) -> float:
@@ -153,7 +159,7 @@ class Subject:
         return 4 * self.system.dim * UNIT_ROUNDOFF * (count + 1)
 
     def condition(self, x: Floats, h: float) -> float:
-        """Return the condition number |P| |P^-1| of a step of length h, by differences.
+        """Return the condition number |P| |P^-1| of a step of length h in the norm, by differences.
 
         For expensive steps the norms are estimated along some directions, and the inverse is the step back.
         """
@@ -168,20 +174,22 @@ class Subject:
 
     def tangent_norm(self, x: Floats, h: float) -> float:
         """Return the norm of the derivative of a step, by differences along some directions."""
-        small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
-        units = directions(len(x)).T
-        moved = (self.step(x + small * units, h) - self.step(x - small * units, h)) / (2 * small)
+        moved = self._differences(x, h, directions(len(x)).T)
         return float(np.sqrt(len(x) * np.mean(np.sum(moved**2, axis=1))))
 
     def _condition(self, x: Floats, h: float) -> float:
-        small = 2.0**-17 * (float(np.max(np.abs(x))) or 1.0)
-        units = small * np.eye(len(x))
-        P = (self.step(x + units, h) - self.step(x - units, h)) / (2 * small)
+        P = self._differences(x, h, np.eye(len(x)))
         if is_matrix_system(self.system):
             # The singular values of directions outside the algebra are zero.
             values = np.linalg.svd(P, compute_uv=False)[: self.system.algebra.dim]
             return float(np.linalg.norm(values) * np.linalg.norm(1.0 / values))
         return float(np.linalg.norm(P) * np.linalg.norm(np.linalg.inv(P)))
+
+    def _differences(self, x: Floats, h: float, vectors: Floats) -> Floats:
+        """Return tangent vectors (k, n) after a step by central differences; in the units of the norm, as `vectors`."""
+        small = 2.0**-17 * (float(np.max(np.abs(self.norm.scaled(x)))) or 1.0)
+        moves = self.norm.unscaled(small * vectors)
+        return self.norm.scaled(self.step(x + moves, h) - self.step(x - moves, h)) / (2 * small)
 
     def tangents(self, h: float) -> StepTangents | None:
         """Return the derivatives of a step of length h in the compiled loop; None if there is no such loop."""

@@ -66,8 +66,8 @@ def reversing(subject: Subject) -> Floats | None:
     for candidate in candidates:
         signs = np.array(candidate)
         for x, velocity in zip(subject.states, velocities, strict=True):
-            size = max(float(np.linalg.norm(velocity)), float(np.linalg.norm(x)))
-            if not np.linalg.norm(signs * field(signs * x) + velocity) <= 256 * n * UNIT_ROUNDOFF * size:
+            size = max(float(subject.norm(velocity)), float(subject.norm(x)))
+            if not subject.norm(signs * field(signs * x) + velocity) <= 256 * n * UNIT_ROUNDOFF * size:
                 break
         else:
             return signs
@@ -85,7 +85,7 @@ def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool 
     for h in dict.fromkeys((subject.h, coarse_step)):
         try:
             for x, moved in zip(subject.states, step_map(subject.states, h) - subject.states, strict=True):
-                defect, bound = float(np.linalg.norm(moved)), _bound(subject, x, h)
+                defect, bound = float(subject.norm(moved)), _bound(subject, x, h)
                 if worst is None or defect * worst[1] > worst[0] * bound:
                     worst = (defect, bound, h)
         except (IntegrationError, np.linalg.LinAlgError) as error:
@@ -115,7 +115,7 @@ def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool 
 
 def _bound(subject: Subject, x: Floats, h: float) -> float:
     """Return the round-off of two steps, amplified by the condition of the step back."""
-    size = float(np.linalg.norm(x))
+    size = float(subject.norm(x))
     run = subject.run(x, h, 1)
     noise = min(8 * subject.noise, MAX_NOISE * size)
     return 2 * subject.condition(x, h) * (subject.rounding(h, run.stats.evaluations) * size + noise)
@@ -124,7 +124,7 @@ def _bound(subject: Subject, x: Floats, h: float) -> float:
 def _defect_slope(subject: Subject, step_map: StepMap, largest: float) -> Slope | None:
     def measure(h: float) -> tuple[float, float]:
         moved = step_map(subject.states, h) - subject.states
-        floor = subject.rounding(h) * float(np.linalg.norm(subject.states)) + subject.noise
-        return float(np.linalg.norm(moved)), floor
+        floor = subject.rounding(h) * float(subject.norm(subject.states)) + subject.noise
+        return float(subject.norm(moved)), floor
 
     return slope_of_defects(largest, SLOPE_STEPS, measure)

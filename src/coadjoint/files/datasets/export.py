@@ -17,6 +17,7 @@ from coadjoint.files.datasets.variables import (
     CONVENTIONS,
     OBSERVED_NAMES,
     STATE_DIMENSIONS,
+    angular_motion_variables,
     coordinates_of,
     parameters_of,
     start_variables,
@@ -52,13 +53,13 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
 
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (matrices over ``row`` and
     ``column``, complex ones also over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
-    ``observed_<name>``, ``attitude`` over ``row`` and ``column``; of fluids ``vorticity`` on a grid; ``drift`` over
-    ``invariant`` and ``tenth`` of the run, replaced for systems with forces by ``change``, ``balance``, and ``work``
-    over ``account``; ``x0``, ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems of a batch
-    differ are coordinates, such as ``swept_inertia_2``; a batch with named axes has these as dimensions in place of
-    ``member``. Names, units and
-    dimensions follow the CF conventions. Attributes: version, system and method (JSON), step, times, and the names of
-    functions that cannot be stored.
+    ``observed_<name>``, ``attitude`` over ``row`` and ``column``; of fluids ``vorticity`` on a grid; of bodies
+    ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also over ``body``;
+    ``drift`` over ``invariant`` and ``tenth`` of the run, replaced for systems with forces by ``change``, ``balance``,
+    and ``work`` over ``account``; ``x0``, ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems
+    of a batch differ are coordinates, such as ``swept_inertia_2``; a batch with named axes has these as dimensions in
+    place of ``member``. Names, units and dimensions follow the CF conventions. Attributes: version, system and method
+    (JSON), step, times, and the names of functions that cannot be stored.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     >>> import coadjoint as co
     >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
     >>> dict(dataset_of(sol).sizes)
-    {'time': 11, 'component': 3, 'invariant': 2, 'tenth': 10}
+    {'time': 11, 'component': 3, 'invariant': 2, 'tenth': 10, 'axis': 3}
     """
     require_packages("a dataset of a solution", "xarray")
     import xarray
@@ -91,7 +92,7 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     if solution.events is not None:
         variables |= variables_of(solution.events)
     fields, of_grid = vorticity_variables(solution, grid)
-    variables |= fields
+    variables |= fields | angular_motion_variables(solution)
     coordinates = {**parameters_of(solution.system), **coordinates_of(solution), **of_grid}
     return with_checksum(unstacked(xarray.Dataset(variables, coordinates, attributes_of(solution))))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.files.records.records import safe_name
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.protocol import is_batch, unforced
+from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 COMPLEX_PARTS = ("real", "imaginary")
 """Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
@@ -117,6 +117,19 @@ def time_variables(solution: Solution) -> Variables:
         variables["work"] = ((*dims, "account"), np.stack(work, axis=-1), cf_attributes(long_name))
     if solution.attitude is not None:
         variables["attitude"] = ((*dims, "row", "column"), solution.attitude, cf_attributes("group element"))
+    return variables
+
+
+def angular_motion_variables(solution: Solution) -> Variables:
+    """Return the angular velocity and momentum of bodies in their frames; nothing for other systems."""
+    variables: Variables = {}
+    dims = ("time", *_member(solution))
+    if not all(hasattr(unforced(one), "angular_velocity") for one in members_of(solution.system)):
+        return variables
+    for name in ("angular_velocity", "angular_momentum"):
+        values = getattr(solution, name)
+        of_body = ("body", "axis") if values.ndim > len(dims) + 1 else ("axis",)
+        variables[name] = ((*dims, *of_body), values, cf_attributes(f"{name.replace('_', ' ')} in the body frame"))
     return variables
 
 

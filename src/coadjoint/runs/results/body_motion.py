@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text, missing_attitude
 from coadjoint.systems.protocol import is_batch, members_of, unforced
-from coadjoint.systems.registry import begins_with_momentum
+from coadjoint.validation import read_numbers
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -56,8 +56,8 @@ class BodyMotion(SolutionAttributes):
     def angular_velocity(self) -> NDArray[np.float64]:
         """The angular velocity in the frame of the body, in radians per time.
 
-        That of classical bodies and tops is the derivative of the energy by the momentum. For components in space call
-        ``sol.system.angular_velocity(sol.x, frame="space")`` of a system with attitudes in its states.
+        That of classical bodies and tops is the derivative of the energy by the momentum. For components in space take
+        ``sol.in_space(sol.angular_velocity)``.
 
         Returns
         -------
@@ -82,9 +82,8 @@ class BodyMotion(SolutionAttributes):
     def angular_momentum(self) -> NDArray[np.float64]:
         """The angular momentum about the centre of mass, in the frame of the body.
 
-        For components in space call ``sol.system.angular_momentum(sol.x, frame="space")`` of a system with attitudes in
-        its states. That of classical bodies and tops is the first part of the state, and that of a fluid on a sphere
-        its own.
+        For components in space take ``sol.in_space(sol.angular_momentum)``. That of classical bodies and tops is the
+        first part of the state, and that of a fluid on a sphere its own.
 
         Returns
         -------
@@ -127,6 +126,45 @@ class BodyMotion(SolutionAttributes):
         """
         from scipy.spatial.transform import Rotation
 
+        return Rotation.from_matrix(self._rotations().reshape(-1, 3, 3))
+
+    def in_space(self, vectors: npt.ArrayLike) -> NDArray[np.float64]:
+        """Return vectors in the frame of the body as components in space, by the attitude at the saved times.
+
+        Parameters
+        ----------
+        vectors : (3,), or the shape of `angular_velocity`
+            A direction fixed in the body, such as that of an instrument, or vectors at the saved times.
+
+        Returns
+        -------
+        ndarray, shape (times, 3), (times, k, 3), or with an axis of members after the times
+
+        Raises
+        ------
+        TypeError, ValueError
+            As for `rotation`, and for vectors of another shape.
+
+        Examples
+        --------
+        The angular momentum of a free body is constant in space:
+
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (1.0, 0.2, 0.5), t_span=(0, 1), step=0.1, attitude=True)
+        >>> sol.in_space(sol.angular_momentum)[-1].round(12)
+        array([1. , 0.2, 0.5])
+        """
+        A, v = self._rotations(), read_numbers(vectors, "vectors")
+        if v.shape not in ((3,), A.shape[:-1]):
+            raise ValueError(f"vectors has shape {v.shape}; give (3,) or {A.shape[:-1]}")
+        return np.einsum("...ij,...j->...i", A, v)
+
+    def _rotations(self) -> NDArray[np.float64]:
+        """Return the attitudes from the body to space, (times, 3, 3), with axes of members and bodies before the last.
+
+        The errors are those of `rotation`.
+        """
         if getattr(unforced(self.system), "has_attitude", False):
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
@@ -146,11 +184,11 @@ class BodyMotion(SolutionAttributes):
                 f"attitudes of {members_text(lost)} are missing at some times, since these have not run so "
                 "far, have failed, or were ended by events; take Rotation.from_matrix of attitude[:, m] of the others"
             )
-        return Rotation.from_matrix(A.reshape(-1, 3, 3))
+        return np.asarray(A)
 
     def _of_bodies(self, name: str, what: str) -> NDArray[np.float64]:
         """Return what the system of each member reads from its states, over times (and members)."""
-        functions = [reader_of(unforced(one), name) for one in members_of(self.system)]
+        functions = [getattr(unforced(one), name, None) for one in members_of(self.system)]
         if None in functions:
             raise TypeError(f"the states of {self.system.name} have no {what}")
         if not is_batch(self.system):
@@ -158,44 +196,15 @@ class BodyMotion(SolutionAttributes):
         return np.stack([read(self.x[:, m]) for m, read in enumerate(functions)], axis=1)  # type: ignore[misc]
 
 
-def reader_of(system: Any, name: str) -> Callable[[Any], Any] | None:
-    """Return the function of states by this name of a system, or of a classical body; None if there is none."""
-    return getattr(system, name, None) or _classical_motion(system, name)
-
-
-def _classical_motion(system: Any, name: str) -> Callable[[Any], NDArray[np.float64]] | None:
-    """Return the function of states for "angular_velocity" or "angular_momentum" of a classical body; else None.
-
-    The angular velocity is the derivative of the energy by the momentum.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.gyrostat import gyrostat
-    >>> velocity = _classical_motion(gyrostat((1.0, 2.0, 2.5), rotors=(0.0, 0.0, 2.0)), "angular_velocity")
-    >>> velocity([1.0, 1.0, 1.0])
-    array([ 1. ,  0.5, -0.4])
-    """
-    if not begins_with_momentum(system.name):
-        return None
-
-    def momentum(x: Any) -> NDArray[np.float64]:
-        return np.asarray(x)[..., :3]
-
-    def velocity(x: Any) -> NDArray[np.float64]:
-        from coadjoint.systems.energy_gradients import gradients_at
-
-        states = np.asarray(x, dtype=np.float64)
-        rows = states.reshape(1, -1, system.dim)
-        return gradients_at(system, rows, np.zeros(1))[0, :, :3].reshape(*states.shape[:-1], 3)
-
-    return {"angular_momentum": momentum, "angular_velocity": velocity}.get(name)
-
-
 def rotations_of(attitude: Any) -> NDArray[np.float64] | None:
-    """Return group elements (..., d, d), or their first block in SE(3), as rotation matrices (..., 3, 3), or None."""
-    if attitude.shape[-1] not in (3, 4) or np.iscomplexobj(attitude):
+    """Return group elements (..., d, d), or their blocks of rotations, as rotation matrices (..., 3, 3), or None.
+
+    The block is the first in SE(3), and the second of three beside positions and momenta, as of a satellite.
+    """
+    d = attitude.shape[-1]
+    if d not in (3, 4, 5) or np.iscomplexobj(attitude) or (d == 5 and np.any(np.abs(attitude[..., 1:, 0]) > 0.0)):
         return None
-    A = np.asarray(attitude)[..., :3, :3]
+    A = np.asarray(attitude)[..., 1:4, 1:4] if d == 5 else np.asarray(attitude)[..., :3, :3]
     ends = np.stack([A[0], A[-1]])
     with np.errstate(all="ignore"):
         products = ends @ np.swapaxes(ends, -1, -2)

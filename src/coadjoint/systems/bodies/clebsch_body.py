@@ -9,11 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.heavy_top import rigid_motions
 from coadjoint.systems.bodies.inertia import positive_moments, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
@@ -28,7 +28,6 @@ def _diagonal_of(inertia: npt.ArrayLike, inverse_mass: npt.NDArray[Any]) -> npt.
 
 
 @ready_made(
-    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.6, 0.4, 1.0, 0.5, 0.3, 0.2),
@@ -48,7 +47,7 @@ def _diagonal_of(inertia: npt.ArrayLike, inverse_mass: npt.NDArray[Any]) -> npt.
 )
 def clebsch_body(
     inertia: npt.ArrayLike = (1.0, 1.0, 1.0), inverse_mass: npt.ArrayLike = (1.0, 1.5, 3.0)
-) -> LiePoissonSystem:
+) -> ClassicalBody:
     """Return the Clebsch case of Kirchhoff's equations, ``H = sum(m_i^2 / I_i + c_i p_i^2) / 2``, on e(3) with sign -1.
 
     State, Casimirs and group element are those of `kirchhoff_body`. The system is integrable if
@@ -67,6 +66,7 @@ def clebsch_body(
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         With the integral ``"F"``: ``sum(c_i m_i^2 - I c_j c_k p_i^2)`` if all moments are equal, otherwise
         ``sum(m_i^2 - beta I_j I_k p_i^2)``, (i, j, k) cyclic.
 
@@ -95,7 +95,7 @@ def clebsch_body(
         integral = _integral([Fraction(v) for v in moments], [Fraction(v) for v in c.tolist()])
     except OverflowError:
         raise ValueError("products of inertia and inverse_mass leave the range of float64; take other units") from None
-    return LiePoissonSystem(
+    return ClassicalBody(
         rigid_motions(),
         Quadratic(_diagonal_of(moments, c)),
         sign=-1,

@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.heavy_top import energy_under_gravity, top_under_gravity
 from coadjoint.systems.bodies.inertia import read_moment, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
@@ -20,7 +20,6 @@ def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[
 
 
 @ready_made(
-    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
@@ -38,7 +37,7 @@ def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[
         quantity="momentum and vertical",
     ),
 )
-def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
+def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> ClassicalBody:
     """Return the Goryachev-Chaplygin top: ``I1 = I2 = 4 I3``, the centre of mass in the plane of axes 1 and 2.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. It is integrable only if the vertical momentum
@@ -55,6 +54,7 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
 
     Raises
     ------

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.inertia import (
     axis_of_symmetry,
     inverse_of,
@@ -30,7 +31,6 @@ from coadjoint.systems.closed_forms.closed_form import (
 from coadjoint.systems.closed_forms.free_rigid_body import fixed_axis
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 Floats = npt.NDArray[np.float64]
@@ -43,7 +43,6 @@ def _energy(inertia: npt.NDArray[Any], rotors: npt.NDArray[Any]) -> tuple[npt.ND
 
 
 @ready_made(
-    body=True,
     energy=_energy,
     symmetric=("inertia",),
     gallery_entry=GalleryEntry(
@@ -65,7 +64,7 @@ def _energy(inertia: npt.NDArray[Any], rotors: npt.NDArray[Any]) -> tuple[npt.ND
         quantity="angular momentum",
     ),
 )
-def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> LiePoissonSystem:
+def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (0.25, 0.5, 0.75)) -> ClassicalBody:
     """Return a body that carries rotors, ``x' = x cross Omega`` with ``Omega = I^-1 (x - k)``.
 
     x is the angular momentum of body and rotors together, in the body frame. That of the rotors relative to the
@@ -85,6 +84,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         Casimir ``|x|^2``. If two principal moments are equal and k lies along the third axis, or if all three are
         equal, the momentum along the axis of symmetry, such as ``"x3"``, is an integral, and
         ``exact(x0, t, attitude=False)`` is known in closed form.
@@ -122,7 +122,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
         )
     H = Quadratic(M, linear, float(constant))
     axis, m = axis_of_symmetry(M, k), principal(M)
-    return LiePoissonSystem(
+    return ClassicalBody(
         rotations(),
         H,
         sign=-1,

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.inertia import (
     axis_of_symmetry,
     inverse_of,
@@ -23,7 +24,6 @@ from coadjoint.systems.bodies.inertia import (
 )
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 Floats = npt.NDArray[np.float64]
@@ -47,7 +47,6 @@ def _energy(inertia: npt.NDArray[Any], lever: npt.NDArray[Any]) -> tuple[npt.NDA
 
 
 @ready_made(
-    body=True,
     energy=_energy,
     symmetric=("inertia",),
     gallery_entry=GalleryEntry(
@@ -66,7 +65,7 @@ def _energy(inertia: npt.NDArray[Any], lever: npt.NDArray[Any]) -> tuple[npt.NDA
         quantity="momentum and vertical",
     ),
 )
-def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (0.75, 0.5, 1.0)) -> LiePoissonSystem:
+def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (0.75, 0.5, 1.0)) -> ClassicalBody:
     """Return a heavy top, ``m' = m cross Omega + gamma cross lever``, ``gamma' = gamma cross Omega``.
 
     The first three coordinates are the angular momentum m about the fixed point, in the body frame, with
@@ -78,6 +77,9 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     point does not move. It is the integral of ``A lever`` over time, so ``r cross A gamma`` is minus the angular
     impulse of gravity, and ``A m + r cross A gamma`` is constant.
 
+    A top with reaction wheels or sampled controllers is `body` with gravity as a ``co.forces.Torque`` of (x, A), the
+    cross product of A[2] and the lever.
+
     Parameters
     ----------
     inertia : (3,) or (3, 3)
@@ -88,6 +90,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         Casimirs: ``"|p|^2"``, the squared length of gamma, and ``"m.p"``, the vertical angular momentum m . gamma.
         Integrals for the parameters of Lagrange's top about any axis (the momentum along it, such as ``"m3"``), or of
         Kovalevskaya's top in any order of the axes (``"K"``).
@@ -124,7 +127,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     return top_under_gravity(energy, "heavy_top", {"inertia": plain(moments), "lever": tuple(w.tolist())})
 
 
-def top_under_gravity(energy: tuple[Floats, Floats], name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
+def top_under_gravity(energy: tuple[Floats, Floats], name: str, parameters: dict[str, Any]) -> ClassicalBody:
     """Return the top on e(3) with an energy of `energy_under_gravity`, with its integrals.
 
     Examples
@@ -138,7 +141,7 @@ def top_under_gravity(energy: tuple[Floats, Floats], name: str, parameters: dict
     K = kovalevskaya_integral(M, lever)
     if K is not None:
         integrals["K"] = K
-    return LiePoissonSystem(rigid_motions(), H, sign=-1, name=name, parameters=parameters, integrals=integrals)
+    return ClassicalBody(rigid_motions(), H, sign=-1, name=name, parameters=parameters, integrals=integrals)
 
 
 def kovalevskaya_integral(M: npt.NDArray[np.float64], lever: npt.NDArray[np.float64]) -> Polynomial | None:

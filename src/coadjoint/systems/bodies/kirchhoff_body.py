@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.heavy_top import rigid_motions
 from coadjoint.systems.bodies.inertia import inverse_of, plain, principal, read_inertia
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_finite
 
@@ -32,7 +32,6 @@ def _energy(inertia: npt.NDArray[Any], mass: npt.NDArray[Any], coupling: npt.NDA
 
 
 @ready_made(
-    body=True,
     energy=_energy,
     symmetric=("inertia", "mass"),
     gallery_entry=GalleryEntry(
@@ -56,7 +55,7 @@ def kirchhoff_body(
     inertia: npt.ArrayLike = (1.0, 2.0, 3.0),
     mass: npt.ArrayLike = (1.5, 2.5, 2.0),
     coupling: npt.ArrayLike = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-) -> LiePoissonSystem:
+) -> ClassicalBody:
     """Return a body in a fluid at rest at infinity, ``m' = m cross Omega + p cross v``, ``p' = p cross Omega``.
 
     The first three coordinates are the angular impulse m of body and fluid together, the last three the linear impulse
@@ -82,6 +81,7 @@ def kirchhoff_body(
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         Casimirs ``"|p|^2"`` and ``"m.p"``. A body of revolution about a coordinate axis, without coupling, also
         preserves the angular impulse along the axis, such as ``"m3"``.
 
@@ -110,7 +110,7 @@ def kirchhoff_body(
     if B.any():
         inverse_of(moments, "inertia"), inverse_of(masses, "mass")  # raise an error that names the block
     (matrix,) = _energy(moments, masses, B)
-    return LiePoissonSystem(
+    return ClassicalBody(
         rigid_motions(),
         Quadratic(matrix),
         sign=-1,

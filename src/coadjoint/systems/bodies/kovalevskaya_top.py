@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.heavy_top import energy_under_gravity, top_under_gravity
 from coadjoint.systems.bodies.inertia import read_moment, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 
@@ -19,7 +19,6 @@ def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[
 
 
 @ready_made(
-    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
@@ -37,7 +36,7 @@ def _energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[
         quantity="momentum and vertical",
     ),
 )
-def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> LiePoissonSystem:
+def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> ClassicalBody:
     """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the centre of mass in the plane of axes 1, 2.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. It is the third and last integrable heavy top,
@@ -54,6 +53,7 @@ def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0))
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         With the integral ``"K"`` (energy squared).
 
     Raises

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.heavy_top import energy_under_gravity, top_under_gravity
 from coadjoint.systems.bodies.inertia import read_moment, warn_unphysical_inertia
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_number
 
@@ -21,7 +21,6 @@ def _energy(equatorial: Any, axial: Any, lever: Any) -> tuple[npt.NDArray[Any], 
 
 
 @ready_made(
-    body=True,
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
@@ -39,7 +38,7 @@ def _energy(equatorial: Any, axial: Any, lever: Any) -> tuple[npt.NDArray[Any], 
         quantity="momentum and vertical",
     ),
 )
-def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> LiePoissonSystem:
+def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> ClassicalBody:
     """Return Lagrange's top: a heavy top with ``I1 = I2`` and the centre of mass on the third axis.
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. The momentum along the axis, m3, is an
@@ -57,6 +56,7 @@ def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         With the integral ``"m3"``.
 
     Raises

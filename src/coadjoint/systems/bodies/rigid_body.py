@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from functools import cache, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.inertia import inverse_of, plain, read_inertia, warn_unphysical_inertia
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -22,8 +23,10 @@ def _energy(inertia: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
     return (inverse_of(inertia, "inertia"),)
 
 
+Kind = TypeVar("Kind", bound=LiePoissonSystem)
+
+
 @ready_made(
-    body=True,
     energy=_energy,
     symmetric=("inertia",),
     gallery_entry=GalleryEntry(
@@ -42,7 +45,7 @@ def _energy(inertia: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
         quantity="angular momentum",
     ),
 )
-def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
+def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> ClassicalBody:
     """Return the free rigid body, ``x' = x cross (I^-1 x)``, with its exact solution.
 
     The standard body equations: x is the angular momentum in the body frame, ``Omega = I^-1 x`` the angular velocity,
@@ -58,6 +61,7 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         With ``exact(x0, t, attitude=False)`` in closed form.
 
     Raises
@@ -82,16 +86,16 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> LiePoissonSystem:
     moments = read_inertia(inertia)
     energy = _energy(moments)
     warn_unphysical_inertia(moments)
-    return so3_body(*energy, sign=-1, name="rigid_body", parameters={"inertia": plain(moments)})
+    return so3_body(ClassicalBody, *energy, sign=-1, name="rigid_body", parameters={"inertia": plain(moments)})
 
 
-def so3_body(M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: dict[str, Any]) -> LiePoissonSystem:
+def so3_body(kind: type[Kind], M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: dict[str, Any]) -> Kind:
     """Return the system on so(3) with ``H = x . M x / 2``, M (3,) or (3, 3), and its closed form.
 
     Sign -1 gives the body equations, +1 the convention of Reich (1993).
     """
     exact = partial(exact_solution, M, sign)
-    return LiePoissonSystem(rotations(), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
+    return kind(rotations(), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
 
 
 @cache

@@ -14,6 +14,7 @@ from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.bodies.body_inertia import read_body_inertia
+from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.inertia import principal, read_in_range
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.kepler import kepler
@@ -22,7 +23,6 @@ from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 
 Floats = npt.NDArray[np.float64]
@@ -44,7 +44,6 @@ def _pitch(x: Any) -> Any:
 
 
 @ready_made(
-    body=True,
     unit="z",
     gallery_entry=GalleryEntry(
         x0=_librating,
@@ -65,7 +64,7 @@ def _pitch(x: Any) -> Any:
         quantity="state",
     ),
 )
-def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> LiePoissonSystem:
+def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gravity: float = 1.0) -> ClassicalBody:
     """Return a rigid satellite in a central gravity field: orbit, rotation, and the gravity gradient that couples them.
 
     All vectors are in the body frame, which rotates by ``Omega = I^-1 L``: ``L' = L cross Omega + r cross dV/dr``,
@@ -85,6 +84,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     Returns
     -------
     LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
         State: ``(L, p, r, 1)``, ten numbers: angular momentum about the centre of mass, momentum, and position relative
         to the centre of gravity, all in components along the body axes. The 1 is the central coordinate of a Heisenberg
         algebra. Casimirs: ``"z"``, which is 1, and ``"|total L|^2"``, where total L = L + r cross p. Integrals: the
@@ -132,7 +132,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
         potential = _potential((first, second, third), mass, gravity)
         rotations = [((i,), Quadratic(value)) for i, value in enumerate(along.tolist())]
         H = SplitHamiltonian([*rotations, free_flight, ((6, 7, 8), potential)])
-    return LiePoissonSystem(
+    return ClassicalBody(
         _algebra(),
         H,
         sign=-1,

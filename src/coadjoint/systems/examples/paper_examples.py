@@ -136,4 +136,6 @@ def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoisso
     array([ 2., -3.,  1.])
     """
     values = _three(masses)
-    return so3_body(*_energy(np.array(values)), sign=+1, name="paper_rigid_body", parameters={"masses": values})
+    return so3_body(
+        LiePoissonSystem, *_energy(np.array(values)), sign=+1, name="paper_rigid_body", parameters={"masses": values}
+    )

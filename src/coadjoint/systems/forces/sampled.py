@@ -85,7 +85,8 @@ class Sampled(Force):
         if not hasattr(system, "with_held"):
             raise TypeError(
                 f"{self.label} is held in the state, and that of {system.name} has no room for it; take "
-                "co.systems.body(inertia), or body(inertia, attitude=False)"
+                "co.systems.body(inertia), or body(inertia, attitude=False), in place of a top with gravity as a "
+                "co.forces.Torque"
             )
         return self._count(system)
 
