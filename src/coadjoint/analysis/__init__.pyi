@@ -2,10 +2,8 @@
 
 from .fits import Growth as Growth
 from .fits import OrderFit as OrderFit
-from .fits import Slope as Slope
 from .fits import fit_order as fit_order
 from .fits import growth as growth
-from .fits import slope as slope
 from .frequencies import Combinations as Combinations
 from .line_drift import line_drift as line_drift
 from .periods import Period as Period

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.fits import error_by_comparison
 from coadjoint.analysis.step_error import loses_digits
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -134,7 +135,8 @@ def _distances(
         run = prepared.begun(plan, start_without_groups(prepared.system, starts[chunk]))
         advance(run)
         distances.append(_distances_of(run, groups, ends[chunk]))
-    return np.concatenate(distances, axis=1) / (1.0 - finer.left)
+    total: NDArray[np.float64] = error_by_comparison(np.concatenate(distances, axis=1), finer.left)
+    return total
 
 
 def _distances_of(run: Run, groups: CoordinateGroups, ends: NDArray[np.float64]) -> NDArray[np.float64]:

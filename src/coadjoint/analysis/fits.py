@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_finite
@@ -18,8 +16,8 @@ from coadjoint.validation import read_finite
 Floats = NDArray[np.float64]
 
 MIN_POINTS = 3  # of a fitted power
-MAX_POINTS = 5  # of a slope at small steps
-# Points with errors below this multiple of their round-off are excluded; at 16, the logarithm is off by 1/16.
+MAX_POINTS = 5  # of an order, at the smallest steps
+# Errors below this multiple of their round-off are not fitted; at 16, the logarithm is off by 1/16.
 FLOOR_FACTOR = 16.0
 
 WINDOWS = 5
@@ -49,14 +47,21 @@ class OrderFit(NamedTuple):
     Parameters
     ----------
     order : float
-        Slope of log(error) against log(step), by least squares.
+        Slope of log(error) against log(step) at the smallest steps.
+    uncertainty : float
+        Estimated distance from the slope in the limit of vanishing steps.
+    steepening : float
+        The slope at the smallest steps minus that at the largest ones. A positive value indicates that the asymptotic
+        order is not yet reached.
     steps, errors : ndarray, shape (k,)
-        The points used, largest step first.
+        The fitted points, at most five, largest step first.
     dropped : int
-        Number of points excluded, on the round-off floor.
+        Number of points excluded, dominated by round-off.
     """
 
     order: float
+    uncertainty: float
+    steepening: float
     steps: Floats
     errors: Floats
     dropped: int
@@ -64,13 +69,17 @@ class OrderFit(NamedTuple):
     def __repr__(self) -> str:
         return record_repr(self)
 
+    def __str__(self) -> str:
+        """Format the order with its uncertainty."""
+        return f"{self.order:.2f} +- {self.uncertainty:.2f}"
+
 
 @suggest_keywords
-def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike = 0.0) -> OrderFit:
+def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike | None = None) -> OrderFit:
     """Fit an order to errors at several steps, without the points dominated by round-off.
 
-    From the largest step down, points are used until one is at or below its `floor`, or until the error falls more
-    slowly than the square root of the step (a plateau: no scheme has order 1/2).
+    From the largest step down, points count until one is at or below its `floor`; without a `floor`, until the error
+    falls more slowly than the square root of the step (a plateau: no scheme has order 1/2). The last five are fitted.
 
     Parameters
     ----------
@@ -78,23 +87,31 @@ def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike = 0.0) -> Or
         Positive, distinct steps.
     errors : array_like, shape (k,)
         Non-negative errors.
-    floor : array_like, shape (k,) or a number
-        Size of the round-off in each error, for instance the number of steps times 2^-53 times the size of the state.
+    floor : array_like, shape (k,) or a number, optional
+        Size below which an error may be round-off, such as 8 times the number of steps times 2^-53 times the size of
+        the state.
 
     Returns
     -------
     OrderFit
-        The slope and the points used.
+        The slope, its uncertainty, and the points used.
 
     Raises
     ------
     ValueError
         Fewer than three points remain, or the input is not a set of positive steps with finite errors.
 
+    Notes
+    -----
+    For an error C h^p (1 + a h + ...) the slope at points near the step h is p + a h + .... From the larger to the
+    smaller points the step falls by a ratio r, so a h at the smaller ones is the change of the slope divided by
+    r - 1. The uncertainty also includes the effect of round-off, taken as 1/16 of the floor.
+
     Examples
     --------
-    >>> fit_order([0.4, 0.2, 0.1, 0.05], [1.6e-1, 4e-2, 1e-2, 9.9e-3]).order.__round__(12)
-    2.0
+    >>> fitted = fit_order([0.4, 0.2, 0.1, 0.05], [1.6e-1, 4e-2, 1e-2, 9.9e-3])
+    >>> round(fitted.order, 12), fitted.uncertainty < 1e-9, fitted.dropped
+    (2.0, True, 1)
     """
     h, e = read_finite(steps, "steps"), read_finite(errors, "errors")
     if h.ndim != 1 or h.shape != e.shape:
@@ -103,111 +120,32 @@ def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike = 0.0) -> Or
         raise ValueError(f"steps are {short(h.tolist())}; they must be positive and distinct")
     if not np.all(e >= 0.0):
         raise ValueError(f"errors are {short(e.tolist())}; they must be finite and not negative")
-    floors = read_finite(floor, "floor")
+    floors = read_finite(0.0 if floor is None else floor, "floor")
     if floors.shape not in ((), h.shape):
         raise ValueError(f"floor has the shape {floors.shape}; it must be a number or {h.shape}, as the errors are")
     descending = np.argsort(-h)
     h, e, floors = h[descending], e[descending], np.broadcast_to(floors, h.shape)[descending]
-    count = 0
-    while count < len(h) and e[count] > floors[count]:
-        if count and e[count] > e[count - 1] * np.sqrt(h[count] / h[count - 1]):
-            break
-        count += 1
+    excluded = e <= floors
+    if floor is None:
+        excluded[1:] |= e[1:] > e[:-1] * np.sqrt(h[1:] / h[:-1])
+    count = int(np.argmax(excluded)) if excluded.any() else len(h)
     if count < MIN_POINTS:
         raise ValueError(
             f"only {count} of {len(h)} errors are above the round-off floor and falling; "
             f"an order needs {MIN_POINTS}, so take larger steps or more of them"
         )
-    return OrderFit(fit_power(h[:count], e[:count]), h[:count], e[:count], len(h) - count)
-
-
-class Slope(NamedTuple):
-    """A fitted power of the step.
-
-    Parameters
-    ----------
-    value : float
-        The slope at the smallest steps.
-    uncertainty : float
-        Estimated distance from the slope in the limit of vanishing steps.
-    steepening : float
-        The slope at the smallest steps minus that at the largest ones. A positive value indicates that the asymptotic
-        order is not yet reached.
-    steps, errors : ndarray, shape (k,)
-        The fitted points, largest step first.
-    """
-
-    value: float
-    uncertainty: float
-    steepening: float
-    steps: Floats
-    errors: Floats
-
-    def __repr__(self) -> str:
-        return record_repr(self)
-
-    def __str__(self) -> str:
-        """Format the slope with its uncertainty."""
-        return f"{self.value:.2f} +- {self.uncertainty:.2f}"
-
-
-@suggest_keywords
-def slope(steps: list[float], errors: list[float], floors: list[float]) -> Slope | None:
-    """Return the slope of log(error) against log(step) at the smallest steps whose errors are above round-off.
-
-    Parameters
-    ----------
-    steps, errors, floors : list of float
-        Steps, errors, and the round-off of each error; all positive.
-
-    Returns
-    -------
-    Slope or None
-        None if fewer than three points are above the floor.
-
-    Notes
-    -----
-    For an error C h^p (1 + a h + ...) the slope at points near the step h is p + a h + .... From the larger to the
-    smaller points the step falls by a ratio r, so a h at the smaller ones is the change of the slope divided by
-    r - 1. The uncertainty also includes the effect of round-off, which may be 1/16 of an error.
-
-    Examples
-    --------
-    >>> fitted = slope([0.4, 0.2, 0.1], [1.6e-3, 4e-4, 1e-4], [1e-16] * 3)
-    >>> round(fitted.value, 12), fitted.uncertainty < 1e-9
-    (2.0, True)
-    """
-    points = [
-        (step, error, floor)
-        for step, error, floor in sorted(zip(steps, errors, floors, strict=True), reverse=True)
-        if error > FLOOR_FACTOR * floor
-    ][-MAX_POINTS:]
-    if len(points) < MIN_POINTS:
-        return None
-    h, e, floor = (np.array(column) for column in zip(*points, strict=True))
+    used, dropped = slice(max(0, count - MAX_POINTS), count), len(h) - count
+    h, e, floors = h[used], e[used], floors[used]
     width = 3 if len(h) == MAX_POINTS else 2
     large, small = fit_power(h[:width], e[:width]), fit_power(h[-width:], e[-width:])
     ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
-    rounding = float(floor[-1] / e[-1]) / math.log(h[-width] / h[-1])
-    return Slope(small, abs(small - large) / (ratio - 1.0) + rounding, small - large, h, e)
+    rounding = float(floors[-1] / e[-1]) / FLOOR_FACTOR / math.log(h[-width] / h[-1])
+    return OrderFit(small, abs(small - large) / (ratio - 1.0) + rounding, small - large, h, e, dropped)
 
 
-def slope_of_defects(largest: float, count: int, measure: Callable[[float], tuple[float, float]]) -> Slope | None:
-    """Fit the power of the step with which a defect scales, at `count` steps that decrease by factors sqrt(2).
-
-    `measure` maps a signed step to the defect and its round-off; steps at which it fails are skipped.
-    """
-    steps, defects, floors = [], [], []
-    for k in range(count):
-        h = largest / 2.0 ** (k / 2)
-        try:
-            defect, floor = measure(h)
-        except (IntegrationError, TypeError, ValueError):
-            continue
-        steps.append(abs(h))
-        defects.append(defect)
-        floors.append(floor)
-    return slope(steps, defects, floors)
+def error_by_comparison(difference: Any, left: float) -> Any:
+    """Return the error of a result from its difference to a better one, which has the fraction `left` of the error."""
+    return difference / (1.0 - left)
 
 
 class Growth(NamedTuple):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.fits import error_by_comparison
 from coadjoint.analysis.sampled_states import (
     NUMBERS,
     sampled_members,
@@ -165,8 +166,7 @@ class _Measured:
         whole = Times(t, h, 1, 1).with_saved_steps([1])
         (full,) = _run(prepared, states, whole)
         # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-        factor = 1.0 / (1.0 - 0.5**self.method.order)
-        errors = factor * groups.norms(full - halved)
+        errors = error_by_comparison(groups.norms(full - halved), 0.5**self.method.order)
         changes = np.maximum(groups.norms(full - states), change)
         if known_rounding is None:
             halved, full = None, full.copy()

@@ -214,4 +214,4 @@ def _limit(subject: Subject, study: Study) -> Measurement | None:
     change = float(np.linalg.norm(elements[1] - elements[0])) / size
     floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(runs[1].stats.evaluations)))
     text = f"error {error:.2g} at the step {abs(study.span) / (2 * count):.3g}, against {reference.by}"
-    return error, floor + allowed_error(change, 2.0, subject.claims.order), text
+    return error, floor + allowed_error(change, 0.5 ** (subject.claims.order or 1)), text
