@@ -13,10 +13,10 @@ from coadjoint.analysis.fits import error_by_comparison
 from coadjoint.analysis.step_error import loses_digits
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns
-from coadjoint.runs.start import any_momenta_of, start_without_groups
+from coadjoint.runs.start import any_momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -132,9 +132,7 @@ def _distances(
     chunks = [slice(first, first + size) for first in range(0, len(starts), size)]
     distances = []
     for chunk in chunks:
-        run = prepared.begun(plan, start_without_groups(prepared.system, starts[chunk]))
-        advance(run)
-        distances.append(_distances_of(run, groups, ends[chunk]))
+        distances.append(_distances_of(trial_run(prepared, plan, starts[chunk], advance), groups, ends[chunk]))
     total: NDArray[np.float64] = error_by_comparison(np.concatenate(distances, axis=1), finer.left)
     return total
 

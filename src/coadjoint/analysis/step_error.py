@@ -20,11 +20,10 @@ from coadjoint.analysis.sampled_states import (
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
 from coadjoint.runs.run import Run, advance_in_turns, advance_up
-from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -399,8 +398,7 @@ def _most_steps(solution: Solution, numbers: int, h: float) -> int:
 
 
 def _run(prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
-    run = prepared.begun(times, start_without_groups(prepared.system, states))
-    advance(run)
+    run = trial_run(prepared, times, states, advance)
     x: Any = run.saved["x"][..., : states.shape[1]]
     x[:, run.state["status"] != 0] = np.nan
     return x

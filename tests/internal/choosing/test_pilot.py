@@ -10,12 +10,11 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import pilot as pilots
+from coadjoint.choosing.accuracy import rounded_up
 from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.measured_work import with_measured_work
-from coadjoint.choosing.member_sample import sample_of
-from coadjoint.choosing.pilot import Growth, Pilot, Trial
+from coadjoint.choosing.pilot import Growth, Pilot, Trial, sample_of
 from coadjoint.choosing.roundoff import roundoff
-from coadjoint.choosing.unreached import rounded_up
 from coadjoint.kernels.interface import limit
 from coadjoint.methods.protocol.cost_model import FUNCTION_COST, MIN_LANE_MEMBERS, iteration_work, newton_work
 

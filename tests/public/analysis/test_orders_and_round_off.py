@@ -39,6 +39,16 @@ def test_plateau_is_dropped_without_a_stated_floor():
     assert abs(without - 4.0) > 1.0
 
 
+def test_a_plateau_above_the_stated_floor_is_lack_of_convergence():
+    """An error that tends to a constant far above round-off has order 0 there; without a floor it is left out."""
+    errors = STEPS**4 + 1e-2
+    fit = co.analysis.fit_order(STEPS, errors, 1e-12)
+    # The local power is at most 4 times the part that is not constant, largest at the first of the last three steps.
+    assert 0.0 < fit.order < 4 * STEPS[5] ** 4 / 1e-2 and fit.steepening < 0.0 and fit.dropped == 0
+    with refused(ValueError, "2 of 8"):
+        co.analysis.fit_order(STEPS, errors)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_each_point_keeps_its_own_floor_in_any_order_and_unit(seed):
     rng = np.random.default_rng(seed)

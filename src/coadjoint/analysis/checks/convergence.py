@@ -190,7 +190,7 @@ def _by_shorter_own_steps(subject: Subject, study: Study) -> tuple[NDArray[np.fl
 
 
 def allowed_error(change: float, left: float) -> float:
-    """Return the allowed error of a result, which has the fraction `left` of that of another one, from their difference.
+    """Return the allowed error of a result, with the fraction `left` of the error of another, from their difference.
 
     Without the factor 6 it is that of a scheme with the error C h^order.
     """
