@@ -29,6 +29,7 @@ SECTIONS = {
     "heat_baths": "Heat baths",
     "gauss_legendre": "Gauss-Legendre",
     "round_off": "Round-off",
+    "fit_cost_model": "Weights of the cost model",
     "lyapunov": "Tangent vectors",
     "derivatives": "Derivatives of runs",
     "derivatives_beside": "Gradients beside other solvers",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fits import error_by_comparison
+from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.analysis.step_error import loses_digits
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fits import error_by_comparison
+from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.analysis.sampled_states import (
     NUMBERS,
     sampled_members,

@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from coadjoint.choosing.candidates import Candidate, supported_candidates
-from coadjoint.choosing.cost_model import StepPredictor
 from coadjoint.choosing.fitting import (
     Fit,
     confirmed_fit,
@@ -36,6 +35,7 @@ from coadjoint.choosing.fitting import (
 from coadjoint.choosing.measured_work import with_measured_work
 from coadjoint.choosing.pilot import Pilot, sample_of
 from coadjoint.choosing.roundoff import ROUNDING_SHARE, least_roundoff
+from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method

@@ -9,17 +9,17 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import accuracy, fitting, system_cache
 from coadjoint.choosing import pilot as pilots
-from coadjoint.choosing.cost_model import (
+from coadjoint.choosing.fitting import Fit, confirmed_fit
+from coadjoint.choosing.fitting import fit as fit_steps
+from coadjoint.choosing.pilot import Growth, Trial
+from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
+from coadjoint.choosing.step_predictor import (
     MAX_ADVANTAGE,
     NEAREST_DIVISOR,
     RELATED_DIVISOR,
     StepPredictor,
     series_error_model,
 )
-from coadjoint.choosing.fitting import Fit, confirmed_fit
-from coadjoint.choosing.fitting import fit as fit_steps
-from coadjoint.choosing.pilot import Growth, Trial
-from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
 
 NOISE = 1e-13
 BODY = co.systems.rigid_body((1, 2, 2.5))

@@ -15,7 +15,7 @@ from coadjoint.analysis.checks.convergence import allowed_error
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import FLOOR_FACTOR
+from coadjoint.analysis.powers import FLOOR_FACTOR
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution

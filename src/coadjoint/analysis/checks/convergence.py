@@ -12,7 +12,7 @@ from coadjoint.analysis.certificates.certificate import Row, verdict
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.study import ERROR_RATIO, LARGE_ERROR, Study, measured_order
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import FLOOR_FACTOR, OrderFit, error_by_comparison
+from coadjoint.analysis.powers import FLOOR_FACTOR, OrderFit, error_by_comparison
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 

@@ -12,7 +12,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import growth
+from coadjoint.analysis.powers import growth
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.study import order_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject, directions
-from coadjoint.analysis.fits import OrderFit
 from coadjoint.analysis.poisson_defect import defect_of_tangent
+from coadjoint.analysis.powers import OrderFit
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method

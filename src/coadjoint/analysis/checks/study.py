@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.checks.reference import Motion, motion
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import FLOOR_FACTOR, OrderFit, fit_order
+from coadjoint.analysis.powers import FLOOR_FACTOR, OrderFit, fit_order
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.study import order_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject
-from coadjoint.analysis.fits import OrderFit
+from coadjoint.analysis.powers import OrderFit
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 

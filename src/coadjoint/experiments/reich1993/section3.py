@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from coadjoint.analysis.fits import fit_order
+from coadjoint.analysis.powers import fit_order
 from coadjoint.experiments.convergence import (
     SLOPE_TOLERANCE,
     ReferenceProblem,
