@@ -23,12 +23,6 @@ def test_exact_power_has_its_exponent(order):
     assert fit.dropped == 0
 
 
-def test_next_term_moves_the_slope_by_its_share():
-    fit = co.analysis.fit_order(STEPS[3:], STEPS[3:] ** 2 * (1.0 + STEPS[3:]))
-    # The local slope is 2 + h / (1 + h), between 2 and 2 + the largest step.
-    assert 2.0 < fit.order < 2.0 + STEPS[3]
-
-
 def test_plateau_is_dropped_without_a_stated_floor():
     noise = np.array([1.0, 1.3, 0.8, 1.1])
     errors = np.concatenate([STEPS[:4] ** 4, 1e-4 * noise])
