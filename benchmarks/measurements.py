@@ -39,6 +39,7 @@ SUBJECTS = {
     },
     "Parts of splittings": {
         "automatic_parts": "Automatic parts",
+        "fit_cost_model": "Weights of the cost model",
         "free_body": "Free bodies as parts",
         "bonds": "Bonds of spins",
     },

@@ -1,11 +1,5 @@
 # Public names of `co.analysis`; lazy_loader and type checkers read this file.
 
-from .fits import Growth as Growth
-from .fits import OrderFit as OrderFit
-from .fits import Slope as Slope
-from .fits import fit_order as fit_order
-from .fits import growth as growth
-from .fits import slope as slope
 from .frequencies import Combinations as Combinations
 from .line_drift import line_drift as line_drift
 from .periods import Period as Period
@@ -15,6 +9,10 @@ from .phase_drift import drift_of_series as drift_of_series
 from .poisson_defect import PoissonDefect as PoissonDefect
 from .poisson_defect import defect_of_tangent as defect_of_tangent
 from .poisson_defect import poisson_defect as poisson_defect
+from .powers import Growth as Growth
+from .powers import OrderFit as OrderFit
+from .powers import fit_order as fit_order
+from .powers import growth as growth
 from .predicted_drift import PredictedDrift as PredictedDrift
 from .rotations import attitude_angle as attitude_angle
 from .rotations import precession_error as precession_error

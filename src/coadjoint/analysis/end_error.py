@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.analysis.step_error import loses_digits
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns
-from coadjoint.runs.start import any_momenta_of, start_without_groups
+from coadjoint.runs.start import any_momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -131,10 +132,9 @@ def _distances(
     chunks = [slice(first, first + size) for first in range(0, len(starts), size)]
     distances = []
     for chunk in chunks:
-        run = prepared.begun(plan, start_without_groups(prepared.system, starts[chunk]))
-        advance(run)
-        distances.append(_distances_of(run, groups, ends[chunk]))
-    return np.concatenate(distances, axis=1) / (1.0 - finer.left)
+        distances.append(_distances_of(trial_run(prepared, plan, starts[chunk], advance), groups, ends[chunk]))
+    total: NDArray[np.float64] = error_by_comparison(np.concatenate(distances, axis=1), finer.left)
+    return total
 
 
 def _distances_of(run: Run, groups: CoordinateGroups, ends: NDArray[np.float64]) -> NDArray[np.float64]:

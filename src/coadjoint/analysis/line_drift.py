@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fits import MIN_SAMPLES
-from coadjoint.analysis.phase_drift import ANGLES, drift_of_series
-from coadjoint.analysis.reference_motion import motion_of
+from coadjoint.analysis.phase_drift import ANGLES, MIN_SAMPLES, drift_of_series
+from coadjoint.analysis.reference_motion import check_same_times, motion_of
 from coadjoint.analysis.signals import Sampled, sampled
 from coadjoint.analysis.spectral_lines import hann
 from coadjoint.keyword_hints import suggest_keywords
@@ -117,8 +116,7 @@ def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: 
     """Return the signal of the reference motion at the same times, for each member."""
     if isinstance(reference, Solution):
         other = sampled(reference, signal, 2)
-        if not np.array_equal(other.t, run.t):
-            raise ValueError("the reference has other saved times than the run; save both at the same times")
+        check_same_times(other.t, run.t)
         if other.values.shape[2] != run.values.shape[2] or len(other.values) not in (1, len(run.values)):
             raise ValueError("the reference has other members or coordinates than the run")
         return np.broadcast_to(other.values, run.values.shape)

@@ -54,6 +54,12 @@ def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None 
     return validated
 
 
+def check_same_times(reference: Floats, run: Floats) -> None:
+    """Raise ValueError if a reference has other saved times than a run."""
+    if not np.array_equal(reference, run):
+        raise ValueError("the reference has other saved times than the run; save both at the same times")
+
+
 def field_along(system: System, states: Floats, times: Floats) -> Floats:
     """Return the vector field at states of shape (k, n), each at its time."""
     values = [system.vector_field(state, t) for state, t in zip(states, times.tolist(), strict=True)]

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.analysis.sampled_states import (
     NUMBERS,
     sampled_members,
@@ -19,11 +20,10 @@ from coadjoint.analysis.sampled_states import (
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
 from coadjoint.runs.run import Run, advance_in_turns, advance_up
-from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -165,8 +165,7 @@ class _Measured:
         whole = Times(t, h, 1, 1).with_saved_steps([1])
         (full,) = _run(prepared, states, whole)
         # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-        factor = 1.0 / (1.0 - 0.5**self.method.order)
-        errors = factor * groups.norms(full - halved)
+        errors = error_by_comparison(groups.norms(full - halved), 0.5**self.method.order)
         changes = np.maximum(groups.norms(full - states), change)
         if known_rounding is None:
             halved, full = None, full.copy()
@@ -399,8 +398,7 @@ def _most_steps(solution: Solution, numbers: int, h: float) -> int:
 
 
 def _run(prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
-    run = prepared.begun(times, start_without_groups(prepared.system, states))
-    advance(run)
+    run = trial_run(prepared, times, states, advance)
     x: Any = run.saved["x"][..., : states.shape[1]]
     x[:, run.state["status"] != 0] = np.nan
     return x

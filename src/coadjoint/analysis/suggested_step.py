@@ -15,7 +15,7 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.methods.numerics.short_orbit import rate_at
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.registry import read_method
-from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -99,11 +99,10 @@ def suggest_step(
 def _largest_step(system: LiePoissonSystem, method: Method, start: npt.NDArray[np.float64], bound: float) -> float:
     rate, order = rate_at(system, start), method.order
     target, shortest = 0.5 * (1.0 + SUFFICIENT) * bound, SHORTEST / rate
-    ready = PreparedRun(system, method, 1.0 / rate, threads=1)
+    prepared = Preparation(system, method, 1.0 / rate, threads=1)
 
     def change_in(h: float, count: int) -> float:
-        run = ready.begun(Times(0.0, h, count, count), ready.start(start))
-        run.advance(False)
+        run = trial_run(prepared, Times(0.0, h, count, count), start[None])
         largest = float(np.max(run.state["worst"][:, :, 0]))
         return largest if math.isfinite(largest) and not run.state["status"].any() else math.inf
 

@@ -24,14 +24,18 @@ from typing import Any
 import numpy as np
 
 from coadjoint.choosing.candidates import Candidate, supported_candidates
-from coadjoint.choosing.cost_model import StepPredictor
-from coadjoint.choosing.fitting import Fit, confirmed_fit, fit
+from coadjoint.choosing.fitting import (
+    Fit,
+    confirmed_fit,
+    extrapolated_fit,
+    first_tolerance_trial,
+    fit,
+    fit_of_tolerance,
+)
 from coadjoint.choosing.measured_work import with_measured_work
-from coadjoint.choosing.member_sample import sample_of
-from coadjoint.choosing.pilot import Pilot
+from coadjoint.choosing.pilot import Pilot, sample_of
 from coadjoint.choosing.roundoff import ROUNDING_SHARE, least_roundoff
-from coadjoint.choosing.tolerances import extrapolated_fit, first_tolerance_trial, fit_of_tolerance
-from coadjoint.choosing.unreached import below_rounding, none_reached, too_expensive
+from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
@@ -238,7 +242,7 @@ def _target_error(candidate: Candidate, required: float) -> float:
 def _check_rounding(pilot: Pilot, candidates: Sequence[Candidate]) -> None:
     """Raise ValueError if the rounding error of every scheme reaches half the size of the motion."""
     if least_roundoff(pilot) >= ROUNDING_SHARE:
-        raise none_reached(candidates, abs(pilot.span))
+        raise _none_reached(candidates, abs(pilot.span))
 
 
 def _first_trials(pilot: Pilot, candidates: Sequence[Candidate], required: float) -> FirstTrials:
@@ -305,13 +309,13 @@ def _fits_with_acceptable_roundoff(
     """Return the fits with acceptable rounding; raise ValueError if there are none."""
     time = abs(pilot.span)
     if not fits:
-        raise too_expensive(candidates, required, time)
+        raise _too_expensive(candidates, required, time)
     accurate = [adjusted for each in fits if (adjusted := _with_acceptable_roundoff(each, required)) is not None]
     if not accurate:
         compensated = [(each, each.candidate.compensated()) for each in fits]
         adjusted_fits = [replace(each, candidate=candidate) for each, candidate in compensated if candidate is not None]
         reachable = min(each.roundoff for each in (*fits, *adjusted_fits)) / ROUNDING_SHARE
-        raise below_rounding(candidates, required, time, reachable)
+        raise _below_rounding(candidates, required, time, reachable)
     return accurate
 
 
@@ -325,7 +329,7 @@ def _confirmed_cheapest(
         found = confirmed_fit(first, _target_error(first.candidate, required), required)
         (confirmed_fits if found.error <= required else failed).append(found)
     if not confirmed_fits:
-        raise below_rounding(candidates, required, abs(pilot.span), min(each.error for each in failed))
+        raise _below_rounding(candidates, required, abs(pilot.span), min(each.error for each in failed))
     confirmed_fits.sort(key=lambda each: each.cost)
     return [confirmed_fits[0], *sorted([*confirmed_fits[1:], *pending], key=lambda each: each.cost)]
 
@@ -345,3 +349,39 @@ def _choice_of_fit(fitted: Fit, required: float) -> Choice:
     span = abs(fitted.pilot.span)
     error = fitted.error + fitted.roundoff
     return Choice(fitted.candidate.method, span / fitted.steps, required, error, fitted.roundoff, fitted.cost)
+
+
+def _too_expensive(candidates: Sequence[Candidate], accuracy: float, time: float) -> ValueError:
+    """Return the error for schemes without a step of acceptable cost."""
+    return ValueError(
+        f"no step of {_scheme_text(candidates)} reaches the accuracy {accuracy:g} over the time {time:g} at "
+        "an acceptable cost; ask for a larger error, or for a shorter time"
+    )
+
+
+def _below_rounding(candidates: Sequence[Candidate], accuracy: float, time: float, reachable: float) -> ValueError:
+    """Return the error for an accuracy below the smallest one that rounding allows."""
+    if not reachable < 1.0:
+        return _none_reached(candidates, time)
+    return ValueError(
+        f"accuracy {accuracy:g} is below what float64 reaches with {_scheme_text(candidates)} over the time {time:g}; "
+        f"with rounding, {rounded_up(reachable)} is the least; ask for that, or for a shorter time"
+    )
+
+
+def _none_reached(candidates: Sequence[Candidate], time: float) -> ValueError:
+    """Return the error for a motion in which rounding grows to its size."""
+    return ValueError(
+        f"no accuracy is reached in float64 with {_scheme_text(candidates)} over the time {time:g}: small changes "
+        "of the initial state grow to the size of the motion; take a shorter time"
+    )
+
+
+def rounded_up(value: float) -> str:
+    """Format a number with two digits, rounded up."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / unit) * unit:.1e}"
+
+
+def _scheme_text(candidates: Sequence[Candidate]) -> str:
+    return str(candidates[0].method) if len(candidates) == 1 else "any scheme"

@@ -1,4 +1,4 @@
-"""Fit of the number of steps of one scheme, by trials over the window of a pilot."""
+"""Fits of one scheme, by trials over the window of a pilot: its number of steps, or the tolerance of its own steps."""
 
 from __future__ import annotations
 
@@ -37,6 +37,16 @@ MAX_EXTRAPOLATION = 1.3
 ABANDON_COST_EXCESS = 6.0
 # Bounds of the steps of a first trial: usual * MUCH_FINER and usual / MUCH_COARSER.
 MAX_INITIAL_REFINEMENT, MAX_INITIAL_COARSENING = 4.0, 10.0
+# Of the tolerance of a scheme with variable steps, most fits take two runs.
+MAX_TOLERANCE_TRIALS = 6
+# Accepted ratio of the target error to the error.
+GOAL_RATIO = 4.0
+# Largest factor between the tolerances of consecutive trials.
+MAX_TOLERANCE_RATIO = 1e6
+# Ratio of the costs of two schemes above which a fit is abandoned.
+ABANDON_COST_RATIO = 1.2
+# Initial ratio of the tolerance to the target error, since errors of steps add up.
+INITIAL_TOLERANCE_RATIO = 0.1
 
 
 @dataclass(frozen=True)
@@ -190,3 +200,69 @@ def confirmed_fit(fitted: Fit, goal: float, required: float) -> Fit:
         least = STEP_INCREASE if may_be_rounding else 1.02
         fitted = replace(fitted, steps=math.ceil(fitted.steps * min(max(more, least), 4.0)), error=goal)
     return replace(fitted, error=max(end * required / limit, math.nextafter(required, math.inf)))
+
+
+def first_tolerance_trial(pilot: Pilot, candidate: Candidate, goal: float) -> Fit | None:
+    """Return the fit by one trial of a scheme with variable steps; None if it fails."""
+    return _tolerance_trial(pilot, candidate, _first_tolerance(pilot, goal))
+
+
+def extrapolated_fit(fitted: Fit, goal: float) -> Fit:
+    """Extrapolate a fit to another error at the end, by the order."""
+    if not 0.0 < fitted.error < math.inf:
+        return fitted
+    change = (fitted.error / goal) ** (1.0 / fitted.candidate.method.order)
+    return replace(fitted, steps=max(1, math.ceil(fitted.steps * change)))
+
+
+def fit_of_tolerance(
+    pilot: Pilot, candidate: Candidate, goal: float, limit: float, first: Fit | None = None
+) -> Fit | None:
+    """Fit the tolerance of a scheme with variable steps to an error `goal` at the end of the span.
+
+    The error is roughly proportional to the tolerance, so few trials suffice. A scheme is abandoned if it is more
+    expensive than `limit`, the lowest cost so far. `first` is the first trial. Returns a fit whose candidate has the
+    tolerance, and whose steps are the variable ones; None if no tolerance is found.
+    """
+    tolerance, best = _first_tolerance(pilot, goal), None
+    for count in range(MAX_TOLERANCE_TRIALS):
+        fitted = first if first is not None and count == 0 else _tolerance_trial(pilot, candidate, tolerance)
+        if fitted is None:
+            next_tolerance = tolerance / MAX_TOLERANCE_RATIO
+        elif not fitted.trial.error < LARGE_ERROR:
+            next_tolerance = tolerance * INITIAL_TOLERANCE_RATIO
+        else:
+            end = fitted.error
+            if not end < math.inf:
+                break
+            if end <= goal and (best is None or fitted.cost < best.cost):
+                best = fitted
+            if goal / GOAL_RATIO <= end <= goal or extrapolated_fit(fitted, goal).cost > ABANDON_COST_RATIO * limit:
+                break
+            # Aim at the geometric mean of the accepted range.
+            ratio = goal / (math.sqrt(GOAL_RATIO) * end) if end > 0.0 else MAX_TOLERANCE_RATIO
+            next_tolerance = tolerance * min(max(ratio, 1.0 / MAX_TOLERANCE_RATIO), MAX_TOLERANCE_RATIO)
+        if candidate.reaching(next_tolerance).method == candidate.reaching(tolerance).method:
+            break
+        tolerance = next_tolerance
+    return best
+
+
+def _first_tolerance(pilot: Pilot, goal: float) -> float:
+    """Guess a tolerance: errors of steps grow between not at all and like changes of the initial state."""
+    return goal * INITIAL_TOLERANCE_RATIO / math.sqrt(max(1.0, pilot.sensitivity.whole))
+
+
+def _tolerance_trial(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
+    """Return the fit by a trial with one tolerance; None if it fails.
+
+    An error that may be rounding is bounded by the sum of the tolerances of the steps.
+    """
+    adjusted = candidate.reaching(tolerance)
+    trial = pilot.trial(adjusted.method)
+    if trial is None:
+        return None
+    noise = MEASURABLE_RATIO * max(pilot.noise, roundoff(pilot, trial.steps, 0, True, 1.0))
+    error = trial.error if trial.error > noise else min(trial.error, trial.steps * tolerance)
+    end = error * adjusted.growth(pilot, trial)
+    return Fit(pilot, adjusted, max(1, math.ceil(trial.steps * pilot.windows)), end, trial)

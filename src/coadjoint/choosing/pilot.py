@@ -60,6 +60,14 @@ EXPONENTIAL_RATIO = 2.0**2.5
 # This growth in the last half alone, after slower growth, counts as the onset of exponential growth.
 ONSET_RATIO = 16.0
 
+# Number of members in a pilot, and of the members from which they are selected.
+SAMPLE_SIZE = 4
+MAX_SCREENED = 256
+SCREENING_SCHEME = reference_scheme(4)
+# Steps in the time in which the fastest member moves by its own size, and their total number.
+STEPS_PER_SIZE = 8
+SCREENING_STEPS = 128
+
 
 class Growth(NamedTuple):
     """The largest errors of the second halves of a quarter, a half and the whole of a window."""
@@ -154,18 +162,21 @@ class Pilot:
         every = steps // math.gcd(steps, self.points)
         return short_run(self.system, method, start, self.t0, length, steps, every)
 
-    def trial(self, method: Method, steps: int) -> Trial | None:
-        """Run a scheme over the window; None if a member fails.
+    def trial(self, method: Method, steps: int | None = None) -> Trial | None:
+        """Run a scheme over the window; None if a member fails. Without `steps`, those that it chooses are counted.
 
         Growth is available for steps from `comparable_steps`; others are compared at the shared points or at the end.
         """
-        run = self.run(method, steps)
+        run, members = self.run(method, self.points if steps is None else steps), len(self.momenta)
         if np.any(run.state["status"]):
             return None
-        step_count = steps * len(self.momenta)
         iterations, evaluations = int(run.state["iterations"].sum()), int(run.state["evaluations"].sum())
-        newton = method.took_newton(run.state["memory"])
-        return Trial(steps, self.growth_of(run.saved["x"]), iterations / step_count, evaluations / step_count, newton)
+        newton, per_step = method.took_newton(run.state["memory"]), float(method.order)
+        if steps is None:
+            steps = max(1, math.ceil(evaluations / (method.order * members)))
+        else:
+            per_step = evaluations / (steps * members)
+        return Trial(steps, self.growth_of(run.saved["x"]), iterations / (steps * members), per_step, newton)
 
     def growth_of(self, states: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:
         """Compare states at evenly spaced points of the window with the reference, or with another motion."""
@@ -313,3 +324,30 @@ def short_run(
     if advanced:
         run.advance()
     return run
+
+
+def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: float) -> NDArray[np.float64]:
+    """Return the members for a pilot: the first, and those with the largest errors in a coarse short run.
+
+    `momenta` has shape (members, n). Returns up to 4 of them, shape (k, n), in the order of the ensemble.
+    """
+    members = len(momenta)
+    if members <= SAMPLE_SIZE:
+        return momenta
+    screened = np.unique(np.linspace(0, members - 1, min(members, MAX_SCREENED)).round().astype(np.int64))
+    states = momenta[screened]
+    sizes = np.linalg.norm(states, axis=1)
+    rates = np.array([np.linalg.norm(system.vector_field(x, t0)) for x in states]) / np.where(sizes > 0.0, sizes, 1.0)
+    # Members with a nonfinite field are selected first, so that the pilot reports them.
+    rates = np.where(np.isfinite(rates), rates, np.inf)
+    fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
+    time = abs(span) if fastest == 0.0 else min(abs(span), SCREENING_STEPS / STEPS_PER_SIZE / fastest)
+    ends = [
+        short_run(system, SCREENING_SCHEME, states, t0, np.copysign(time, span), n)
+        for n in (SCREENING_STEPS, 2 * SCREENING_STEPS)
+    ]
+    failed = (ends[0].state["status"] != 0) | (ends[1].state["status"] != 0)
+    differences = np.max(np.linalg.norm(ends[0].saved["x"][1:] - ends[1].saved["x"][2::2], axis=2), axis=0)
+    errors = np.where(failed | ~np.isfinite(rates), np.inf, differences / np.where(sizes > 0.0, sizes, 1.0))
+    worst = screened[np.argsort(-errors, kind="stable")[: SAMPLE_SIZE - 1]]
+    return momenta[np.unique(np.concatenate([[0], worst]))]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.fits import OrderFit, fit_order
+from coadjoint.analysis.powers import OrderFit, fit_order
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF

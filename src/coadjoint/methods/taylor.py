@@ -19,7 +19,7 @@ from coadjoint.methods.numerics.projection import (
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.numerics.series_cost import LANES, series_operations
+from coadjoint.methods.numerics.series_cost import series_operations
 from coadjoint.methods.numerics.taylor_series import (
     TOO_SHORT_MESSAGE,
     Dual,
@@ -30,7 +30,7 @@ from coadjoint.methods.numerics.taylor_series import (
 )
 from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
-    LANE_SERIES_FACTOR,
+    LANES,
     Operations,
     Work,
     work_of_operations,
@@ -221,7 +221,7 @@ class Taylor(CompiledStepMethod):
         if self.tolerance is not None:
             return work_of_own_steps(operations, self.order)
         in_lanes = group is None and system.dim <= MAX_LANE_DIMENSION
-        return work_of_operations(operations, substeps, LANE_SERIES_FACTOR if in_lanes else 1.0)
+        return work_of_operations(operations, substeps, in_lanes)
 
     def _vectors_of_group(self, system: System, group: Representation) -> float:
         """Return the number of vectors of rows of a group element that are multiplied in a step."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self, cast
 
@@ -319,3 +319,12 @@ class Preparation:
     def warn_of_large_step(self, solution: Solution) -> None:
         """Warn if the step is too large for a run of this system, or if rounding is."""
         shortcut("warn_of_large_step")(solution, self)
+
+
+def trial_run(
+    prepared: Preparation, times: Times, momenta: NDArray[np.float64], advance: Callable[[Run], None] = Run.advance
+) -> Run:
+    """Run from momenta (members, n) without group elements; failures are in `status` of its state."""
+    run = prepared.begun(times, start_without_groups(prepared.system, momenta))
+    advance(run)
+    return run

@@ -97,8 +97,7 @@ def test_errors_that_are_allowed_follow_the_order_and_the_ratio_of_the_steps():
     """An error C h^p changes by (r^p - 1) times that of the smaller step; six times as much is allowed."""
     for order in (1, 2, 4):
         for ratio in (1.25, 2.0, 3.0):
-            assert allowed_error(ratio**order - 1.0, ratio, order) == pytest.approx(6.0)
-    assert allowed_error(1.0, 3.0, None) == allowed_error(1.0, 3.0, 1) == 3.0
+            assert allowed_error(ratio**order - 1.0, ratio**-order) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("t", [3.0, -3.0, 0.25])

@@ -10,14 +10,13 @@ import pytest
 
 import coadjoint as co
 from coadjoint.choosing import pilot as pilots
+from coadjoint.choosing.accuracy import rounded_up
 from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.measured_work import with_measured_work
-from coadjoint.choosing.member_sample import sample_of
-from coadjoint.choosing.pilot import Growth, Pilot, Trial
+from coadjoint.choosing.pilot import Growth, Pilot, Trial, sample_of
 from coadjoint.choosing.roundoff import roundoff
-from coadjoint.choosing.unreached import rounded_up
 from coadjoint.kernels.interface import limit
-from coadjoint.methods.protocol.cost_model import FUNCTION_COST, MIN_LANE_MEMBERS, iteration_work, newton_work
+from coadjoint.methods.protocol.cost_model import CALL_COST, MIN_LANE_MEMBERS, iteration_work, newton_work
 
 X0 = np.array([1.0, 1.5, -0.5])
 BODY = co.systems.rigid_body(1.0 / np.array([1.0, 0.5, 0.4]))
@@ -248,9 +247,9 @@ def test_cost_weights_match_measured_times():
     )
     method = co.Splitting(parts="coordinates", compensated=False)
     called, counted = (method.work(system).cost(0.0, 0.0) for system in (of_functions, of_numbers))
-    assert called - counted == pytest.approx(5 * FUNCTION_COST, rel=0.3)
+    assert called - counted == pytest.approx(5 * CALL_COST, rel=0.3)
     apart = iteration_work(of_functions, 8.0, None) - iteration_work(of_numbers, 8.0, None)
-    assert apart > 8.0 * 3 * FUNCTION_COST * 0.9
+    assert apart > 8.0 * 3 * CALL_COST * 0.9
 
 
 @pytest.mark.parametrize("value", [1.0, 9.99e-7, 1.0000001e-9, 2.5e-9, 2.51e-13, 9.91e-3, 1e-16])

@@ -7,19 +7,19 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.choosing import accuracy, system_cache, tolerances
+from coadjoint.choosing import accuracy, fitting, system_cache
 from coadjoint.choosing import pilot as pilots
-from coadjoint.choosing.cost_model import (
+from coadjoint.choosing.fitting import Fit, confirmed_fit
+from coadjoint.choosing.fitting import fit as fit_steps
+from coadjoint.choosing.pilot import Growth, Trial
+from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
+from coadjoint.choosing.step_predictor import (
     MAX_ADVANTAGE,
     NEAREST_DIVISOR,
     RELATED_DIVISOR,
     StepPredictor,
     series_error_model,
 )
-from coadjoint.choosing.fitting import Fit, confirmed_fit
-from coadjoint.choosing.fitting import fit as fit_steps
-from coadjoint.choosing.pilot import Growth, Trial
-from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
 
 NOISE = 1e-13
 BODY = co.systems.rigid_body((1, 2, 2.5))
@@ -303,7 +303,7 @@ def test_schemes_left_untried_are_not_cheaper(monkeypatch, wanted):
 
 def test_few_trials_and_short_runs_are_made(monkeypatch):
     """Most of the 21 candidates are left out; variable steps get one trial where constant ones cost half as much."""
-    made = dict.fromkeys(("short_run", "fit", "variable_step_trial"), 0)
+    made = dict.fromkeys(("short_run", "fit", "_tolerance_trial"), 0)
 
     def count(module, name):
         def counted(*given):
@@ -313,10 +313,10 @@ def test_few_trials_and_short_runs_are_made(monkeypatch):
         real = getattr(module, name)
         monkeypatch.setattr(module, name, counted)
 
-    for place in ((pilots, "short_run"), (accuracy, "fit"), (tolerances, "variable_step_trial")):
+    for place in ((pilots, "short_run"), (accuracy, "fit"), (fitting, "_tolerance_trial")):
         count(*place)
     choice = co.choose(BODY, (0.6, 0.3, 0.8), (0.0, 200.0), 1e-6)
-    assert not choice.method.own_steps and made["variable_step_trial"] == 1 and made["short_run"] <= 30
+    assert not choice.method.own_steps and made["_tolerance_trial"] == 1 and made["short_run"] <= 30
     made["fit"] = 0
     # Particles fly apart: variable steps are so much longer that few other schemes are worth a trial.
     assert co.choose(co.systems.toda(4), TODA, (0.0, 80.0), 1e-6).method.own_steps and 2 <= made["fit"] <= 6

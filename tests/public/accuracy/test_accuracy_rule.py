@@ -57,13 +57,14 @@ def test_accuracy_is_reached_without_waste(name, accuracy):
 @pytest.mark.parametrize("methods", (None, SPLITTINGS), ids=("any", "splittings"))
 @pytest.mark.parametrize("x0", ((1.0, 0.2, 0.5), (0.05, 1.0, 0.02), (0.3, -0.4, 1.5)))
 def test_accuracy_far_beyond_the_pilot_window(x0, methods, accuracy):
-    """Thousands of turns, of which the pilot computes hundreds."""
+    """Thousands of turns, of which the pilot computes hundreds; waste is seen in the largest error of the last half."""
     body, span = co.systems.rigid_body(inertia=(1, 2, 3)), (0.0, 20000.0)
     choice = co.choose(body, x0, span, accuracy, methods=methods)
-    run = co.integrate(body, x0, span, choice.step, choice.method, watch=False, save_every=10**9)
-    error = np.linalg.norm(run.x[-1] - body.exact(x0, span[1])) / np.linalg.norm(x0)
-    assert error <= accuracy, str(choice)
-    assert not is_wasteful(error, choice, span[1]), f"{error:.1e} by {choice}"
+    run = co.integrate(body, x0, span, choice.step, choice.method, watch=False, save_every=16)
+    late = run.t >= span[1] / 2.0
+    errors = np.linalg.norm(run.x[late] - body.exact(x0, run.t[late]), axis=1) / np.linalg.norm(x0)
+    assert errors[-1] <= accuracy, str(choice)
+    assert not is_wasteful(errors.max(), choice, span[1]), f"{errors.max():.1e} by {choice}"
 
 
 def test_accuracy_near_a_separatrix_is_refused():

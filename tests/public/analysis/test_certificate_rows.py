@@ -15,7 +15,7 @@ from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
 Properties = co.methods.Properties
-growth, slope = co.analysis.growth, co.analysis.slope
+growth, fit_order = co.analysis.growth, co.analysis.fit_order
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 X0 = np.array([0.3, 1.0, 0.2])
@@ -179,28 +179,28 @@ def test_a_wrong_closed_form_is_said():
     assert "DOP853" in found["reference"].measured
 
 
-def test_slopes_know_how_sure_they_are():
+def test_orders_know_how_sure_they_are():
     h = [0.4 / 2**k for k in range(6)]
     for p in (1, 2, 4, 8):
-        found = slope(h, [x**p * (1 + 0.8 * x) for x in h], [1e-16] * 6)
+        found = fit_order(h, [x**p * (1 + 0.8 * x) for x in h], [1e-16] * 6)
         # The square of the next term, (0.8 h)^2 at the first three steps of those taken, is left.
-        assert abs(found.value - p) <= found.uncertainty + 0.8**2 * found.steps[0] ** 2
+        assert abs(found.order - p) <= found.uncertainty + 0.8**2 * found.steps[0] ** 2
         assert found.uncertainty < 0.1
     # A constant that is small at first: the slope at small steps falls, and its uncertainty tells.
-    bent = slope(h, [x**4 + 1e-5 for x in h], [0.0] * 6)
-    assert bent.value < 3 and bent.steepening < 0
-    assert slope(h, [1e-15] * 6, [1e-15] * 6) is None
+    bent = fit_order(h, [x**4 + 1e-5 for x in h], [0.0] * 6)
+    assert bent.order < 3 and bent.steepening < 0
+    assert str(bent) == f"{bent.order:.2f} +- {bent.uncertainty:.2f}"
 
 
-def test_slopes_are_those_of_the_smallest_steps_above_round_off():
+def test_orders_are_those_of_the_smallest_steps_above_round_off():
     h = [0.8 / 2**k for k in range(12)]
     # Beyond step 0.1 the errors are those of another order, and the last four are round-off.
     errors = [x**4 if x <= 0.1 else 0.1**3 * x for x in h]
     floors = [1e-3 * e if k < 8 else e for k, e in enumerate(errors)]
     shuffled = np.random.default_rng(3).permutation(12)
-    found = slope(*([column[k] for k in shuffled] for column in (h, errors, floors)))
+    found = fit_order(*([column[k] for k in shuffled] for column in (h, errors, floors)))
     assert found.steps.tolist() == h[3:8] and found.errors.tolist() == errors[3:8]
-    assert abs(found.value - 4) < 1e-9
+    assert abs(found.order - 4) < 1e-9 and found.dropped == 4
 
 
 @pytest.mark.parametrize(

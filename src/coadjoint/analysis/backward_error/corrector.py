@@ -18,9 +18,10 @@ from coadjoint.analysis.backward_error.modified_hamiltonian import (
     check_system_and_scheme,
     modified_hamiltonian,
 )
-from coadjoint.analysis.short_motion import short_motion
+from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
+from coadjoint.methods.numerics.short_orbit import MIN_STEPS, RELATIVE_STEP, orbit_overflow_error, rate_at
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.runs.integrate import integrate
@@ -190,6 +191,22 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     corrector = Corrector(system, generator, scheme.order, remaining)
     corrector._speed = speed / float(np.linalg.norm(points, axis=1).max())
     return corrector
+
+
+def short_motion(system: LiePoissonSystem, start: Floats, count: int) -> tuple[Floats, float]:
+    """Return states (count + 1, n) along the motion, a quarter of a radian apart, and the rate of the motion.
+
+    Fewer states are returned if the motion leaves the range of float64; ValueError if that happens within a few steps.
+    """
+    rate = rate_at(system, start)
+    spacing = RELATIVE_STEP / rate
+    try:
+        states = integrate(system, start, (0.0, count * spacing), spacing, reference_scheme(6), watch=False).x
+    except IntegrationError as error:
+        if error.partial is None or len(error.partial.x) <= MIN_STEPS:
+            raise orbit_overflow_error(start, spacing) from None
+        states = error.partial.x
+    return np.asarray(states), rate
 
 
 def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:

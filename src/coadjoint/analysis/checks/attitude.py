@@ -16,7 +16,7 @@ from coadjoint.analysis.checks.norm import worst_group
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.study import Study
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import FLOOR_FACTOR
+from coadjoint.analysis.powers import FLOOR_FACTOR
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
@@ -240,4 +240,4 @@ def _limit(subject: Subject, study: Study) -> Measurement | None:
     change = float(_norm(subject.norm.matrix(elements[1] - elements[0]))) / size
     floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(runs[1].stats.evaluations)))
     text = f"error {error:.2g} at the step {abs(study.span) / (2 * count):.3g}, against {reference.by}"
-    return error, floor + allowed_error(change, 2.0, subject.claims.order), text
+    return error, floor + allowed_error(change, 0.5 ** (subject.claims.order or 1)), text

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import Row, verdict
 from coadjoint.analysis.checks.reference import motion
-from coadjoint.analysis.checks.study import ERROR_RATIO, LARGE_ERROR, Study
+from coadjoint.analysis.checks.study import ERROR_RATIO, LARGE_ERROR, Study, measured_order
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import FLOOR_FACTOR, Slope, slope
+from coadjoint.analysis.powers import FLOOR_FACTOR, OrderFit, error_by_comparison
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -57,11 +57,11 @@ def convergence_rows(subject: Subject, study: Study | None) -> list[Row]:
     ]
 
 
-def _is_uncertain(fitted: Slope) -> bool:
-    return fitted.uncertainty > max(MAX_UNCERTAINTY, MAX_RELATIVE_UNCERTAINTY * fitted.value)
+def _is_uncertain(fitted: OrderFit) -> bool:
+    return fitted.uncertainty > max(MAX_UNCERTAINTY, MAX_RELATIVE_UNCERTAINTY * fitted.order)
 
 
-def _single_steps(subject: Subject, study: Study) -> Slope | None:
+def _single_steps(subject: Subject, study: Study) -> OrderFit | None:
     """Return the order from errors of single steps, their slope minus one, for high orders with few steps in a span."""
     p, size = subject.claims.order or 4, float(subject.norm(subject.states)) or 1.0
     largest = study.coarse_step(math.copysign(subject.span_time, subject.h))
@@ -81,14 +81,14 @@ def _single_steps(subject: Subject, study: Study) -> Slope | None:
         floors.append(2 * reference.error + rounding)
         if errors[-1] < FLOOR_FACTOR * floors[-1]:
             break
-    fitted = slope(steps, errors, floors)
-    return None if fitted is None else fitted._replace(value=fitted.value - 1.0)
+    fitted = measured_order(steps, errors, floors)
+    return None if fitted is None else fitted._replace(order=fitted.order - 1.0)
 
 
 def _order_row(subject: Subject, study: Study, declared: str, evidence: dict[str, object]) -> Row:
     p = subject.claims.order
     holds: bool | None = None
-    fitted, reason, of = study.slope, "", "over a span"
+    fitted, reason, of = study.order, "", "over a span"
     if fitted is None or fitted.uncertainty > MAX_UNCERTAINTY:
         single = _single_steps(subject, study)
         if single is not None and (fitted is None or single.uncertainty < fitted.uncertainty):
@@ -104,14 +104,14 @@ def _order_row(subject: Subject, study: Study, declared: str, evidence: dict[str
     else:
         uncertain, least = _is_uncertain(fitted), 0.5 if p is None else p
         measured = f"{fitted}, by errors {of}, steps from {fitted.steps[0]:.3g} to {fitted.steps[-1]:.3g}"
-        if fitted.value + (2.0 if uncertain else 1.0) * fitted.uncertainty < least - MARGIN:
+        if fitted.order + (2.0 if uncertain else 1.0) * fitted.uncertainty < least - MARGIN:
             holds = None if fitted.steepening > MAX_UNCERTAINTY else False
             reason = "" if holds is False else "errors fall ever faster; take a smaller step"
-        elif uncertain or fitted.value < least - max(ORDER_TOLERANCE, RELATIVE_ORDER_TOLERANCE * least):
+        elif uncertain or fitted.order < least - max(ORDER_TOLERANCE, RELATIVE_ORDER_TOLERANCE * least):
             reason = "the slope has not settled; take a smaller step"
         else:
             holds = True
-            if p is not None and fitted.value - fitted.uncertainty > p + 0.5:
+            if p is not None and fitted.order - fitted.uncertainty > p + 0.5:
                 reason = "higher than declared on this motion"
         evidence = {
             **evidence,
@@ -126,7 +126,7 @@ def _order_row(subject: Subject, study: Study, declared: str, evidence: dict[str
         measured,
         verdict(p is not None, holds),
         claimed=p is not None,
-        value=None if fitted is None else fitted.value,
+        value=None if fitted is None else fitted.order,
         bound=None if p is None else float(p),
         source="declared; the slope may be lower by 1/4 and its uncertainty" if p is not None else "",
         reason=reason,
@@ -142,10 +142,10 @@ def _reference_row(subject: Subject, study: Study, p: int | None, declared: str,
     if shorter is not None:
         end, left = shorter
         last = float(subject.norm(end - study.reference.states)) / size
-        bound += allowed_error(float(subject.norm(end - study.ends[-1])) / size, 1.0 / left, 1)
+        bound += allowed_error(float(subject.norm(end - study.ends[-1])) / size, left)
     elif len(study.counts) > 1:
         change = float(subject.norm(study.ends[-1] - study.ends[-2])) / size
-        bound += allowed_error(change, study.counts[-1] / study.counts[-2], p)
+        bound += allowed_error(change, (study.counts[-2] / study.counts[-1]) ** (p or 1))
     holds: bool | None = last <= bound
     reason = study.reference.contradiction
     if holds and last > LARGE_ERROR:
@@ -189,9 +189,9 @@ def _by_shorter_own_steps(subject: Subject, study: Study) -> tuple[NDArray[np.fl
     return end, finer.left
 
 
-def allowed_error(change: float, ratio: float, order: int | None) -> float:
-    """Return the allowed error at the smaller of two steps with a ratio > 1, from the change between their results.
+def allowed_error(change: float, left: float) -> float:
+    """Return the allowed error of a result, with the fraction `left` of the error of another, from their difference.
 
-    Without the factor 6 it is that of a scheme with the error C h^order. An undeclared order counts as 1.
+    Without the factor 6 it is that of a scheme with the error C h^order.
     """
-    return ERROR_FACTOR * change / (ratio ** (order or 1) - 1.0)
+    return ERROR_FACTOR * left * float(error_by_comparison(change, left))

@@ -13,7 +13,7 @@ from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UND
 from coadjoint.analysis.checks.norm import Norm
 from coadjoint.analysis.checks.reference import motion
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import growth
+from coadjoint.analysis.powers import growth
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF

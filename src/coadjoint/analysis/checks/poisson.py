@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
 from coadjoint.analysis.checks.norm import worst_group
+from coadjoint.analysis.checks.study import order_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject, directions
-from coadjoint.analysis.fits import Slope, slope_of_defects
 from coadjoint.analysis.poisson_defect import defect_of_tangent
+from coadjoint.analysis.powers import OrderFit
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
@@ -73,10 +74,10 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
     measured = f"defect {defect:.2g} at the step {h:.3g}, tangent by {by}"
     evidence: dict[str, Any] = {"tangent by": by}
     if defect > bound:
-        fitted = _defect_slope(subject, coarse_step)
+        fitted = _defect_order(subject, coarse_step)
         if fitted is not None:
             measured += f", of order {fitted}"
-            evidence |= {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.value}
+            evidence |= {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.order}
     elif by == "differences":
         reason = reason or "differences do not resolve smaller defects; a step in complex or mpmath numbers would"
     source = "64 u |P|^2 |J| times the operations" if by != "differences" else "floor of differences, 1e-9 |P|^2 |J|"
@@ -184,14 +185,14 @@ def _defect(subject: Subject, x: NDArray[np.float64], h: float) -> tuple[float, 
     return *worst_group(defects, bounds), by
 
 
-def _defect_slope(subject: Subject, largest: float) -> Slope | None:
+def _defect_order(subject: Subject, largest: float) -> OrderFit | None:
     """Return the power of the step with which the defect at the first state scales."""
 
     def measure(h: float) -> tuple[float, float]:
         defect, bound, _ = _defect(subject, subject.states[0], h)
         return defect, bound / 64
 
-    return slope_of_defects(largest, SLOPE_STEPS, measure)
+    return order_of_defects(largest, SLOPE_STEPS, measure)
 
 
 class Tangent(NamedTuple):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.checks.reference import Motion, motion
 from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.fits import FLOOR_FACTOR, Slope, slope
+from coadjoint.analysis.powers import FLOOR_FACTOR, OrderFit, fit_order
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -56,16 +57,39 @@ class Study:
         return [abs(self.span) / count for count in self.counts]
 
     @property
-    def slope(self) -> Slope | None:
-        """The slope of the errors that are below `LARGE_ERROR` and above round-off."""
+    def order(self) -> OrderFit | None:
+        """The order of the errors that are below `LARGE_ERROR` and above round-off."""
         inside = [k for k, error in enumerate(self.errors) if error < LARGE_ERROR]
-        return slope(*([values[k] for k in inside] for values in (self.steps, self.errors, self.floors)))
+        return measured_order(*([values[k] for k in inside] for values in (self.steps, self.errors, self.floors)))
 
     def coarse_step(self, h: float) -> float:
         """Return the largest step at which the scheme still approximates the motion; at least the given one."""
         accurate = [self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < LARGE_ERROR / 5]
         largest = accurate[0] if accurate else h
         return largest if abs(largest) > 1.01 * abs(h) else h
+
+
+def measured_order(steps: Sequence[float], errors: Sequence[float], floors: Sequence[float]) -> OrderFit | None:
+    """Fit an order; None if fewer than three errors are above round-off."""
+    try:
+        return fit_order(steps, errors, FLOOR_FACTOR * np.array(floors))
+    except ValueError:
+        return None
+
+
+def order_of_defects(largest: float, count: int, measure: Callable[[float], tuple[float, float]]) -> OrderFit | None:
+    """Fit the order of a defect, at `count` steps that decrease by factors sqrt(2).
+
+    `measure` maps a signed step to the defect and its round-off; steps at which it fails are skipped.
+    """
+    points = []
+    for k in range(count):
+        h = largest / 2.0 ** (k / 2)
+        try:
+            points.append((abs(h), *measure(h)))
+        except (IntegrationError, TypeError, ValueError):
+            continue
+    return measured_order(*zip(*points, strict=True)) if points else None
 
 
 def study(subject: Subject) -> Study | None:

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
+from coadjoint.analysis.checks.study import order_of_defects
 from coadjoint.analysis.checks.subject import DIRECTIONS, MAX_DENSE_DIM, Subject
-from coadjoint.analysis.fits import Slope, slope_of_defects
+from coadjoint.analysis.powers import OrderFit
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
 
@@ -93,11 +94,11 @@ def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool 
     if worst is None:
         return Row(key, what, declared, "-", verdict(claimed, None), claimed=claimed, reason=failed)
     defect, bound, h = worst
-    fitted = None if subject.expensive and defect <= bound else _defect_slope(subject, step_map, coarse_step)
+    fitted = None if subject.expensive and defect <= bound else _defect_order(subject, step_map, coarse_step)
     measured = f"defect {defect:.2g} at the step {h:.3g}"
     if defect > bound and fitted is not None:
         measured += f", of order {fitted}"
-    evidence = {} if fitted is None else {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.value}
+    evidence = {} if fitted is None else {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.order}
     return Row(
         key,
         what,
@@ -121,10 +122,10 @@ def _bound(subject: Subject, x: Floats, h: float) -> float:
     return 2 * subject.condition(x, h) * (subject.rounding(h, run.stats.evaluations) * size + noise)
 
 
-def _defect_slope(subject: Subject, step_map: StepMap, largest: float) -> Slope | None:
+def _defect_order(subject: Subject, step_map: StepMap, largest: float) -> OrderFit | None:
     def measure(h: float) -> tuple[float, float]:
         moved = step_map(subject.states, h) - subject.states
         floor = subject.rounding(h) * float(subject.norm(subject.states)) + subject.noise
         return float(subject.norm(moved)), floor
 
-    return slope_of_defects(largest, SLOPE_STEPS, measure)
+    return order_of_defects(largest, SLOPE_STEPS, measure)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.fits import fit_order
+from coadjoint.analysis.powers import fit_order
 from coadjoint.experiments.convergence import roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START
 from coadjoint.experiments.statement import Statement, judge

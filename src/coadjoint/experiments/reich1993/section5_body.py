@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from coadjoint.analysis.fits import fit_order
 from coadjoint.analysis.phase_drift import PhaseDrift, phase_drift
+from coadjoint.analysis.powers import fit_order
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import (
     BODY_END,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
-from coadjoint.analysis.fits import fit_order, fit_power
+from coadjoint.analysis.powers import fit_order, fit_power
 from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
 from coadjoint.experiments.statement import Statement, judge

@@ -9,26 +9,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.cost_model import Operations
+from coadjoint.methods.protocol.cost_model import LANES, TERMS_PER_INVARIANT, Operations
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.system import System
 
-LANES = 8
 # Sums of up to UNROLLED_VECTORS vectors of rows are unrolled, if no products are stored behind the coordinates. Others
-# are slower by TABLE_FACTOR per vector, and have a longer chain of dependent operations for each coefficient, and for
-# each vector of rows.
-UNROLLED_VECTORS = 3
-TABLE_FACTOR, TABLE_LATENCY, BLOCK_LATENCY = 3.5, 6.5, 2.0
-# Dependent operations per product in the sum of a coefficient.
-PRODUCT_LATENCY = 1.4
-# The same of factored products: of a coefficient, of each vector of entries of the sums around them, and of products
-# that do not fit in registers.
-FACTORED_LATENCY, ENTRY_LATENCY, MEMORY_LATENCY, MEMORY_PRODUCT_LATENCY = 3.0, 0.6, 3.8, 1.1
+# are slower by TABLE_FACTOR per vector.
+UNROLLED_VECTORS, TABLE_FACTOR = 3, 2.0
+# Dependent operations per vector of entries of the sums around factored products; one per vector of coordinates.
+ENTRY_LATENCY = 0.5
 # When products are factored, as in ``series_field.hpp``.
 PRODUCT_COST, GRADIENT_COST, FACTORED_COST, ENTRY_COST, CHAIN_COST, MEMORY_COST = 11.4, 2.9, 6.0, 2.5, 10.0, 18.0
-# Up to REGISTER_INVARIANTS invariants of two vectors of coordinates stay in registers; others are slower by a factor.
-REGISTER_INVARIANTS, SPILL_FACTOR = 4, 1.5
 
 
 def series_operations(system: System, order: int, invariants: Iterable[HamiltonianLike]) -> Operations:
@@ -48,22 +40,16 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
         vectors_of_products(system, lanes) * lanes / LANES,
         ProductVectors(system.hamiltonian).blocks,
     )
-    factored = factored_products(system, lanes)
+    factored, waiting = factored_products(system, lanes), float(blocks)
     if factored is not None:
         vectors = factored.products * lanes / LANES
-        waiting = FACTORED_LATENCY + ENTRY_LATENCY * factored.entries
-        if factored.in_memory:
-            waiting += MEMORY_LATENCY + MEMORY_PRODUCT_LATENCY * factored.products
-    elif product_blocks or blocks > UNROLLED_VECTORS:
-        vectors = TABLE_FACTOR * (products + product_blocks)
-        waiting = TABLE_LATENCY + BLOCK_LATENCY * blocks + products + product_blocks
+        waiting += ENTRY_LATENCY * factored.entries
     else:
-        vectors, waiting = products, 1.0 + PRODUCT_LATENCY * products
+        vectors = products + product_blocks
+        vectors *= TABLE_FACTOR if product_blocks or blocks > UNROLLED_VECTORS else 1.0
     rows = [Rows(C, system.dim, lanes).vectors for C in invariants]
-    invariant_terms = len(rows) + sum(rows) / LANES
-    if len(rows) > REGISTER_INVARIANTS or blocks > 2:
-        invariant_terms *= SPILL_FACTOR
-    return Operations(float(0.5 * order**2 * vectors), float(order * waiting), float(invariant_terms))
+    invariant_terms = TERMS_PER_INVARIANT * len(rows) + sum(rows) / LANES
+    return Operations(0.5 * order**2 * vectors, order * waiting, invariant_terms)
 
 
 def vectors_of_products(system: System, lanes: int) -> float:

@@ -16,48 +16,38 @@ from coadjoint.program.table import Program
 from coadjoint.systems.protocol import has_quadratic_energy, has_structure_constants
 from coadjoint.systems.system import System
 
-# Weights of the cost model, to be adjusted when the compiled loops change. The unit is a flow that rotates one pair of
-# coordinates by a linear angle (five multiplications, a sine with its cosine), about 11 ns on one core. An iteration of
-# eight stages of a field in three dimensions, in vector lanes, then costs 1.6.
-FLOW_COST = 0.2
-MULTIPLICATION_COST = 0.04
-FUNCTION_COST = 0.6
+# Weights, fitted to measured steps by ``benchmarks/fit_cost_model.py``, to be fitted again when the compiled loops
+# change. The unit is a flow that rotates one pair of coordinates by a linear angle (five multiplications, a sine with
+# its cosine), about 11 ns on one core. Flows:
+FLOW_COST = 0.27
+MULTIPLICATION_COST = 0.052
+FUNCTION_COST = 0.47
+CALL_COST = 11.0  # of a function in the Hamiltonian, also in fields
+# Vectors of eight numbers, in fields and series:
+VECTOR_COST = 0.042
+ITERATION_COST = 0.75
+ELIMINATION_COST = 1.35  # of the square of the number of unknowns, by Newton's method
+WAITING_COST = 0.2  # for the previous coefficient of a series
+INVARIANT_COST = 0.36
+STEP_CONTROL_COST = 5.0
+# For many members in vector lanes, relative to one:
+LANE_FLOW_FACTOR = 0.1
+LANE_SERIES_FACTOR = 0.54
+
+# Numbers of operations. Flows: multiplications of a sparse series, whose rows are addressed by indices, of a free body
+# over a short time, and of a bond of a lattice, in vector lanes; sums with compensation.
+SPARSE_SERIES, FREE_BODY, BOND, COMPENSATED_BOND = 100, 135, 25, 230
 COMPENSATION_FACTOR = 1.3
-# A sparse series, in addition to its multiplications: its rows are addressed by indices, term by term.
-SPARSE_SERIES_COST = 5.0
-# The flow of a free body over a short time.
-FREE_BODY_COST = 7.0
-# A bond of a lattice, in vector lanes, and with compensated sums.
-BOND_COST = 1.3
-COMPENSATED_BOND_COST = 12.0
-ITERATION_COST = 0.5
 LANES = 8
-VECTOR_MULTIPLICATION_COST = 0.05
 # Dimensions and products of fields whose stages stay in registers if H is quadratic (so(3), e(3), so(4), see
-# ``brackets.hpp``); vectors are half as wide for few stages.
-REGISTER_FIELDS, FEW_STAGES = ((3, 6), (6, 18), (6, 24)), 4
-REGISTER_FACTOR = 0.7
-HALF_VECTOR_FACTOR = 0.65
+# ``brackets.hpp``), in which vectors are faster.
+REGISTER_FIELDS, REGISTER_FACTOR = ((3, 6), (6, 18), (6, 24)), 0.5
 # Factor for products of a polynomial, which are addressed by indices.
 INDEXED_FACTOR = 2.0
-IMPLICIT_STEP_COST = 5.0
-# A step without iterations: products of series, dependent sums, evaluations of invariants (after the first correction,
-# and after later ones).
-EXPLICIT_STEP_COST = 2.7
-VECTOR_COST = 0.017
-LATENCY_COST = 0.136
-INVARIANT_COST = 0.25
-# Selection of the length of a step.
-STEP_CONTROL_COST = 6.0
-FIRST_CORRECTION_COST = 3.2
-NEXT_CORRECTION_COST = 1.0
-# From MIN_LANE_MEMBERS members on, flows and series in few dimensions are computed for many members in vector lanes,
-# at these fractions of the cost. Other steps fill the lanes with one member.
+# Invariants have this many further vectors of terms, in their values and their sums.
+TERMS_PER_INVARIANT = 3.0
+# From this many members on, flows and series in few dimensions are computed for many members in vector lanes.
 MIN_LANE_MEMBERS = 16
-LANE_FLOW_FACTOR = 0.1
-LANE_BODY_FACTOR = 0.17
-LANE_SERIES_FACTOR = 0.6
-ELIMINATION_COST = 0.015
 # A multiplication in a matrix product by BLAS, and the overhead per product. For IsospectralGauss on so(3) to so(20)
 # and on spheres of N = 4 to 64 the estimate is correct within a factor of 2.6, or 3.3 for one stage.
 PRODUCT_COST, PRODUCT_CALL_COST = 0.006, 10.0
@@ -104,16 +94,16 @@ def _part_work(program: Program, number: int, compensated: bool) -> float:
     bodies = bodies_of(program, number)
     if bodies:
         multiplications, functions = 0, 0
-    cost = FLOW_COST + MULTIPLICATION_COST * multiplications + FUNCTION_COST * functions
+    cost = FLOW_COST + MULTIPLICATION_COST * multiplications + CALL_COST * functions
     action = action_work(program.state, number)
     if bodies:
         bonds = bool(bodies[0].other)
-        cost += len(bodies) * (FREE_BODY_COST if not bonds else COMPENSATED_BOND_COST if compensated else BOND_COST)
+        each = FREE_BODY if not bonds else COMPENSATED_BOND if compensated else BOND
+        cost += MULTIPLICATION_COST * each * len(bodies)
         action = 0 if bonds else action[0], 0  # sines are part of the cost of the body
-    cost += (MULTIPLICATION_COST * action[0] + FUNCTION_COST * action[1]) * (
-        COMPENSATION_FACTOR if compensated else 1.0
-    )
-    cost += SPARSE_SERIES_COST * count_series_blocks(program.state, number)
+    factor = COMPENSATION_FACTOR if compensated else 1.0
+    cost += factor * (MULTIPLICATION_COST * action[0] + FUNCTION_COST * action[1])
+    cost += MULTIPLICATION_COST * SPARSE_SERIES * count_series_blocks(program.state, number)
     if program.group is not None:
         # The rows of a group element are rotated in vector lanes, by one sine.
         action = action_work(program.group, number)
@@ -130,12 +120,8 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
         edge = system.dim if isinstance(group, str) else group.shape[1]
         vectors += edge * entries + stages * edge * edge
     elif stages <= LANES and _fits_in_registers(system):
-        vectors *= REGISTER_FACTOR * (HALF_VECTOR_FACTOR if stages <= FEW_STAGES else 1.0)
-    return (
-        ITERATION_COST
-        + VECTOR_MULTIPLICATION_COST * math.ceil(stages / LANES) * vectors
-        + FUNCTION_COST * stages * functions
-    )
+        vectors *= REGISTER_FACTOR
+    return ITERATION_COST + VECTOR_COST * math.ceil(stages / LANES) * vectors + CALL_COST * stages * functions
 
 
 def _fits_in_registers(system: System) -> bool:
@@ -167,8 +153,7 @@ def work_of_flows(program: Program, compensated: bool) -> Work:
     """Return the work of a step that consists of flows."""
     cost = flow_work(program, compensated)
     compensated_work = None if compensated else lambda: work_of_flows(program, True)
-    lane_factor = LANE_BODY_FACTOR if program.parts.bodies else LANE_FLOW_FACTOR
-    return Work(lambda iterations, evaluations: cost, flows_of(program), lane_factor, compensated_work)
+    return Work(lambda iterations, evaluations: cost, flows_of(program), LANE_FLOW_FACTOR, compensated_work)
 
 
 def work_of_iterations(system: System, group: Any) -> Work:
@@ -176,14 +161,14 @@ def work_of_iterations(system: System, group: Any) -> Work:
 
     def cost(iterations: float, evaluations: float) -> float:
         rounds = max(1.0, iterations)
-        return IMPLICIT_STEP_COST + rounds * iteration_work(system, evaluations / rounds, group)
+        return rounds * iteration_work(system, evaluations / rounds, group)
 
     return Work(cost)
 
 
 def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Work:
     """Return the work of a step with this number of evaluations of the field, and a linear system unless explicit."""
-    cost = IMPLICIT_STEP_COST + evaluations * iteration_work(system, 1, None)
+    cost = evaluations * iteration_work(system, 1, None)
     if not explicit:
         cost += newton_work(system.dim, 1)
     return Work(lambda iterations, counted: cost)
@@ -214,17 +199,14 @@ class Operations(NamedTuple):
     invariant_terms: float
 
 
-def work_of_operations(operations: Operations, substeps: int, in_lanes: float = 1.0) -> Work:
+def work_of_operations(operations: Operations, substeps: int, in_lanes: bool = False) -> Work:
     """Return the work of a step with this number of substeps; its corrections are counted as iterations."""
 
     def cost(iterations: float, evaluations: float) -> float:
-        corrections = FIRST_CORRECTION_COST * min(iterations, substeps) + NEXT_CORRECTION_COST * max(
-            0.0, iterations - substeps
-        )
-        series = EXPLICIT_STEP_COST + VECTOR_COST * operations.vectors + LATENCY_COST * operations.waiting
-        return substeps * series + INVARIANT_COST * operations.invariant_terms * (substeps + corrections)
+        series = VECTOR_COST * operations.vectors + WAITING_COST * operations.waiting
+        return substeps * series + INVARIANT_COST * operations.invariant_terms * (substeps + iterations)
 
-    return Work(cost, in_lanes=in_lanes)
+    return Work(cost, in_lanes=LANE_SERIES_FACTOR if in_lanes else 1.0)
 
 
 def work_of_own_steps(operations: Operations, order: int) -> Work:
@@ -233,20 +215,17 @@ def work_of_own_steps(operations: Operations, order: int) -> Work:
 
     def cost(iterations: float, evaluations: float) -> float:
         count = evaluations / order
-        checks = INVARIANT_COST * operations.invariant_terms * (1.0 + FIRST_CORRECTION_COST)
-        projection = checks + LATENCY_COST * 0.5 * order
-        steps = count * (STEP_CONTROL_COST + step.cost(iterations / count, evaluations)) if count > 0.0 else 0.0
-        return projection + steps
+        return count * (STEP_CONTROL_COST + step.cost(iterations / count, evaluations)) if count > 0.0 else 0.0
 
     return Work(cost)
 
 
 def work_of_projection(base: Work, invariants: int) -> Work:
     """Return the work of a step of another scheme, and of a projection to this number of invariants."""
-    projection = INVARIANT_COST * invariants * (1.0 + FIRST_CORRECTION_COST)
+    projection = 2.0 * INVARIANT_COST * TERMS_PER_INVARIANT * invariants
     return Work(lambda iterations, evaluations: base.cost(iterations, evaluations) + projection)
 
 
 def newton_work(dim: int, stages: float) -> float:
     """Return the additional work of Newton's method in a step: about one elimination of the stages' linear system."""
-    return ELIMINATION_COST * min(dim * stages, limit("LARGEST_DENSE")) ** 3
+    return ELIMINATION_COST * min(dim * stages, limit("LARGEST_DENSE")) ** 2

@@ -1,4 +1,4 @@
-"""Cost model of schemes not yet tried: numbers of steps predicted from the fits of others."""
+"""Numbers of steps and costs of schemes not yet tried, predicted from the fits of others."""
 
 from __future__ import annotations
 
