@@ -2,6 +2,9 @@
 
 An array that grows does so along its first dimension; chunks are stored complete, padded with `FILL`. Numbers use the
 codecs bytes, blosc and crc32c; names use vlen-utf8.
+
+Chunks are coded by numcodecs, as in zarr-python, but not by zarr-python itself: it decompresses whatever length a chunk
+declares, and after an interrupt its thread goes on writing, when the archive is no longer locked.
 """
 
 from __future__ import annotations
