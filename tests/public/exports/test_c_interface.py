@@ -72,11 +72,13 @@ def check_interface(interface, prepared, folder, steps=12, sign=1.0):
     assert_same(run.x, sol.x[-1])
     assert (run.call("steps"), run.call("size"), run.call("step_length")) == (steps, len(x0), h)
     v = np.random.default_rng(2).standard_normal((3, len(x0)))
-    end, moved = run.jvp(x0, steps, v)
     _, tangents = prepared.jvp(x0, (0.0, steps * h), {"x0": v.T})
+    end, moved = run.jvp(x0, steps, v)
     assert_same(end, sol.x[-1])
     assert_same(moved, tangents.x[-1].T)
     covector = np.linspace(-1.0, 1.0, len(x0))
+    _, pullback = prepared.vjp(x0, (0.0, steps * h), steps)
+    pullback(np.stack([np.zeros_like(covector), covector]))  # raises where the gradient overflows
     gradient = run.vjp(x0, steps, covector)
     rounding = 1e-13 * steps * np.abs(moved).max() * np.abs(v).max() * len(x0)
     assert np.abs(v @ gradient - moved @ covector).max() <= rounding
