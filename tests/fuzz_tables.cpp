@@ -14,9 +14,11 @@ static std::mt19937_64 random_bits;
 static size_t below(size_t limit) { return limit ? size_t(random_bits() % limit) : 0; }
 
 static std::string drawn_number() {
-    static const char* const numbers[] = {"0",   "1",     "2",          "3",          "5",     "-1",   "8",    "12",
-                                          "255", "65535", "4294967294", "4294967295", "1e300", "1e-320", "-0.0", "0.5"};
-    return below(3) ? numbers[below(16)] : std::to_string(below(40));
+    static const char* const numbers[] = {
+        "0",          "1",          "2",          "3",      "5",    "-1",  "8",     "12",  "255",  "65535",
+        "4294967294", "4294967295", "2147483648", "1e300",  "1e999", "-0.0", "0.5",  "NaN", "-2147483649",
+        "1e-320",     "-1e300",     "9223372036854775807"};
+    return below(3) ? numbers[below(sizeof numbers / sizeof *numbers)] : std::to_string(below(40));
 }
 
 // Where a number begins, at or after a random place.
