@@ -18,10 +18,10 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 597,  # rigid molecules, the C interface, free bodies and forces in JAX, arrays measured by fits
-    "Python lines": 99010,  # rigid molecules, the C interface, free bodies and forces in JAX, fits
+    "Python files": 593,  # rigid molecules, the C interface, free bodies and forces in JAX, arrays measured by fits
+    "Python lines": 98870,  # rigid molecules, the C interface, free bodies and forces in JAX, fits
     "longest file": 512,
-    "classes": 630,  # rigid molecules, forces in JAX, functions of parameters, arrays measured by fits
+    "classes": 628,  # rigid molecules, forces in JAX, functions of parameters, arrays measured by fits
     "isinstance": 910,  # kinds of molecules, shapes in JAX; fewer by one base of systems
     "files in cycles, with imports inside functions and for types": 51,  # motions of bodies
     "modules behind integrate": 131,  # torques on the state, of which forces on satellites are made
