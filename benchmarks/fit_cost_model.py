@@ -33,7 +33,6 @@ from coadjoint.choosing.pilot import Pilot, short_run
 from coadjoint.methods.numerics.short_orbit import rate_at
 from coadjoint.methods.protocol import cost_model
 from coadjoint.methods.suggested_scheme import candidate_schemes
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 MEASURED = HERE / "build" / "cost_model.json"
@@ -97,7 +96,7 @@ def cases() -> Iterator[Case]:
         if entry is None:
             continue
         system = make(**entry.parameters)
-        if is_matrix_system(system) or system.dim > WIDEST:
+        if system.has_matrices or system.dim > WIDEST:
             continue
         x0 = np.asarray(entry.start() if callable(getattr(entry, "start", None)) else entry.x0, dtype=np.float64)
         x0 = x0.reshape(-1, system.dim)[0]

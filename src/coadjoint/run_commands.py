@@ -242,10 +242,9 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
     from coadjoint.files.configuration.construction import ConfigurationError
     from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
-    from coadjoint.systems.protocol import is_batch
 
     configuration = load(file)
-    if is_batch(configuration.system):
+    if configuration.system.is_batch:
         problem = "sweep.over: a certificate is of one system; sweep over the initial state alone"
         raise ConfigurationError(f"{configuration.path}: {problem}")
     if configuration.system.forces:

@@ -90,7 +90,7 @@ def supported(method: str, system: str) -> bool:
 
 def matrices(system: Any) -> bool:
     """Return whether states are matrices."""
-    return hasattr(system, "in_numbers")
+    return system.has_matrices
 
 
 def start_text(system: Any, rng: np.random.Generator, members: int) -> str:

@@ -20,7 +20,6 @@ from coadjoint.runs.start import any_momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.protocol import forces_of, is_batch
 
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
 # are not powers of two, so that the rounding of their steps differs from that of the run.
@@ -45,7 +44,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     NaN without a last state.
     """
     system = solution.system
-    if any(force.random for _, force in forces_of(system)):
+    if any(force.random for force in system.forces):
         raise TypeError(
             f"{system.name} has random forces, whose noise belongs to the step; compare averages of ensembles with two "
             "steps"
@@ -75,10 +74,10 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     for refinement in REFINEMENTS:
         if not len(pending):
             break
-        members = np.arange(len(starts)) if is_batch(system) else pending
+        members = np.arange(len(starts)) if system.is_batch else pending
         finer = finer_run(solution.method, steps, refinement)
         distances = _distances(solution, groups, starts[members], ends[members], time, finer)
-        distances = distances[:, pending] if is_batch(system) else distances
+        distances = distances[:, pending] if system.is_batch else distances
         valid = np.isfinite(distances[0])
         squares[:, pending[valid]] += distances[:, valid] ** 2
         counts[pending[valid]] += 1
@@ -126,7 +125,7 @@ def _distances(
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
     prepared = Preparation(solution.system, finer.method, abs(plan.h), watch=False)
     size = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
-    size = len(starts) if is_batch(solution.system) else size
+    size = len(starts) if solution.system.is_batch else size
     if advance is not Run.advance:
         prepared = prepared.in_one_thread()
     chunks = [slice(first, first + size) for first in range(0, len(starts), size)]

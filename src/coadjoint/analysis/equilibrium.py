@@ -16,7 +16,6 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_choice
 
@@ -155,7 +154,7 @@ def _studied(system: Any, start: Floats, direction: float) -> Equilibrium:
 
 def _validated(system: Any, x0: ArrayLike) -> Floats:
     check_one_system(system)
-    if not has_structure_constants(system) or not hasattr(system.algebra, "generic_rank"):
+    if not system.has_structure_constants or not hasattr(system.algebra, "generic_rank"):
         raise TypeError(f"{system.name} has no structure constants; equilibrium needs a LiePoissonSystem")
     momenta, single = momenta_of(system, x0)
     if not single:

@@ -15,7 +15,6 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import read_attitude
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameter_of
-from coadjoint.systems.protocol import member_of, unforced
 from coadjoint.systems.registry import unit_coordinate
 from coadjoint.validation import read_integer, read_numbers, to_array
 
@@ -67,7 +66,7 @@ class FitProblem(NamedTuple):
                 generators = ready.representation
         chosen: dict[str, NDArray[np.int64]] = {}
         symmetric: set[str] = set()
-        fixed = unit_coordinate(unforced(member_of(ready.system)))
+        fixed = unit_coordinate(ready.system.of_member(0).unforced)
         for name, entries in unknown.items():
             if name not in values:
                 raise unknown_name("unknown of this run", name, values)

@@ -14,7 +14,6 @@ from coadjoint.analysis.spectral_lines import hann
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_number, read_positive
 
 WINDOW_POWER = 3  # of the cosine window: side lobes fall like the 7th power
@@ -125,7 +124,7 @@ def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: 
     signals = []
     for member in range(len(run.values)):
         x0 = solution.x0[member] if run.members else solution.x0
-        system = member_of(solution.system, member)
+        system = solution.system.of_member(member)
         start = solution.t_span[0] if reference is None else 0.0
         states = motion_of(system, reference, x0)(run.t - start)
         values = states if signal is None else signal(states) if callable(signal) else states[:, signal]

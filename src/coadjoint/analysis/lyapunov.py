@@ -25,7 +25,6 @@ from coadjoint.runs.start import Start, start_of
 from coadjoint.runs.times import Times, times_between, times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.protocol import is_batch, is_matrix_system, member_of, members_of
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system, check_vector_states
 from coadjoint.validation import read_integer, read_number
@@ -191,7 +190,7 @@ def lyapunov(
     """
     check_system(system)
     scheme = default_scheme(system) if method is None else read_method(method)
-    if is_matrix_system(system):
+    if system.has_matrices:
         check_vector_states(system, "Lyapunov exponents are available for states that are vectors")
     count = system.dim if exponents is None else read_integer(exponents, "exponents (None is all)", 1, system.dim)
     every = min(read_integer(renormalize_every, "renormalize_every", floats=True), MAX_STEPS)
@@ -275,14 +274,14 @@ def stretching(
     `times` has the saved steps as marks; `start` has no group element. ValueError or TypeError: the scheme cannot be
     used for the system, or a derivative is unknown.
     """
-    systems = members_of(system)
+    systems = tuple(system) if system.is_batch else (system,)
     prepared = []
     for m, member in enumerate(systems):
         try:
             method.properties(member)
             prepared.append(method.tangent_loop(member, times.h, frame))
         except (TypeError, ValueError) as error:
-            if not is_batch(system):
+            if not system.is_batch:
                 raise
             raise type(error)(f"member {m} of the batch: {error}") from error
     compiled = [loop for loop in prepared if loop is not None]
@@ -316,7 +315,7 @@ def _step_by_step(
     ends = np.where(run.state["status"] == 0, times.steps, run.state["step"] - 1)
     logarithms = np.full((times.points, len(start.momenta), len(frame.vectors)), np.nan)
     for m in range(len(start.momenta)):
-        member = member_of(system, m)
+        member = system.of_member(m)
         states = run.saved["x"][: int(ends[m]) + 1, m]
         failed = _follow(member, method, times, states, frame, logarithms[:, m])
         if failed:

@@ -13,7 +13,6 @@ from coadjoint.runs.results.observables import Observed
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.parameters import parameters_of, with_parameters
-from coadjoint.systems.protocol import is_batch, member_of, unforced
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_numbers
 
@@ -39,17 +38,17 @@ class Quantities:
         self._system, self._t, wanted = ready.system, t, [*names]
         observed = {name: ready.observe[name] for name in wanted if name in ready.observe}
         state = np.atleast_2d(x0)[0]
-        self._observed = Observed(member_of(ready.system), observed, state) if observed else None
+        self._observed = Observed(ready.system.of_member(0), observed, state) if observed else None
         self._functions = {name: _function_of(observe[name], name) for name in wanted if name in observe}
         self._shapes = {name: np.shape(_value(f, name, state, float(t[0]))) for name, f in self._functions.items()}
         self._motions = [name for name in wanted if name not in observed and name not in observe]
-        self._groups = CoordinateGroups(member_of(ready.system))
+        self._groups = CoordinateGroups(ready.system.of_member(0))
 
     @staticmethod
     def names_of(ready: PreparedRun, observe: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the names that measurements of a run may have beside "x" and the "attitude" of group elements."""
         names = [*ready.observe, *observe]
-        if not is_batch(ready.system):
+        if not ready.system.is_batch:
             names += [name for name in MOTIONS if name not in names and _has(ready, name)]
         return tuple(names)
 
@@ -68,7 +67,7 @@ class Quantities:
                 raise ValueError(f"observe[{short(name)}] returns arrays of several shapes; return one shape") from None
         if self._motions:
             changed = {name: value for name, value in parameters.items() if name in parameters_of(self._system)}
-            system = unforced(with_parameters(self._system, changed) if changed else self._system)
+            system = (with_parameters(self._system, changed) if changed else self._system).unforced
             found |= {name: _reader(system, name)(x) for name in self._motions}
         return found
 
@@ -111,14 +110,14 @@ class Quantities:
 
 def _has(ready: PreparedRun, name: str) -> bool:
     """Return whether a function of the states of a body has this name; of attitudes, if they are part of the states."""
-    system = unforced(ready.system)
+    system = ready.system.unforced
     if name == "attitude" and not (getattr(system, "has_attitude", False) and ready.representation is None):
         return False
-    return getattr(unforced(system), MOTIONS[name], None) is not None
+    return getattr(system.unforced, MOTIONS[name], None) is not None
 
 
 def _reader(system: Any, name: str) -> Callable[[Any], Floats]:
-    found = getattr(unforced(system), MOTIONS[name], None)
+    found = getattr(system.unforced, MOTIONS[name], None)
     assert found is not None
     return found
 

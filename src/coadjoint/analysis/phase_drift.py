@@ -16,7 +16,6 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_choice, read_finite, read_numbers
 
 if TYPE_CHECKING:
@@ -192,7 +191,7 @@ def drift_of_series(t: ArrayLike, lead: ArrayLike, unit: str = TIMES) -> PhaseDr
 
 
 def _member_drift(run: Solution, reference: Any, of: str, member: int | None) -> PhaseDrift:
-    system = member_of(run.system, member or 0)
+    system = run.system.of_member(member or 0)
     # The closed form starts where the run does, also if `t_eval` does not save the start.
     x, x0 = (run.x, run.x0) if member is None else (run.x[:, member], run.x0[member])
     start = run.t_span[0]
@@ -225,7 +224,7 @@ def _precession(run: Solution, system: Any, x0: Floats, reference: Any, member: 
 
 
 def _attitude(run: Solution, member: int | None, name: str) -> Floats:
-    if run.attitude is None or not acts_by_rotations(member_of(run.system)):
+    if run.attitude is None or not acts_by_rotations(run.system.of_member(0)):
         raise ValueError(f"{name} has no attitude of a body, 3 x 3; integrate with attitude=True")
     return run.attitude if member is None or run.attitude.ndim == 3 else run.attitude[:, member]
 

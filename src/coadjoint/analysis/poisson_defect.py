@@ -12,7 +12,6 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import as_vector_system
 from coadjoint.validation import read_finite, read_integer
 
 
@@ -112,7 +111,7 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
         raise ValueError(f"x has the shape {np.shape(x)}; give one state")
     y = momenta[0]
     if step.system.shape != y.shape:
-        step = Stepper(as_vector_system(step.system), step.method, step.h)
+        step = Stepper(step.system.in_numbers, step.method, step.h)
     if operations is None:
         ends = (0.0, step.h)
         run = integrate(step.system, y, ends, abs(step.h), step.method, watch=False)

@@ -16,7 +16,6 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import read_bool, read_finite, read_number, read_numbers
@@ -146,7 +145,7 @@ def predicted_drift(
         raise TypeError(
             "attitude=True needs the gradient of the Hamiltonian, which a field does not provide; give gradient"
         )
-    if not has_structure_constants(system) or not acts_by_rotations(system):
+    if not system.has_structure_constants or not acts_by_rotations(system):
         raise TypeError(f"{system.name} has no attitude of a body, 3 x 3")
     exact, computed = (_attitude_motion(system, slope, start) for slope in (system.hamiltonian.gradient, gradient))
     slope = exact.time / computed.time - 1.0

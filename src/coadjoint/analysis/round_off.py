@@ -12,7 +12,6 @@ from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import check_solution
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.protocol import member_of
 from coadjoint.validation import read_finite, read_integer
 
 
@@ -126,7 +125,7 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
         raise ValueError(
             "round-off is measured over an ensemble, and the solution has one trajectory; give x0 of shape (members, n)"
         )
-    systems = [member_of(solution.system, m) for m in range(len(solution.x[0]))]
+    systems = [solution.system.of_member(m) for m in range(len(solution.x[0]))]
     walks = {}
     for name, values in {"energy": solution.energy, **solution.casimirs}.items():
         size = np.max(np.abs(values), axis=0)

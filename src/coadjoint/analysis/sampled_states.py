@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import member_count
 from coadjoint.runs.start import any_momenta_of, vector_size
-from coadjoint.systems.protocol import is_batch
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +27,7 @@ def states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
 
 def sampled_members(solution: Solution, system: Any) -> NDArray[np.int64]:
     """Return the members whose steps are repeated: the first few of each system, or of systems at equal distances."""
-    if not is_batch(system):
+    if not system.is_batch:
         return np.arange(min(member_count(solution), MEMBERS))
     order = np.argsort(system.owners, kind="stable")
     owners = system.owners[order]

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from coadjoint.algebra import catalogue
 from coadjoint.memory import check_available_memory
 from coadjoint.systems.lattices.dipolar import DipolarFunction
-from coadjoint.systems.protocol import forces_of, has_structure_constants, is_batch
 from coadjoint.systems.system_checks import check_system
 
 Floats = NDArray[np.float64]
@@ -119,9 +118,9 @@ def spin_energy(system: Any, asking: str) -> SpinEnergy:
     import scipy.sparse
 
     check_system(system)
-    if is_batch(system):
+    if system.is_batch:
         raise TypeError(f"{system.name} is a batch; call {asking} for each of its systems")
-    if forces_of(system):
+    if system.forces:
         raise TypeError(f"{system.name} has forces; {asking} takes the Hamiltonian part, system.unforced")
     if not are_spins(system):
         raise TypeError(f"{system.name} is not made of spins; {asking} needs copies of so(3), as spin_lattice has")
@@ -160,7 +159,7 @@ def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
 
 def are_spins(system: Any) -> bool:
     """Return whether the algebra of a system consists of copies of so(3), in any order of the brackets."""
-    if not has_structure_constants(system) or system.dim % 3:
+    if not system.has_structure_constants or system.dim % 3:
         return False
     found, one = system.algebra.triples, catalogue.so(3).triples
     first = 3 * np.arange(system.dim // 3)[:, None]

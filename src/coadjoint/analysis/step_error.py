@@ -27,7 +27,6 @@ from coadjoint.runs.run import Run, advance_in_turns, advance_up
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.protocol import forces_of, is_batch, member_of, members_of, rows_of, states_of
 
 Floats = NDArray[np.float64]
 
@@ -75,7 +74,7 @@ def step_errors_of_groups(solution: Solution) -> dict[str, float]:
 def loses_digits(solution: Solution) -> bool:
     """Test whether a step loses many digits of a group by rounding; False if steps cannot be repeated."""
     method, system = solution.method, solution.system
-    if method.own_steps or any(force.random for _, force in forces_of(system)):
+    if method.own_steps or any(force.random for force in system.forces):
         return False
     return _Measured(solution, None).lossy
 
@@ -119,7 +118,7 @@ class _Measured:
         method, system = described.method, described.system
         if method.own_steps:
             raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
-        if any(force.random for _, force in forces_of(system)):
+        if any(force.random for force in system.forces):
             raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
         # Loops of a run with attitudes need elements, and those with inputs their values.
         if prepared is None or prepared.representation is not None or prepared.takes_inputs:
@@ -129,18 +128,18 @@ class _Measured:
         self.h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
         self.members = members = sampled_members(solution, system)
         self.points = points = sampled_points(solution, system, members)
-        if is_batch(system) and len(members) < len(system):
+        if system.is_batch and len(members) < len(system):
             prepared = prepared.sampled(members)
         # Rounding is that of this thread.
         self.alone = prepared.in_one_thread()
         self.prepared = prepared if sum(states.size for _, states, _ in points) >= THREADED else self.alone
         runs: tuple[Preparation, ...] = (self.prepared, self.alone)
         states = [states for _, states, _ in points]
-        if any(one.hamiltonian.timed or forces_of(one) for one in members_of(prepared.system)):
+        if any(one.hamiltonian.timed or one.forces for one in prepared.system.distinct):
             step = Step(*map(np.stack, zip(*(self._step(runs, x, t) for t, x, _ in points), strict=True)))
         else:
             # The members at all points side by side.
-            if is_batch(system):
+            if system.is_batch:
                 repeated = np.tile(np.arange(len(members)), len(points))
                 runs = tuple(run.sampled(repeated) for run in dict.fromkeys(runs))
             step = self._step(runs, np.concatenate(states), points[0][0])
@@ -228,9 +227,9 @@ class _Measured:
         worst = int(np.argmax(relative))
         known = [states[worst] for _, states, held in self.points if held[worst]]
         mean = math.sqrt(errors[worst] / len(known))
-        one, rest = member_of(system, int(self.members[worst])), math.inf
+        one, rest = system.of_member(int(self.members[worst])), math.inf
         if relative[worst] > WARNED:
-            field = rows_of(one, one.vector_field(states_of(one, known[0]), self.points[0][0]))
+            field = one.rows_of(one.vector_field(one.states_of(known[0]), self.points[0][0]))
             if np.linalg.norm(self.scaled(field, worst)) * abs(self.h) <= AT_REST * mean:
                 sizes = [np.sum(self.scaled(state, worst) ** 2) for state in known]
                 rest = self.step_count(worst) * mean / (math.sqrt(np.mean(sizes)) or 1.0)
@@ -296,10 +295,10 @@ class _Measured:
     def radians_in_step(self, rounded: Rounded) -> float:
         """Return the angle by which a step turns a group if its rounding is that of the angle, otherwise 0."""
         m, group, system = int(np.flatnonzero(self.members == rounded.member)[0]), rounded.group, self.system
-        one, moves = member_of(system, rounded.member), [0.0]
+        one, moves = system.of_member(rounded.member), [0.0]
         for t, states, held in self.points:
             if held[m]:
-                field = rows_of(one, one.vector_field(states_of(one, states[m]), t))
+                field = one.rows_of(one.vector_field(one.states_of(states[m]), t))
                 moves.append(abs(self.h) * float(self.groups.norms(field[None])[0, group]))
         by_angle = self.rounding[m, group] <= ROUNDING * max(moves)
         return max(moves) / float(self.sizes[m, group]) if by_angle else 0.0
@@ -377,7 +376,7 @@ class _Measured:
 
     def _of_member(self, m: int) -> Preparation:
         """Return the run of a chosen member in one thread."""
-        return self.alone.sampled(np.array([m])) if is_batch(self.system) else self.alone
+        return self.alone.sampled(np.array([m])) if self.system.is_batch else self.alone
 
     def _error_of(self, m: int, state: Floats, t: float) -> float:
         """Return the error of a step of a chosen member from a state (1, n), relative to the change in it."""
@@ -412,7 +411,7 @@ def _ratios(errors: Floats, changes: Floats) -> Floats:
 
 def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
     """Warn if the error of a step is a large part of the change of the state in it, or rounding one of a group."""
-    if prepared.method.own_steps or any(force.random for _, force in forces_of(prepared.system)):
+    if prepared.method.own_steps or any(force.random for force in prepared.system.forces):
         return
     try:
         measured = _Measured(solution, prepared)

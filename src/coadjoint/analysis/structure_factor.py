@@ -17,7 +17,6 @@ from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates
-from coadjoint.systems.protocol import members_of, unforced
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
@@ -177,7 +176,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
 
 def _lattice(solution: Solution) -> tuple[str, Any]:
     """Return the lattice and the shape of the system of a run; ValueError if they are not known."""
-    layouts = [dict(unforced(member).layout) for member in members_of(solution.system)]
+    layouts = [dict(member.unforced.layout) for member in solution.system.distinct]
     layout, name = layouts[0], solution.system.name
     lattice = layout.get("lattice")
     if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from coadjoint.errors import MAX_LISTED_NAMES
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.parameters import Parameter, parameters_at, parameters_of
-from coadjoint.systems.protocol import unforced
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +46,7 @@ def check_determined(J: Floats, problem: Any) -> None:
 
 def _casimirs_among(directions: Floats, problem: Any) -> str:
     """Return the number of directions without influence that change H by a Casimir, in words for a message."""
-    system = unforced(problem.system)
+    system = problem.system.unforced
     x = np.random.default_rng(1).standard_normal((4, system.dim))
     of_energy = parameters_of(system)
     named = {name: problem.values[name] for name in problem.chosen if name in of_energy}

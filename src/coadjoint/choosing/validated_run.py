@@ -22,7 +22,6 @@ from coadjoint.runs.short_runs import ENDS_ONLY
 from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import accumulated_rounding, span_of
 from coadjoint.short_repr import distinct
-from coadjoint.systems.protocol import is_batch
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 
@@ -67,7 +66,7 @@ class SampledRun(PreparedRun):
         threads: int | None,
     ) -> None:
         check_system(system)
-        if is_batch(system):
+        if system.is_batch:
             raise TypeError("accuracy chooses the step for one system, and this is a batch; prepare a run of a member")
         t0, t1 = span_of(t_span)
         if t0 == t1:

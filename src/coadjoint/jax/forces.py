@@ -18,7 +18,6 @@ from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, Field
 from coadjoint.jax.table_steps import product
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.forces.state_torque import NODES, WEIGHTS
-from coadjoint.systems.protocol import forces_of
 
 Flow = Callable[[Any, Any, Any, Any, Any], Any]
 """The flow of a force: of constants, state, time, duration and member."""
@@ -32,7 +31,7 @@ class ForcedSteps:
         plain = system.unforced
         self.flows: list[Flow] = [
             force.describe_to(ForceFlows(plain, field, f"a function of {label}"), plain)
-            for label, force in forces_of(system)
+            for label, force in system.labelled_forces
         ]
 
     def constants(self, energy: Any) -> Any:

@@ -27,7 +27,6 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.coefficients import coefficients_of
 from coadjoint.systems.force_parameters import force_numbers
 from coadjoint.systems.parameters import parameters_at, with_parameters
-from coadjoint.systems.protocol import forces_of, has_structure_constants, unforced
 
 CALLER = 'co.jax.solution with backend="xla"'
 
@@ -57,7 +56,7 @@ class XlaRun:
         self._starts = times.at(marks)
         self._lengths = np.zeros(len(marks)) if moments is None else moments.length
         steps = np.arange(times.steps + 1)
-        self._moments = times.at(steps) if any(force.random for _, force in forces_of(self._system)) else None
+        self._moments = times.at(steps) if any(force.random for force in self._system.forces) else None
         self.solve = jax.jit(self._solve)
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
@@ -70,8 +69,8 @@ class XlaRun:
 
     def _describe(self, scheme: Any, group: Any) -> Mapping[str, Any]:
         """Return the coefficients of the energy and the parameters; set the steps of the scheme."""
-        system = unforced(self._system)
-        if not has_structure_constants(system):
+        system = self._system.unforced
+        if not system.has_structure_constants:
             raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
         table = {"fixed": [], **energy_and_parameters(system)}
         self._steps: Any
@@ -91,7 +90,7 @@ class XlaRun:
             program = scheme.program(system, group=group)
             table = program.to_mapping()
             self._steps = TableSteps(table, program.functions, *_of_group(program, group))
-        if forces_of(self._system):
+        if self._system.forces:
             self._steps = ForcedSteps(self._steps, self._system, Field(system, table["energy"]["monomials"]))
         return table
 
@@ -112,7 +111,7 @@ class XlaRun:
         """Return the coefficients of the energy at values of parameters."""
         known, energy = self._table["parameters"], self._table["energy"]["coefficients"]
         for name in values:
-            if forces_of(self._system) and name in force_numbers(self._system):
+            if self._system.forces and name in force_numbers(self._system):
                 raise ValueError(
                     f'{name} is a parameter of a force, which has the numbers of the prepared run with backend="xla"; '
                     'take backend="compiled"'
@@ -146,7 +145,7 @@ class XlaRun:
             return {name: np.array(array) for name, array in zip(names, arrays, strict=True)}
 
         def coefficients(*arrays: Any) -> Any:
-            found = coefficients_of(with_parameters(unforced(self._system), at(*arrays))).by_key()
+            found = coefficients_of(with_parameters(self._system.unforced, at(*arrays))).by_key()
             found.pop((), None)
             energy = np.array([found.pop(key, 0.0) for key in keys])
             self._check_forms(energy, found)
@@ -155,7 +154,7 @@ class XlaRun:
         def derivatives(*arrays: Any) -> Any:
             number, start = {key: k for k, key in enumerate(keys)}, 0
             found = np.zeros((len(keys), count))
-            for parameter in parameters_at(unforced(self._system), at(*arrays)).values():
+            for parameter in parameters_at(self._system.unforced, at(*arrays)).values():
                 for one in monomials_of(parameter.energy()):
                     if one.coordinates:
                         found[number[one.coordinates], start + one.entry] += one.factor

@@ -14,7 +14,6 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.wrapper import Wrapper, check_base
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
-from coadjoint.systems.protocol import forces_of, is_batch
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -31,7 +30,7 @@ def effective_scheme(system: Any, method: Method) -> Method:
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
-    return Forced(method) if forces_of(system) else method
+    return Forced(method) if system is not None and system.forces else method
 
 
 def check_supports(system: Any, method: Method) -> None:
@@ -47,10 +46,10 @@ def check_steps(system: Any, t0: float, h: float) -> None:
     >>> import coadjoint as co
     >>> check_steps(co.systems.rigid_body(), 0.0, -0.1)
     """
-    if not forces_of(system):
+    if system is None or not system.forces:
         return
-    for one in system.distinct if is_batch(system) else (system,):
-        for _, force in forces_of(one):
+    for one in system.distinct:
+        for force in one.forces:
             force.check_steps(t0, h)
 
 
@@ -135,7 +134,7 @@ class Forced(Wrapper):
         if not system.forces:
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
         inner = declared_properties(self.base, system.unforced)
-        breaking = [label for label, force in forces_of(system) if not force.casimirs]
+        breaking = [label for label, force in system.labelled_forces if not force.casimirs]
         every = list(system.labels)
         broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]

@@ -15,7 +15,6 @@ from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.protocol import has_quadratic_energy
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_integer
@@ -130,7 +129,7 @@ class GaussLegendre(RungeKuttaMethod):
         """Return the properties: quadratic invariants and a constant bracket; every system is supported."""
         check_vector_states(system)
         attitude = "none" if system.algebra is None else "coadjoint"
-        poisson, energy = _has_constant_bracket(system), has_quadratic_energy(system)
+        poisson, energy = _has_constant_bracket(system), system.has_quadratic_energy
         return Properties(poisson=poisson, energy=energy, casimirs="quadratic", attitude=attitude)
 
     @property

@@ -18,7 +18,6 @@ from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 
@@ -164,7 +163,7 @@ class IsospectralGauss(SubstepMethod):
 
 def matrices_of(system: Any) -> MatrixSystem:
     """Return a `MatrixSystem` unchanged; raise ValueError for any other system."""
-    if not is_matrix_system(system):
+    if not system.has_matrices:
         raise ValueError(
             f"IsospectralGauss integrates matrices, but {getattr(system, 'name', short(system))} is no MatrixSystem; "
             "take Splitting or GaussLegendre"

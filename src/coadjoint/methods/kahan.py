@@ -14,7 +14,6 @@ from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.protocol import has_quadratic_energy
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 
@@ -70,7 +69,7 @@ class Kahan(CompiledStepMethod):
             The field is not quadratic: H is not quadratic or depends on time, or J is not linear.
         """
         check_vector_states(system)
-        if not has_quadratic_energy(system):
+        if not system.has_quadratic_energy:
             raise ValueError(
                 f"Kahan needs a quadratic vector field, but the Hamiltonian of {system.name} is not quadratic or "
                 "depends on time; take Splitting or GaussLegendre"

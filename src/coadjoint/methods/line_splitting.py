@@ -19,7 +19,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 
@@ -301,7 +300,7 @@ def matrix_of(v: Complexes) -> Complexes:
 def torus_of(system: Any) -> MatrixSystem:
     """Return a fluid on the torus with a prime N unchanged; raise ValueError for any other system."""
     name = getattr(system, "name", short(system))
-    supported = is_matrix_system(system) and isinstance(system.stream, Circulants)
+    supported = system.has_matrices and isinstance(system.stream, Circulants)
     if not supported or system.algebra.kind not in ("u", "su") or len(system.matrix_shape) == 3:
         raise ValueError(
             f"LineSplitting integrates fluids on the torus, but {name} is not one: its stream is not a factor for each "

@@ -11,7 +11,6 @@ from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.numbers import Number
-from coadjoint.systems.protocol import has_quadratic_energy
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_choice
@@ -108,7 +107,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
         """
         check_vector_states(system)
         if self.freeze == "structure":
-            if not has_quadratic_energy(system):
+            if not system.has_quadratic_energy:
                 raise ValueError(
                     'ModifiedGaussLegendre with freeze="structure" needs a quadratic Hamiltonian, but that of '
                     f'{system.name} is not quadratic; take freeze="gradient" or GaussLegendre'

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -20,7 +20,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_bool, read_choice, read_finite, read_integer, read_list, read_number
@@ -338,12 +337,12 @@ class Splitting(FlowMethod):
             into functions of commuting coordinates; for parts that do not match it.
         """
         check_vector_states(system)
-        if not has_structure_constants(system):
+        if not system.has_structure_constants:
             raise ValueError(
                 f"Splitting needs a Lie algebra, which {system.name} does not have (its split flows are not linear); "
                 "use GaussLegendre or ModifiedGaussLegendre"
             )
-        check_parts(system, self.parts, type(self).__name__)
+        check_parts(cast(Any, system), self.parts, type(self).__name__)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="every representation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:

@@ -11,7 +11,6 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced, unforced_matrix_system
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
 
@@ -35,12 +34,10 @@ def default_scheme(system: Any) -> Method:
     >>> default_scheme(co.systems.rigid_body()), default_scheme(co.systems.sklyanin())
     (Splitting(order=2...), GaussLegendre(stages=3...))
     """
-    matrices = unforced_matrix_system(system)
-    if matrices is not None:
-        return suggested_scheme(cast(System, matrices))
-    members = system.distinct if is_batch(system) else (system,)
+    if system.has_matrices:
+        return suggested_scheme(system.unforced)
     *first, last = DEFAULT_SCHEME, *PREFERRED_SCHEMES[1:]
-    return next((method for method in first if all(_supports(method, unforced(one)) for one in members)), last)
+    return next((method for method in first if all(_supports(method, one.unforced) for one in system.distinct)), last)
 
 
 def _supports(method: Method, system: Any) -> bool:
@@ -103,8 +100,9 @@ def suggested_scheme(system: System) -> Method:
     """
     check_one_system(system)
     *first, last = PREFERRED_SCHEMES
-    if is_matrix_system(system):
-        first = sorted(_supporting_schemes(system), key=lambda method: not method.properties(cast(Any, system)).poisson)
+    if system.has_matrices:
+        matrices = cast(Any, system)
+        first = sorted(_supporting_schemes(matrices), key=lambda method: not method.properties(matrices).poisson)
     for method in first:
         if _supports(method, system):
             return method

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -39,7 +39,6 @@ from coadjoint.methods.protocol.cost_model import (
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
-from coadjoint.systems.protocol import has_quadratic_energy, has_structure_constants
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_bool, read_integer, read_number
@@ -310,8 +309,8 @@ class Taylor(CompiledStepMethod):
         """
         self.properties(system)
         start = np.asarray(x, dtype=np.float64)
-        if self.tolerance is None and has_structure_constants(system) and has_quadratic_energy(system):
-            terms, changes = expand_quadratic(system, start, float(h), self.order)
+        if self.tolerance is None and system.has_structure_constants and system.has_quadratic_energy:
+            terms, changes = expand_quadratic(cast(Any, system), start, float(h), self.order)
             end, derivative = start + sum(reversed(terms)), np.eye(len(start)) + sum(reversed(changes))
             return (
                 project_with_tangent(system, start, end, derivative, float(t)) if self.projected else (end, derivative)

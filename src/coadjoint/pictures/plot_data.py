@@ -23,7 +23,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.gallery_entry import GalleryEntry
-from coadjoint.systems.protocol import forces_of, member_of, unforced
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_choice, read_integer, read_list, read_number
 
@@ -57,7 +56,7 @@ class PlottedRun:
         states = np.ascontiguousarray(solution.x)
         self._type = states.dtype
         states = states.view(np.float64) if np.iscomplexobj(states) else states
-        self.n = int(np.prod(member_of(solution.system).shape)) * (self._type.itemsize // states.dtype.itemsize)
+        self.n = int(np.prod(solution.system.of_member(0).shape)) * (self._type.itemsize // states.dtype.itemsize)
         states = states.reshape(len(solution.t), -1, self.n)
         self.member_count = states.shape[1]  # of the run
         computed = np.arange(self.member_count)
@@ -66,8 +65,8 @@ class PlottedRun:
             _check_computed(waiting, chosen)
             computed = np.flatnonzero(~waiting)
         self._chosen = computed[spread(len(computed), MAX_MEMBERS)] if chosen is None else chosen
-        self.system: Any = member_of(solution.system, int(self._chosen[0]))
-        self.unforced: Any = unforced(self.system)
+        self.system: Any = solution.system.of_member(int(self._chosen[0]))
+        self.unforced: Any = self.system.unforced
         self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.unforced.name)
         self.t = solution.t
         self.x = self._select_members(states)
@@ -100,7 +99,7 @@ class PlottedRun:
     @cached_property
     def random(self) -> bool:
         """Whether a force is noise, so that neither a field nor states between two steps exist."""
-        return any(force.random for _, force in forces_of(self.system))
+        return any(force.random for force in self.system.forces)
 
     def _with_times(self, times: Floats) -> PlottedRun:
         """Return the same run at other times, which include the saved ones."""
@@ -289,7 +288,7 @@ class PlottedRun:
 
     def system_of(self, m: int) -> Any:
         """Return the system of a drawn member; those of a batch differ."""
-        return member_of(self.solution.system, int(self._chosen[m]))
+        return self.solution.system.of_member(int(self._chosen[m]))
 
     def slope(self, x: Floats, t: float, m: int = 0) -> Floats:
         """Return the field of a member at a state, as real numbers."""

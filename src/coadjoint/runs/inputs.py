@@ -23,7 +23,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.hamiltonians.linear_term import check_linear, linear_of, with_linear
-from coadjoint.systems.protocol import forces_of, unforced
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers
 
@@ -75,7 +74,7 @@ class Inputs:
                 "for each member"
             )
         self.system = system
-        self._unforced: Any = unforced(system)
+        self._unforced: Any = system.unforced
         if isinstance(specification, bool | np.bool_) and specification:
             specification = range(system.dim)
         if isinstance(specification, str):
@@ -121,7 +120,7 @@ class Inputs:
 
     def _torque_indices(self, label: str, name: str) -> NDArray[np.int64]:
         """Append the torque of this label to the values, and return its indices."""
-        labels = [label for label, _ in forces_of(self.system)]
+        labels = list(self.system.labels)
         if not labels:
             raise ValueError(
                 f"inputs has {short(label)} for {name}, and {self.system.name} has no forces; give coordinates, or a "
@@ -130,7 +129,7 @@ class Inputs:
         if label not in labels:
             raise unknown_name("force", label, labels)
         k = labels.index(label)
-        force: Any = forces_of(self.system)[k][1]
+        force: Any = self.system.forces[k]
         if not is_constant_torque(force):
             raise TypeError(
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
@@ -240,7 +239,7 @@ class Inputs:
 
         The choices are those for the system, or for another one that differs in its parameters.
         """
-        coordinates, plain = np.sort(self.in_energy), self._unforced if system is None else unforced(system)
+        coordinates, plain = np.sort(self.in_energy), self._unforced if system is None else system.unforced
         return method.settled(plain, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:
@@ -248,14 +247,14 @@ class Inputs:
 
         Of the other one, coefficients that are no inputs are kept.
         """
-        size, system = len(self._linear), self._unforced if of is None else unforced(of)
+        size, system = len(self._linear), self._unforced if of is None else of.unforced
         if size:
             linear, at = values[:size], self.in_energy
             if of is not None:
                 linear = linear_of(system.hamiltonian, size)
                 linear[at] = values[at]
             system = with_linear(system, linear)
-        forces: list[Any] = [force for _, force in forces_of(self.system if of is None else of)]
+        forces: list[Any] = list((self.system if of is None else of).forces)
         if not forces:
             return system
         for k, indices in self._torques.items():

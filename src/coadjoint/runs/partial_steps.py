@@ -17,7 +17,6 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.loops.groups import rows_of_groups
 from coadjoint.runs.loops.loops import Loops
-from coadjoint.systems.protocol import forces_of, member_of
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +28,7 @@ SINGLE_THREAD_ROWS = 256
 
 def noises_of(system: Any) -> list[str]:
     """Return the labels of the forces that are noise."""
-    return [label for label, force in forces_of(system) if force.random]
+    return [label for label, force in system.labelled_forces if force.random]
 
 
 def reject_noise(system: Any) -> None:
@@ -37,8 +36,8 @@ def reject_noise(system: Any) -> None:
     noises = noises_of(system)
     if noises:
         raise ValueError(
-            f"{noises[0]} of {member_of(system).name} is a noise, drawn once for a step: there is no state between two "
-            "steps; give times that are whole numbers of steps from the start"
+            f"{noises[0]} of {system.of_member(0).name} is a noise, drawn once for a step: there is no state between "
+            "two steps; give times that are whole numbers of steps from the start"
         )
 
 

@@ -42,7 +42,6 @@ from coadjoint.runs.times import RecentTimes, Times, read_step
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
-from coadjoint.systems.protocol import among, is_batch, member_of, unforced_matrix_system
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_bool, read_integer
@@ -116,7 +115,7 @@ class Preparation:
         self.method, self.step = scheme, read_step(step)
         self.scheme = effective_scheme(system, scheme)
         # Loops do not track invariants of matrices.
-        self._watching = watching and unforced_matrix_system(system) is None
+        self._watching = watching and not system.has_matrices
         self._representations = representations_of(cast(Any, system), self.scheme, attitude)
         self.initial_attitude = read_attitude(attitude, self.system)
         self.observe = check_observe({} if observe is None else observe)
@@ -144,7 +143,7 @@ class Preparation:
 
     def among(self, first: int, last: int, threads: int | None = None) -> Self:
         """Return the run of the members `first` to `last` - 1 alone, with the bits and the noise of the whole run."""
-        return self._selected(among(self.system, first, last), np.arange(first, last), threads)
+        return self._selected(self.system.among(first, last), np.arange(first, last), threads)
 
     def sampled(self, members: NDArray[np.int64]) -> Self:
         """Return the run of these members of a batch, from the tables already built; their noise differs."""
@@ -155,7 +154,7 @@ class Preparation:
         # Tables hold the number of the noise, which a member keeps.
         unchanged = part is system
         fields: dict[str, Any] = {"system": part, "_threads": threads or self._threads}
-        if is_batch(system):
+        if system.is_batch:
             unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
             fields["_representations"] = tuple(self._representations[m] for m in members.tolist())
             loops = {h: cast(Loops, loop).selected(members) for h, loop in loops.items()} if unchanged else {}
@@ -303,7 +302,7 @@ class Preparation:
         for known in self.cache.loops.values():
             if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
                 return loops
-        if is_batch(self.system):
+        if self.system.is_batch:
             return loops_of_batch(self.system, self.scheme, h, self._representations)
         return loops_of_system(self.system, self.scheme, h, self._representations[0], compact=True)
 
@@ -313,7 +312,7 @@ class Preparation:
             return None
         with self.cache.lock:
             if self.cache.observed is None:
-                self.cache.observed = Observed(member_of(self.system), self.observe, start.momenta[0])
+                self.cache.observed = Observed(self.system.of_member(0), self.observe, start.momenta[0])
         return self.cache.observed
 
     def warn_of_large_step(self, solution: Solution) -> None:

@@ -24,7 +24,6 @@ from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_shor
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.protocol import among, is_batch, member_of
 from coadjoint.systems.system import System
 from coadjoint.validation import FLOAT64
 
@@ -348,11 +347,11 @@ class PreparedRun(Preparation):
 
     def of_member(self, member: int) -> PreparedRun:
         """Return the run of one member alone; of a system that members share this run itself."""
-        if not is_batch(self.system):
+        if not self.system.is_batch:
             return self
         known = self.cache.of_members
         if member not in known:
-            known[member] = self.of_system(member_of(among(self.system, member, member + 1)), member, threads=1)
+            known[member] = self.of_system(self.system.among(member, member + 1).of_member(0), member, threads=1)
         return cast(PreparedRun, known[member])
 
     def follow(

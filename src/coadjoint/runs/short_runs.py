@@ -28,7 +28,6 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.start import Start, momenta_of, start_without_groups, vector_size
 from coadjoint.runs.state import State
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
-from coadjoint.systems.protocol import unforced_matrix_system
 from coadjoint.validation import FLOAT64
 
 if TYPE_CHECKING:
@@ -107,10 +106,9 @@ class FinalStateRun:
         prepared = self._prepared
         loops = prepared.loops(times.h)
         # Matrices are projected onto their algebra when they are read.
-        matrices, groups = unforced_matrix_system(prepared.system), prepared.representation
         if not isinstance(loops, Loops) or loops.owners is not None or loops.rows:
             return None
-        if matrices is not None or groups is not None:
+        if prepared.system.has_matrices or prepared.representation is not None:
             return None
         layout = loops.layout(1, 2, 0)
         check_run_memory(layout, Times(times.t0, times.h, 1, 1), 1)

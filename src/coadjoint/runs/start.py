@@ -21,12 +21,6 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name, with_state_axes
-from coadjoint.systems.protocol import (
-    is_batch,
-    member_of,
-    unforced,
-    unforced_matrix_system,
-)
 from coadjoint.systems.registry import check_unit_coordinate, has_unit_coordinate
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
@@ -80,11 +74,11 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     if size is not None:
         return vectors_of(x0, size)
     momenta, single = any_momenta_of(system, x0)
-    if is_batch(system):
+    if system.is_batch:
         for number, one in enumerate(system.distinct):
-            check_unit_coordinate(unforced(one), momenta[system.owners == number])
+            check_unit_coordinate(one.unforced, momenta[system.owners == number])
     else:
-        check_unit_coordinate(unforced(system), momenta)
+        check_unit_coordinate(system.unforced, momenta)
     return momenta, single
 
 
@@ -93,7 +87,7 @@ def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64]
 
     Forces may have moved the coordinate that is 1 at the beginning; tangents are taken in every direction.
     """
-    matrices = unforced_matrix_system(system)
+    matrices = system.matrix_system
     if matrices is not None:
         rows = matrices.read(x0)
         if not len(rows):
@@ -105,7 +99,7 @@ def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64]
         if momenta.shape[-len(shape) :] != shape or momenta.ndim > len(shape) + 1:
             raise ValueError(f"x0 has the shape {momenta.shape}; it must be {shape} or (members, {str(shape)[1:]}")
         momenta = momenta.reshape(*momenta.shape[: -len(shape)], n)
-    if is_batch(system):
+    if system.is_batch:
         if momenta.shape not in ((n,), (len(system), n)):
             raise ValueError(
                 f"x0 has the shape {momenta.shape}; a batch of {len(system)} members needs ({len(system)}, {n}), "
@@ -117,8 +111,8 @@ def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64]
 
 def vector_size(system: Any) -> int | None:
     """Return the dimension of a system of which any vector is a state, and that all members share; otherwise None."""
-    is_other = is_batch(system) or len(system.shape) > 1 or unforced_matrix_system(system) is not None
-    return None if is_other or has_unit_coordinate(unforced(system)) else int(system.dim)
+    is_other = system.is_batch or len(system.shape) > 1 or system.has_matrices
+    return None if is_other or has_unit_coordinate(system.unforced) else int(system.dim)
 
 
 def vectors_of(x0: Any, n: int) -> tuple[NDArray[np.float64], bool]:
@@ -150,7 +144,7 @@ def combined(system: Any, x0: Any) -> tuple[Any, Any]:
 
     Dimensions of an `xarray.DataArray` x0 that are axes of the batch belong to these; the others are further axes.
     """
-    if not is_batch(system) or system.combined:
+    if not isinstance(system, Batch) or system.combined:
         return system, x0
     shape, dims = system[0].shape, getattr(x0, "dims", None)
     states, axes = np.asarray(x0 if dims is None else x0.values), system.axes
@@ -202,7 +196,7 @@ def read_attitude(attitude: Any, system: Any) -> Any:
 
 def _size_and_kind(system: Any) -> tuple[int, bool]:
     """Return the size of the representation's matrices, and whether they are rotations with translations."""
-    representation = member_of(system).representation
+    representation = system.of_member(0).representation
     size = 0 if representation is None else np.shape(representation)[-1]
     return size, size == 4 and not np.asarray(representation)[:, 3].any()
 
@@ -244,11 +238,11 @@ def with_group(
 
 def _check_elements(system: System | Batch, groups: NDArray[np.float64], representation: Any) -> None:
     if isinstance(representation, str):
-        violation = automorphism_violation(groups, unforced(system).algebra.structure_matrix)
+        violation = automorphism_violation(groups, system.unforced.algebra.structure_matrix)
     else:
         violation = group_element_violation(groups, representation)
     if violation is not None:
-        raise ValueError(f"attitude is no element of the group of {member_of(system).name}: {violation}")
+        raise ValueError(f"attitude is no element of the group of {system.of_member(0).name}: {violation}")
 
 
 @lru_cache(maxsize=4)
@@ -289,7 +283,7 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
     One unless `system` is a batch, whose members must have matrices of one size. ValueError if the scheme does not
     support it.
     """
-    if is_batch(system):
+    if system.is_batch:
         of_systems = [_read_representation(member, method, attitude) for member in system.distinct]
         representations = tuple(of_systems[owner] for owner in system.owners.tolist())
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import product, repeat
 from math import prod
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,10 @@ class Batch:
     `combined` is whether each member has its own state, and not every system every state.
     """
 
+    is_batch: Literal[True] = True
+    has_matrices = False
+    matrix_system = None
+
     def __init__(
         self, systems: Iterable[System], axes: Mapping[str, Axis] | None = None, combined: bool = True
     ) -> None:
@@ -67,6 +71,43 @@ class Batch:
         lengths = [axis.length for axis in self.axes.values()]
         if self.axes and prod(lengths) != len(self.systems):
             raise ValueError(f"the axes have the lengths {lengths}, and there are {len(self.systems)} systems")
+
+    @property
+    def unforced(self) -> Any:
+        """The Hamiltonian part of the first member."""
+        return self.systems[0].unforced
+
+    @property
+    def forces(self) -> Any:
+        """The forces of the first member."""
+        return self.systems[0].forces
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the forces, which are common to all members."""
+        return self.systems[0].labels
+
+    @property
+    def labelled_forces(self) -> Any:
+        """The forces of the first member with their labels, which are common to all members."""
+        return self.systems[0].labelled_forces
+
+    @property
+    def in_numbers(self) -> Batch:
+        """The same batch, whose states are vectors."""
+        return self
+
+    def of_member(self, member: int) -> Any:
+        """Return the system of a member."""
+        return self.systems[member]
+
+    def states_of(self, rows: NDArray[Any]) -> NDArray[Any]:
+        """Return rows of numbers (..., dim) as states (..., *shape)."""
+        return self.systems[0].states_of(rows)
+
+    def rows_of(self, states: NDArray[Any]) -> NDArray[Any]:
+        """Return states (..., *shape) as rows of numbers (..., dim)."""
+        return self.systems[0].rows_of(states)
 
     def among(self, first: int, last: int) -> Batch:
         """Return the batch of members `first` to `last` - 1; noise keeps the numbering of this batch."""

@@ -31,9 +31,7 @@ def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
     >>> coordinate_names(rigid_body((1, 2, 3)))
     ('x1', 'x2', 'x3')
     """
-    from coadjoint.systems.protocol import unforced  # that file imports this one
-
-    system = unforced(system)
+    system = system.unforced
     count = system.dim if count is None else count
     entry = gallery_entry_of(system.name)
     names = () if entry is None else entry.names(count)
@@ -41,6 +39,11 @@ def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
         return names
     basis = getattr(system.algebra, "basis", ())
     return names_of_basis(basis) if len(basis) == count else tuple(default_names(count))
+
+
+def coordinates_of(system: Any) -> tuple[str, ...]:
+    """Return the names of the coordinates, for events and polynomials; empty for matrices, which have none."""
+    return () if system.has_matrices else coordinate_names(system)
 
 
 def in_coordinates_of(system: Any, function: Function) -> Function:
@@ -75,9 +78,7 @@ class CoordinateGroups:
     """
 
     def __init__(self, system: Any) -> None:
-        from coadjoint.systems.protocol import unforced  # that file imports this one
-
-        self._system = unforced(system)
+        self._system = system.unforced
         factors = getattr(self._system.algebra, "factors", None)
         if factors is None or len(factors) != self._system.dim or not factors.any():
             self.labels, self.count = np.zeros(self._system.dim, dtype=np.int64), 1

@@ -14,7 +14,6 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import html_table, short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.protocol import is_matrix_system, unforced
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 MAX_FORMULA_LENGTH = 120  # characters; longer formulas are cut between two terms
@@ -132,7 +131,7 @@ def _formula(value: Any, system: Any) -> str | None:
 def _attitude(system: Any) -> str:
     if system.representation is not None:
         return "representation"
-    if is_matrix_system(system):
+    if system.has_matrices:
         return "matrices"
     return "none" if system.algebra is None else "coadjoint"
 
@@ -179,7 +178,7 @@ def system_table(system: Any, **more: str) -> str:
     >>> "x1^2 + x2^2 + x3^2" in system_table(co.systems.rigid_body((1, 2, 3)))
     True
     """
-    base = unforced(system)
+    base = system.unforced
     names = coordinate_names(base)
     casimirs = base.casimirs
     listed = [f"{name} = {short(casimir, 100)}" for name, casimir in list(casimirs.items())[:MAX_SHOWN_ENTRIES]]

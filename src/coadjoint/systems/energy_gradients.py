@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
-from coadjoint.systems.protocol import is_batch, is_matrix_system, unforced
 
 Floats = NDArray[np.float64]
 
@@ -25,12 +24,12 @@ def gradients_at(system: Any, x: Floats, times: Floats) -> Floats:
     >>> gradients_at(body, np.ones((1, 2, 3)), np.zeros(1)).tolist()
     [[[0.5, 0.5, 0.25], [0.5, 0.5, 0.25]]]
     """
-    if is_batch(system):
+    if system.is_batch:
         members = [gradients_at(member, x[:, m : m + 1], times) for m, member in enumerate(system)]
         return np.concatenate(members, axis=1)
-    system = unforced(system)
+    system = system.unforced
     H = system.hamiltonian
-    if is_matrix_system(system) and not system.timed:
+    if system.has_matrices and not system.timed:
         return np.asarray(H.gradient(x))
     terms = H.terms()
     if not terms:

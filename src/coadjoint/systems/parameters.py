@@ -26,7 +26,6 @@ from coadjoint.systems.hamiltonians.hamiltonian import (
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import EnergyDifferences, moved_entry
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.registry import DeclaredEnergy, energy_of, ready_made_systems
 
 Floats = NDArray[np.float64]
@@ -83,7 +82,7 @@ def _find_parameters(system: Any, values: Mapping[str, Floats] | None = None) ->
             for name, one in numbers.items()
         }
         return {**(_find_parameters(system.unforced, rest) if rest else parameters_of(system.unforced)), **of_forces}
-    if is_matrix_system(system):
+    if system.has_matrices:
         return _of_matrix_builder(system, given)
     if not system.hamiltonian.terms():
         return {}
@@ -131,7 +130,7 @@ def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
     builder = _builder_of(system, values)
     if builder is not None:
         found = builder(**{**system.parameters, **{name: _plain(value) for name, value in values.items()}})
-        return found.in_numbers if is_matrix_system(system) and system.shape == (system.dim,) else found
+        return found.in_numbers if system.has_matrices and system.shape == (system.dim,) else found
     return with_hamiltonian(system, in_coordinates_of(system, _with_coefficients(system, values)))
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from itertools import accumulate
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -75,6 +75,10 @@ class System:
     algebra: Any = None
     representation: Any = None
     forces: tuple[Force, ...] = ()
+    is_batch: Literal[False] = False
+    has_matrices = False
+    """Whether states are matrices, with streams, traces and spectra."""
+    matrix_system: Any = None
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
     _unforced: System | None = None
@@ -116,14 +120,29 @@ class System:
         return np.asarray(self._constants().structure_matrix(read_point(x, self.dim)))
 
     @property
+    def has_structure_constants(self) -> bool:
+        """Whether the bracket is linear, with structure constants in memory, as flows on a Lie algebra need."""
+        return getattr(self.algebra, "triples", None) is not None
+
+    @property
+    def has_compiled_bracket(self) -> bool:
+        """Whether the kernels can evaluate the bracket, from structure constants or a function J."""
+        return self.algebra is None or self.has_structure_constants
+
+    @property
+    def has_quadratic_energy(self) -> bool:
+        """Whether the Hamiltonian is a polynomial of degree at most two that does not depend on time."""
+        return all(term.form is not None for term in self.hamiltonian.terms())
+
+    @property
     def has_structure_matrix(self) -> bool:
         """Whether `structure_matrix` is known: by structure constants, or because a class defines it."""
         defined = type(self).structure_matrix is not System.structure_matrix
-        return defined or getattr(self.algebra, "triples", None) is not None
+        return defined or self.has_structure_constants
 
     def _constants(self) -> Any:
         """Return the algebra, whose structure constants are in memory."""
-        if getattr(self.algebra, "triples", None) is None:
+        if not self.has_structure_constants:
             raise TypeError(f"J(x) of {self.name} is unknown: {type(self).__name__} defines no structure_matrix")
         return self.algebra
 
@@ -315,9 +334,40 @@ class System:
         return self.unforced.with_forces(*renumbered)
 
     @property
+    def distinct(self) -> tuple[Self, ...]:
+        """The different systems of the members of an ensemble: this one, which all members share."""
+        return (self,)
+
+    def of_member(self, member: int) -> Self:
+        """Return the system of a member, which all members share."""
+        return self
+
+    def among(self, first: int, last: int) -> Self:
+        """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
+        return self.numbered_from(first)
+
+    @property
+    def in_numbers(self) -> System:
+        """The same system with vectors as states, if they are matrices."""
+        return self
+
+    def states_of(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return rows of numbers (..., dim) as states (..., *shape)."""
+        return rows.reshape(*rows.shape[:-1], *self.shape)
+
+    def rows_of(self, states: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return states (..., *shape) as rows of numbers (..., dim)."""
+        return states.reshape(*states.shape[: -len(self.shape)], self.dim)
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the forces, numbered from the second of a type on."""
         return _labels(self.forces)
+
+    @property
+    def labelled_forces(self) -> tuple[tuple[str, Force], ...]:
+        """The forces with their labels."""
+        return tuple(zip(self.labels, self.forces, strict=True))
 
     @property
     def reversible(self) -> bool:
@@ -354,8 +404,7 @@ class System:
         """
         y, t = self._vector(x), read_number(t, "t")
         gradient = self.hamiltonian.gradient(y, t)
-        pairs = zip(self.labels, self.forces, strict=True)
-        return {label: float(gradient @ force.field(self.unforced, y, t)) for label, force in pairs}
+        return {label: float(gradient @ force.field(self.unforced, y, t)) for label, force in self.labelled_forces}
 
     def __repr__(self) -> str:
         if not self.forces:

@@ -6,7 +6,6 @@ from typing import Any
 
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system import System
 
 
@@ -33,5 +32,5 @@ def check_one_system(system: Any, forces: bool = False) -> None:
 def check_vector_states(system: Any, advice: str = "use IsospectralGauss") -> None:
     """Raise an error unless given a single system with vector states; `advice` ends the message for matrix systems."""
     check_one_system(system)
-    if is_matrix_system(system):
+    if system.has_matrices:
         raise ValueError(f"{system.name} has matrix states, in {system.algebra}; {advice}")

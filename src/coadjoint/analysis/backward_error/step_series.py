@@ -19,7 +19,6 @@ from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, formal_n
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
-from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system import System
 
 BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
@@ -105,7 +104,7 @@ class ExactSystem:
 def _check_monomials(system: System) -> None:
     """Raise an error for a field with too many monomials, estimated as the number of products in J(x) M x."""
     terms = system.hamiltonian.terms()
-    if not has_structure_constants(system) or len(terms) != 1 or not isinstance(terms[0], QuadraticTerm):
+    if not system.has_structure_constants or len(terms) != 1 or not isinstance(terms[0], QuadraticTerm):
         return
     entries = np.diff(terms[0].indptr)
     i, j, _, _ = system.algebra.triples

@@ -24,7 +24,6 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.registry import description_of, read_method
 from coadjoint.runs.start import momenta_of
-from coadjoint.systems.protocol import as_vector_system
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_integer, read_number
@@ -115,7 +114,7 @@ def certify(
         method = read_method(method)
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
     states, _ = momenta_of(system, x0)
-    system = as_vector_system(system)
+    system = system.in_numbers
     size = float(np.max(np.abs(states), initial=0.0))
     if size != 0.0 and not ALLOWED_SIZES[0] <= size <= ALLOWED_SIZES[1]:
         raise ValueError(

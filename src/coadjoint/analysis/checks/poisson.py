@@ -21,7 +21,6 @@ from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.step_tangents import compiled_tangents
 from coadjoint.systems.coordinates import CoordinateGroups
-from coadjoint.systems.protocol import has_structure_constants
 
 SLOPE_STEPS = 4  # lengths of steps for the order of a defect, over a factor of 2.8
 MAX_DIRECTIONAL_DIM = 1100
@@ -156,7 +155,7 @@ def _carried(
 
 def _apply_structure(system: Any, x: NDArray[np.float64], vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return J(x) applied to vectors in columns."""
-    if has_structure_constants(system):
+    if system.has_structure_constants:
         return np.asarray(system.algebra.structure_operator(x) @ vectors)
     return np.asarray(system.structure_matrix(x) @ vectors)
 

@@ -20,7 +20,6 @@ from coadjoint.runs.derivatives.step_tangents import StepTangents, compiled_tang
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import any_momenta_of, with_group
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
@@ -179,7 +178,7 @@ class Subject:
 
     def _condition(self, x: Floats, h: float) -> float:
         P = self._differences(x, h, np.eye(len(x)))
-        if is_matrix_system(self.system):
+        if self.system.has_matrices:
             # The singular values of directions outside the algebra are zero.
             values = np.linalg.svd(P, compute_uv=False)[: self.system.algebra.dim]
             return float(np.linalg.norm(values) * np.linalg.norm(1.0 / values))

@@ -21,7 +21,7 @@ from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate
-from coadjoint.systems.protocol import has_structure_constants
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 SLOPES = f"slopes within {SLOPE_TOLERANCE} on so(4), t = 2"
 LONG_STEPS, STEP = 2000, 0.05  # steps and step of the runs that should keep an invariant to round-off
@@ -80,7 +80,7 @@ def _gauss_keeps(case: ReferenceProblem) -> Statement:
 
 
 def _stages(case: ReferenceProblem) -> Statement:
-    assert has_structure_constants(case.system)
+    assert isinstance(case.system, LiePoissonSystem)
     steps = [0.4 / 2**k for k in range(5)]
     errors = np.empty((4, len(steps)))
     for k, h in enumerate(steps):

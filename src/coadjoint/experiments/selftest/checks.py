@@ -28,7 +28,6 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import EXTRAS, installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
-from coadjoint.systems.protocol import is_matrix_system
 
 STEP = 1 / 16  # a power of two, so that sums of times are exact
 ORDER_TOLERANCE = 0.5
@@ -58,7 +57,7 @@ def motions() -> Iterator[Finding]:
     """Compare a high-order scheme with reference states computed with 40 digits."""
     for key, reference in references().items():
         system = systems()[key]
-        method: Method = IsospectralGauss(6) if is_matrix_system(system) else GaussLegendre(6)
+        method: Method = IsospectralGauss(6) if system.has_matrices else GaussLegendre(6)
         solution = integrate(system, state_of(system), (0.0, 1.0), STEP, method)
         allowed = rounding(system, solution.stats.steps, solution.stats.evaluations / solution.stats.steps)
         yield Finding(f"motion on {key}", float(abs(solution.x[-1] - reference).max()), allowed, str(method))

@@ -17,7 +17,6 @@ from coadjoint.methods.forced import check_supports
 from coadjoint.methods.protocol.method import Method
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.registry import ready_made_systems
 
 Array = NDArray[Any]
@@ -45,7 +44,7 @@ def systems() -> Mapping[str, Any]:
 
 def state_of(system: Any, number: int = 0) -> Array:
     """Return a state of cosines of 1 + `number`, 2 + `number`, ...; a random one for complex matrices."""
-    if not is_matrix_system(system):
+    if not system.has_matrices:
         return np.cos(1.0 + number + np.arange(system.dim))
     if system.complex:
         return np.asarray(system.random(1 + number, degrees=(1, 2)))  # type: ignore[attr-defined]

@@ -19,7 +19,6 @@ from coadjoint.files.archives.new_archive import PlannedRun
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.private_folders import private_folder
 from coadjoint.runs.progress import progress_bar
-from coadjoint.systems.protocol import is_batch
 
 RETRIES = 3
 """Attempts without progress, after losses of workers or of their data, before giving up."""
@@ -80,7 +79,7 @@ def _run_round(
     OSError or CancelledError: the scheduler is lost.
     """
     archive, token, prepared = str(store.path), secrets.token_hex(4), planned.prepared
-    shared_tables = not is_batch(prepared.system)
+    shared_tables = not prepared.system.is_batch
     try:
         shared_run: Any = client.scatter(prepared, broadcast=True, hash=False) if shared_tables else None
     except (OSError, CancelledError) as lost:

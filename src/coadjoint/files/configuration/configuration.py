@@ -19,7 +19,6 @@ from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
-from coadjoint.systems.protocol import member_of
 
 CONFIGURATION = "configuration"
 """Attribute with the text of the file."""
@@ -174,7 +173,7 @@ class Configuration:
         points_saved = times_of(self.t_span, self.step, self.save_every).points
         points = points_saved if self.t_eval is None else 2 * len(self.t_eval)
         start = start_of(self.system, effective_scheme(self.system, self.method), self.x0, self.attitude)
-        first = member_of(self.system)
+        first = self.system.of_member(0)
         numbers = first.dim + start.groups.shape[1] ** 2 + 1 + len(first.casimirs) + len(self.observe)
         needed, free = 8 * points * len(start.momenta) * numbers, available()
         if needed > free:

@@ -18,7 +18,6 @@ from coadjoint.runs.events import read_events
 from coadjoint.runs.plan import bytes_of_run
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
-from coadjoint.systems.protocol import is_batch, member_of
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.configuration import Configuration
@@ -60,8 +59,8 @@ class Plan:
 
     def _lines(self) -> Iterator[tuple[str, str]]:
         run = self.configuration
-        system = member_of(run.system)
-        batch_text = f"; {len(run.system)} systems, one for each member" if is_batch(run.system) else ""
+        system = run.system.of_member(0)
+        batch_text = f"; {len(run.system)} systems, one for each member" if run.system.is_batch else ""
         yield "system", f"{system.name}, dimension {self.dim}{batch_text}"
         yield "members", f"{self.members}"
         if run.swept:
@@ -185,7 +184,7 @@ def plan(configuration: Configuration) -> Plan:
         # Output times are filled in while the steps from which they are reached are still in memory.
         points = len(output_times.t)
         memory += bytes_of_run(Layout(layout.extent._replace(points=points)), times._replace(marks=output_times.ends))
-    system = member_of(configuration.system)
+    system = configuration.system.of_member(0)
     seconds, tried, failed, written = None, 0, "", None
     try:
         seconds, tried = _seconds(configuration, prepared, times)

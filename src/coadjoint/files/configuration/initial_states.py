@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coadjoint.files.configuration.construction import ConfigurationError, section
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import unforced, unforced_matrix_system
 from coadjoint.validation import check_parameters, read_array_file, read_choice
 
 if TYPE_CHECKING:
@@ -33,11 +32,10 @@ def initial_state(system: Any, value: Any, folder: Path) -> Any:
     """
     if isinstance(value, str):
         return array_of_file(folder / value, value)
-    matrices = unforced_matrix_system(system)
-    if matrices is None or not matrices.complex:
+    if system is None or not system.has_matrices or not system.complex:
         return value
     array = np.array(value, dtype=np.float64)
-    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == matrices.algebra.shape
+    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == system.algebra.shape
     return array[..., 0] + 1j * array[..., 1] if pairs else array
 
 
@@ -67,7 +65,7 @@ def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
 
     if table.kind is None:
         return None
-    family = unforced(system)
+    family = system.unforced
     with section(name, "initial.kind"):
         if not (known := getattr(family, "states_by_name", ())):
             raise ValueError(f"{family.name} has no named initial states; give x")

@@ -29,7 +29,7 @@ from coadjoint.runs.integrate import chosen_for
 from coadjoint.runs.output_times import output_times_of
 from coadjoint.runs.start import momenta_of, start_of
 from coadjoint.runs.times import times_of
-from coadjoint.systems.protocol import coordinates_of, member_of
+from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.validation import read_path
 
 __all__ = ["ConfigurationError", "load"]
@@ -179,10 +179,13 @@ def _configuration(
             check_archived(name, file.run.t_eval, file.events)
     # Checks that need a system are skipped without one; scheme and times are independent.
     with errors.collect():
-        method = default_scheme(system) if file.method is None else method_of_file(name, file.method)
+        if file.method is not None:
+            method = method_of_file(name, file.method)
+        elif system is not None:
+            method = default_scheme(system)
         if system is not None:
             with section(name, "method"):
-                check_supports(member_of(system), method)
+                check_supports(system.of_member(0), method)
     if step is not None and tables.has("run"):
         with errors.collect():
             _check_times(name, file, system, step)

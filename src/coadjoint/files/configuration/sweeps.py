@@ -22,7 +22,6 @@ from coadjoint.memory import check_available_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.protocol import has_structure_constants, member_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -240,7 +239,7 @@ def _is_system_key(path: KeyPath) -> bool:
 def swept_states(sweep: Sweep, file: File, system: Any, check_tables: Callable[[dict[str, Any]], File]) -> Any:
     """Return the initial states of the members, (members, ...), as `integrate` takes them."""
     name = sweep.name
-    systems = [member_of(system, m) for m in range(sweep.members)]
+    systems = [system.of_member(m) for m in range(sweep.members)]
     if file.initial.kind is not None:
         return np.stack(
             sweep.each(
@@ -270,7 +269,7 @@ def _set_states(states: Any, key: str, settings: Any, numbers: Any, systems: lis
     path = parse_key(key)
     if orbit:
         for member, system in enumerate(systems):
-            if not has_structure_constants(system):
+            if not system.has_structure_constants:
                 raise ValueError(f"{system.name} has no algebra with structure constants; sweep over values instead")
             states[member] = move_on_orbit(system.algebra, states[member], settings[numbers[member]])
         return

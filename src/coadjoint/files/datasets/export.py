@@ -36,7 +36,6 @@ from coadjoint.runs.events import Event
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import as_vector_system
 
 if TYPE_CHECKING:
     import xarray
@@ -304,7 +303,7 @@ def _component_count(states: xarray.DataArray) -> int:
 
 def _with_state_format_of(dataset: xarray.Dataset, system: Any) -> Any:
     """Return the system in the state format of the dataset, which for matrices may be rows of numbers."""
-    return as_vector_system(system) if "component" in dataset["x0"].dims else system
+    return system.in_numbers if "component" in dataset["x0"].dims else system
 
 
 @suggest_keywords

@@ -34,7 +34,7 @@ from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.systems.batch import SUFFIX
-from coadjoint.systems.protocol import coordinates_of, member_of
+from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.validation import read_path
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class LoadedSolution(StoredSolution):
         # The start is not among the saved times.
         if self.failed is None:
             return NamedValues(_invariants_at(self.system, self.x0, t0))
-        invariants = [_invariants_at(member_of(self.system, m), x, t0) for m, x in enumerate(self.x0)]
+        invariants = [_invariants_at(self.system.of_member(m), x, t0) for m, x in enumerate(self.x0)]
         return NamedValues({name: np.array([values[name] for values in invariants]) for name in self._names})
 
     @cached_property

@@ -12,7 +12,6 @@ import numpy as np
 from coadjoint.files.records.entries import parsed
 from coadjoint.files.records.stored_axes import Axes, axes_of_record, axes_record
 from coadjoint.systems.batch import SUFFIX, Axis
-from coadjoint.systems.protocol import is_batch
 
 if TYPE_CHECKING:
     import xarray
@@ -24,7 +23,7 @@ MEMBER = "member"
 
 def axes_of_system(system: Any) -> Axes:
     """Return the named axes of the members of a system; empty unless it is a batch with axes."""
-    return system.axes if is_batch(system) else {}
+    return system.axes if system.is_batch else {}
 
 
 def stored_axes(attributes: Mapping[str, Any], members: int) -> Axes:

@@ -8,7 +8,6 @@ import numpy as np
 
 from coadjoint.optional_packages import require_packages
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.protocol import is_matrix_system, member_of, unforced
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,7 +20,7 @@ def table_of(solution: Solution) -> pd.DataFrame:
     require_packages("a table of a solution", "pandas")
     import pandas as pd
 
-    system: Any = unforced(member_of(solution.system, 0))
+    system: Any = solution.system.of_member(0).unforced
     k, members = len(solution.t), None if solution.failed is None else len(solution.failed)
     shape = system.shape
     count = int(np.prod(shape))
@@ -41,7 +40,7 @@ def table_of(solution: Solution) -> pd.DataFrame:
 
 
 def _names(system: Any, shape: tuple[int, ...], count: int) -> tuple[str, ...]:
-    if is_matrix_system(system):
+    if system.has_matrices:
         return tuple("W" + ",".join(str(i + 1) for i in entry) for entry in np.ndindex(*shape))
     return coordinate_names(system, count)
 

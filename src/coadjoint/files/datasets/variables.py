@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from coadjoint.files.records.records import safe_name
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.protocol import is_batch, members_of, unforced
 
 COMPLEX_PARTS = ("real", "imaginary")
 """Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
@@ -124,7 +123,7 @@ def angular_motion_variables(solution: Solution) -> Variables:
     """Return the angular velocity and momentum of bodies in their frames; nothing for other systems."""
     variables: Variables = {}
     dims = ("time", *_member(solution))
-    if not all(hasattr(unforced(one), "angular_velocity") for one in members_of(solution.system)):
+    if not all(hasattr(one.unforced, "angular_velocity") for one in solution.system.distinct):
         return variables
     for name in ("angular_velocity", "angular_momentum"):
         values = getattr(solution, name)
@@ -198,9 +197,9 @@ def parameters_of(system: Any) -> Variables:
     >>> parameters_of(bodies)
     {'swept_inertia_2': (('member',), array([2.5, 3. ]), {'long_name': 'system.parameters.inertia[2]'})}
     """
-    if not is_batch(system):
+    if not system.is_batch:
         return {}
-    parameters_of_systems = [unforced(member).parameters or {} for member in system.distinct]
+    parameters_of_systems = [member.unforced.parameters or {} for member in system.distinct]
     differing = dict[str, list[Any]]()
     for name in parameters_of_systems[0]:
         values = [parameters.get(name) for parameters in parameters_of_systems]

@@ -15,7 +15,6 @@ from coadjoint.optional_packages import installed
 from coadjoint.short_repr import short
 from coadjoint.systems.fluids.reduced_mhd import fluid_of
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.protocol import is_batch, unforced
 
 if TYPE_CHECKING:
     import xarray
@@ -33,7 +32,7 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
 
     `grid` is a shape, True for the default one of the system, None for this one if it is not large, or False.
     """
-    fluid = None if is_batch(solution.system) else fluid_of(unforced(solution.system))
+    fluid = None if solution.system.is_batch else fluid_of(solution.system.unforced)
     if fluid is None:
         if grid is None or grid is False:
             return {}, {}

@@ -31,7 +31,6 @@ from coadjoint.runs.inputs import InputLoops
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import forces_of, is_batch, unforced, unforced_matrix_system
 from coadjoint.validation import read_bool, read_path
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
@@ -138,7 +137,7 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
         )
     loop, numbers = loop_of_run(prepared)
     inputs = Inputs(", const double *u", ", u") if prepared.inputs is not None else Inputs()
-    exported = _exported(prepared, loop, numbers, inputs, tangent, bool(forces_of(prepared.system)))
+    exported = _exported(prepared, loop, numbers, inputs, tangent, bool(prepared.system.forces))
     lines = exported.lines
     lines += function("step", f"double *x{inputs.declared}, double h", exported.step)
     lines += function("run", f"double *x{inputs.declared}, double h, unsigned long steps", exported.steps)
@@ -207,11 +206,11 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
     if not isinstance(prepared, PreparedRun):
         raise TypeError(f"{short(prepared)} is no prepared run; give that of `prepare`")
     system, scheme = prepared.system, prepared.scheme
-    if is_batch(system):
+    if system.is_batch:
         raise TypeError("a batch has several systems, and one is exported; prepare the system of a member")
-    if unforced_matrix_system(system) is not None:
+    if system.has_matrices:
         raise TypeError(f"{system.name} has matrices as states, which are multiplied by BLAS; it cannot be exported")
-    if unforced(system).algebra is None:
+    if system.unforced.algebra is None:
         raise TypeError(f"{system.name} has a structure matrix that is a function, which cannot be exported")
     if prepared.inputs is None:
         return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
@@ -360,7 +359,7 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs
         raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
     lines, n = inner.lines, prepared.system.dim
     declared = inputs.declared
-    for k, ((label, _), table) in enumerate(zip(forces_of(prepared.system), forces, strict=True)):
+    for k, (label, table) in enumerate(zip(prepared.system.labels, forces, strict=True)):
         flow, change = _flow_of_force(label, table, numbers, n)
         lines += function(f"force_{k}", f"double *x{declared}, double tau", flow)
         if tangent:

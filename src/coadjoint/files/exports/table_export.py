@@ -16,7 +16,6 @@ from coadjoint.kernels.tables.cotangents import flow_cotangents
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.systems.protocol import forces_of
 from coadjoint.validation import read_path
 
 INTERFACE = SOURCE / "interface" / "coadjoint_runs.h"
@@ -72,7 +71,7 @@ def table_text(prepared: PreparedRun) -> str:
     system, scheme = prepared.system, prepared.scheme
     further = {
         "inputs": prepared.inputs is not None,
-        "forces": bool(forces_of(system)),
+        "forces": bool(system.forces),
         "an attitude": prepared.representation is not None,
     }
     if any(further.values()):

@@ -27,7 +27,6 @@ from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import forces_of
 from coadjoint.systems.system import System
 
 __all__ = ["record_of", "safe_name", "system_of"]
@@ -147,7 +146,7 @@ def _batch_record(batch: Batch) -> dict[str, Any]:
 def _forced_record(system: System) -> dict[str, Any]:
     """Return the Hamiltonian part, and the forces by name and parameters."""
     inner, forces, missing = record_of(system.unforced), [], []
-    for label, force in forces_of(system):
+    for label, force in system.labelled_forces:
         described_force = _force_record(force)
         if described_force is None:
             missing.append(f"force: {label}")

@@ -17,8 +17,8 @@ from coadjoint.files.records.entries import Entry, as_value_errors
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import invariants_record
 from coadjoint.runs.events import Event, RecordedEvents
+from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.protocol import coordinates_of, unforced
 from coadjoint.validation import read_integer
 
 
@@ -33,7 +33,7 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     """
     names = coordinates_of(system)
     if not names:
-        raise ValueError(f"an event of a file needs coordinates; the states of {unforced(system).name} are matrices")
+        raise ValueError(f"an event of a file needs coordinates; the states of {system.unforced.name} are matrices")
     options = dict(table)
     g = options.pop("g")
     if isinstance(g, str) and g not in names:

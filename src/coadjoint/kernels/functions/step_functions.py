@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from coadjoint.optional_packages import MissingPackageError, require_packages
-from coadjoint.systems.protocol import has_compiled_bracket
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
@@ -97,7 +96,7 @@ def _warn_once(scheme: type, reason: str) -> None:
 
 def _compiled(method: Any, system: Any) -> tuple[Any, str]:
     """Return the step compiled by Numba and "", or None and the reason."""
-    if not has_compiled_bracket(system):
+    if not system.has_compiled_bracket:
         return None, f"{system.name} has no structure constants in memory, which compiled steps read"
     try:
         require_packages("a compiled step", "numba")

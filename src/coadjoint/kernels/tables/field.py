@@ -14,7 +14,6 @@ from coadjoint.kernels.tables.compiled import addresses_of
 from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.program.sources import Coefficients, Sources, sources_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
-from coadjoint.systems.protocol import has_compiled_bracket, has_structure_constants
 from coadjoint.systems.system import System
 from coadjoint.systems.vanishing_products import FieldProducts, Products, field_products
 
@@ -78,7 +77,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     no_integers = np.zeros(0, dtype=np.int64)
     if called:
         triples = (no_integers, no_integers, no_integers, np.zeros(0))
-    elif has_compiled_bracket(system):
+    elif system.has_compiled_bracket:
         triples = (
             (no_integers, no_integers, no_integers, np.zeros(0)) if system.algebra is None else system.algebra.triples
         )
@@ -142,7 +141,7 @@ def terms_of_field(system: System) -> TermTable:
 
 
 def _separated(system: System) -> FieldProducts | None:
-    return field_products(system) if has_structure_constants(system) else None
+    return field_products(system) if system.has_structure_constants else None
 
 
 def _own_products(system: System, products: Products, terms: Terms) -> tuple[Any, ...]:

@@ -21,7 +21,6 @@ from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import Coefficients, Multiples, Sources
 from coadjoint.systems.forces.base import Noise
-from coadjoint.systems.protocol import forces_of, is_matrix_system
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)
@@ -91,9 +90,9 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
     """
     accounts, hamiltonian_part = [], system.unforced
     tracked_casimirs = (
-        hamiltonian_part.quadratic_casimirs if is_matrix_system(hamiltonian_part) else hamiltonian_part.casimirs
+        hamiltonian_part.quadratic_casimirs if hamiltonian_part.has_matrices else hamiltonian_part.casimirs
     )
-    for label, force in forces_of(system):
+    for label, force in system.labelled_forces:
         names = ["energy", *(() if force.casimirs else tracked_casimirs)]
         accounts += [Account(label, name) for name in names]
     return tuple(accounts)
@@ -104,7 +103,7 @@ class _ForceTableBuilder:
 
     def __init__(self, system: Any, account: int, accounts: int) -> None:
         self.n, self._accounts = system.dim, (account, accounts)
-        self._shape = (*system.matrix_shape, bool(system.complex)) if is_matrix_system(system) else None
+        self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
         self.keepalive: tuple[CompiledFunction, ...] = ()
 
     def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
@@ -200,7 +199,7 @@ def _adapted_arguments(
 
 def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     """Return the tables for energy and quadratic Casimirs of a system of matrices; a zero for other systems."""
-    if not is_matrix_system(system):
+    if not system.has_matrices:
         return [0], [], ()
     integers, numbers, owners = stream_tables(system)
     kind = next(iter(system.algebra.parts))[2]
@@ -213,14 +212,14 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
-    for label, force in forces_of(system):
+    for label, force in system.labelled_forces:
         count = sum(account.force == label for account in accounts)
         reader = _ForceTableBuilder(system.unforced, first, count)
         tables.append(force.describe_to(reader, system.unforced))
         first += count
         keepalive += reader.keepalive
     hamiltonian_part = system.unforced
-    casimirs_conserved = is_matrix_system(hamiltonian_part) or all(force.casimirs for force in system.forces)
+    casimirs_conserved = hamiltonian_part.has_matrices or all(force.casimirs for force in system.forces)
     watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
     loop_integers, loop_keepalive = inner_loop_integers(inner, hamiltonian_part, representation)
     structures = [as_structure(table) for table in tables]

@@ -26,7 +26,6 @@ from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.sources import Coefficients, Multiples, Sources
-from coadjoint.systems.protocol import has_compiled_bracket
 from coadjoint.systems.system import System
 
 
@@ -126,7 +125,7 @@ def function_tables(
     constant = sum(term.constant for term in system.hamiltonian.terms())
     no_invariants = invariants_table([], system.dim)
     tables = _tables(
-        system, group_of(system, None), no_invariants, [function], [constant], not has_compiled_bracket(system)
+        system, group_of(system, None), no_invariants, [function], [constant], not system.has_compiled_bracket
     )
 
     def of_function() -> Sources:
@@ -195,7 +194,7 @@ def named_step_tables(
         invariants._replace(keepalive=(*invariants.keepalive, *keepalive)),
         integers,
         coefficients,
-        not has_compiled_bracket(system),
+        not system.has_compiled_bracket,
     )
 
     def of_shift() -> Sources:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from coadjoint.methods.numerics.isospectral_stages import slope_along
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import is_matrix_system
 from coadjoint.systems.system_checks import check_one_system
 
 
@@ -80,7 +79,7 @@ class MatrixOrbit:
 def orbit_of(system: Any, scheme_name: str) -> VectorOrbit | MatrixOrbit:
     """Return the orbits of a system; raise an error that names the scheme if it is a batch or has no Lie algebra."""
     check_one_system(system)
-    if is_matrix_system(system):
+    if system.has_matrices:
         return MatrixOrbit(system)
     if system.algebra is None:
         raise ValueError(

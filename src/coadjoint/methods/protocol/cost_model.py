@@ -13,7 +13,6 @@ from coadjoint.kernels.interface import limit
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
 from coadjoint.program.table import Program
-from coadjoint.systems.protocol import has_quadratic_energy, has_structure_constants
 from coadjoint.systems.system import System
 
 # Weights, fitted to measured steps by ``benchmarks/fit_cost_model.py``, to be fitted again when the compiled loops
@@ -115,7 +114,7 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
     """Return the cost of one iteration of an implicit scheme, in rotations: the field at all stages, and mixing."""
     multiplications, functions = field_work(system)
     vectors = multiplications + stages * system.dim
-    if group is not None and has_structure_constants(system):
+    if group is not None and system.has_structure_constants:
         entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
         edge = system.dim if isinstance(group, str) else group.shape[1]
         vectors += edge * entries + stages * edge * edge
@@ -128,7 +127,7 @@ def _fits_in_registers(system: System) -> bool:
     """Return whether the stages of a system stay in registers."""
     algebra = system.algebra
     return (
-        has_quadratic_energy(system)
+        system.has_quadratic_energy
         and algebra is not None
         and (system.dim, 2 * len(algebra.triples[3])) in REGISTER_FIELDS
     )
@@ -139,7 +138,7 @@ def field_work(system: System) -> tuple[float, int]:
     terms = system.hamiltonian.terms()
     multiplications = sum(term.multiplications * (1.0 if term.form is not None else INDEXED_FACTOR) for term in terms)
     functions = sum(term.called for term in terms)
-    if has_structure_constants(system):
+    if system.has_structure_constants:
         return multiplications + 2 * len(system.algebra.triples[3]), functions
     return multiplications + system.dim**2, functions + 1
 

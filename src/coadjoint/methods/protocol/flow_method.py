@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from fractions import Fraction
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,6 @@ from coadjoint.program.parts.decompose import (
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
-from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
@@ -88,7 +87,7 @@ class FlowMethod(Method):
         from coadjoint.program.table import build_program
 
         self.properties(system)
-        if not has_structure_constants(system):
+        if not system.has_structure_constants:
             raise ValueError(
                 f"{type(self).__name__} is made of flows on a Lie algebra, which {system.name} does not have; "
                 "take GaussLegendre"
@@ -98,7 +97,7 @@ class FlowMethod(Method):
             raise ValueError(
                 f"the coefficients of the sweeps of {self} add up to {sum(coefficients)!r}; they must add up to 1"
             )
-        return build_program(system, self, group=group, number=number)
+        return build_program(cast(Any, system), self, group=group, number=number)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop over the rows of the table."""
@@ -139,8 +138,7 @@ class FlowMethod(Method):
         from coadjoint.methods.protocol.flow_derivatives import flow_derivatives
 
         self.properties(system)
-        assert has_structure_constants(system)
-        return flow_derivatives(self, system, h, representation, energies)
+        return flow_derivatives(self, cast(Any, system), h, representation, energies)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
         point = np.asarray(x)
@@ -189,7 +187,7 @@ class FlowMethod(Method):
         if isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
             check_body_flow_inputs(system, self.parts, coordinates)
         automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
-        if not automatic or not has_structure_constants(system):
+        if not automatic or not system.has_structure_constants:
             return self
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):
             raise TypeError(f"{self} has no field `parts`, so that automatic parts cannot be fixed; give it this field")

@@ -15,7 +15,6 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import has_compiled_bracket
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
@@ -174,7 +173,7 @@ class Method(metaclass=ExplainedCalls):
 
     def _check_loop(self, system: System) -> None:
         declared_properties(self, system)
-        if system.algebra is not None and has_compiled_bracket(system):
+        if system.algebra is not None and system.has_compiled_bracket:
             constants = system.algebra._constant_count
             check_available_memory(
                 BYTES_PER_CONSTANT * constants, f"the tables of {type(self).__name__} for {system.name}"

@@ -9,7 +9,6 @@ import numpy as np
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
-from coadjoint.systems.protocol import is_matrix_system
 
 MAX_MARKED = 40
 """Largest number of eigenvalues drawn with markers."""
@@ -27,7 +26,7 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     at : float
         The time as a fraction of the span: 0 is the start, 1 the end.
     """
-    if not is_matrix_system(drawn.unforced):
+    if not drawn.unforced.has_matrices:
         raise CannotShow(f"the state of {drawn.unforced.name} is not a matrix, and has no eigenvalues")
     k = drawn.index_at(at)
     if not np.isfinite(drawn.x[0, k]).all():

@@ -10,7 +10,6 @@ from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.series import draw_members
 from coadjoint.pictures.style import colour, plain_axes
-from coadjoint.systems.protocol import is_batch
 
 MAX_TIMES = 400  # points of a curve; a closed form each, which takes time
 
@@ -22,7 +21,7 @@ def error(drawn: PlottedRun) -> Paint:
     For a motion that stays on its orbit it is the phase error. Batches are not supported.
     """
     system = drawn.system
-    if system.closed_form is None or is_batch(drawn.solution.system):
+    if system.closed_form is None or drawn.solution.system.is_batch:
         raise CannotShow(f"no closed form is known for {drawn.solution.system.name}")
     indices = spread(len(drawn.t), MAX_TIMES)
     t = drawn.t[indices]

@@ -31,7 +31,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.protocol import has_structure_constants
 from coadjoint.validation import read_integer, read_list, read_number
 
 SEED = 1993  # of the points at which orders are compared, the same on every machine
@@ -243,7 +242,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
 
 def check_body_flow_inputs(system: Any, choice: str, coordinates: Sequence[int]) -> None:
     """Raise ValueError for inputs that change the axis of a part: on the coordinates of free bodies and bonds."""
-    if has_structure_constants(system):
+    if system.has_structure_constants:
         check_parts(system, choice, "Splitting")
         bodies = decompose(system, choice).parts.bodies.values()
         occupied = {i for body in bodies for i in (*body.coordinates, *(body.other or ()))}

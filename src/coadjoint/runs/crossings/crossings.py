@@ -17,9 +17,9 @@ from coadjoint.runs.loops.execution import status_name
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.short_repr import distinct, short
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import coordinates_of, is_matrix_system, unforced
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_choice, read_integer
@@ -72,7 +72,7 @@ class WatchedEvents:
     def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
         from coadjoint.kernels.tables.invariants import invariants_table
 
-        plain_system = unforced(system)
+        plain_system = system.unforced
         self.system, self.events = system, tuple(events)
         known = self.coordinates = coordinates_of(system)
         self.names = names_of(self.events, known)
@@ -243,7 +243,7 @@ def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, 
 
 def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequence[str], x0: Floats, t0: float) -> Any:
     """Return the object of an event that the kernels compile."""
-    g, n, matrices = event.g, plain_system.dim, is_matrix_system(plain_system)
+    g, n, matrices = event.g, plain_system.dim, plain_system.has_matrices
     if matrices and not callable(g):
         raise TypeError(
             f"the event {name} is about coordinates, and the states of {plain_system.name} are matrices; give a "
@@ -263,7 +263,7 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
         return Quadratic(0.0, linear=np.eye(1, n, i)[0])
     if isinstance(g, Polynomial | Quadratic):
         return g
-    timed, start = takes_time(g, name), plain_system.states(x0) if matrices else x0
+    timed, start = takes_time(g, name), plain_system.states_of(x0) if matrices else x0
     value = g(start.copy(), t0) if timed else g(start.copy())
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
         raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
@@ -279,7 +279,7 @@ class MatrixEventFunction:
         self._function, self._system, self._timed = function, system, timed
 
     def __call__(self, x: Any, t: float = 0.0) -> float:
-        W = self._system.states(x)
+        W = self._system.states_of(x)
         return float(self._function(W, t) if self._timed else self._function(W))
 
 

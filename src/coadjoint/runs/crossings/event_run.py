@@ -15,7 +15,6 @@ from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import Run
-from coadjoint.systems.protocol import states_of
 
 # Steps of the first chunk, few because an event may end a run soon, and the most of a later one.
 FIRST_CHUNK = 256
@@ -82,7 +81,7 @@ class EventRun:
         run.events = RecordedEvents(
             self.watched.names,
             crossings.t,
-            states_of(run.start.system, states),
+            run.start.system.states_of(states),
             crossings.which,
             crossings.members,
             crossings.direction,

@@ -19,7 +19,6 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.derivatives.results import Gradient, overflow
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_gradients import gradients_at
-from coadjoint.systems.protocol import is_batch, member_of, rows_of, states_of
 
 Floats = NDArray[np.float64]
 
@@ -149,7 +148,7 @@ class Pullback:
         rows = trajectory.saved_rows
         of_x, of_energy, of_attitude = np.zeros(states.shape), np.zeros(states.shape[:2]), None
         if given.x is not None:
-            of_x[rows] = trajectory.with_members(rows_of(run.system, given.x))
+            of_x[rows] = trajectory.with_members(run.system.rows_of(given.x))
         if given.observed:
             of_x[rows] += self._of_observed(states[rows], trajectory.t[rows], given.observed)
         if given.energy is not None:
@@ -160,12 +159,12 @@ class Pullback:
         if trajectory.crossings is not None:
             of_times = given.events.get("t", np.zeros(len(trajectory.crossings.rows)))
             if "x" in given.events:
-                of_x[trajectory.crossings.rows, 0] += rows_of(run.system, given.events["x"])
+                of_x[trajectory.crossings.rows, 0] += run.system.rows_of(given.events["x"])
             of_times = of_times + self._of_moments(trajectory.crossings, states, given.observed)
             trajectory.crossings.pull(of_times, of_x, of_attitude, of_energy)
-        by_member = by_member or is_batch(run.system)
+        by_member = by_member or run.system.is_batch
         shapes = {name: one.value.shape for name, one in run.parameters.items() if name in wanted}
-        if is_batch(run.system):
+        if run.system.is_batch:
             shapes = {name: shape[1:] for name, shape in shapes.items()}
         if INPUTS in wanted and run.inputs is not None:
             shapes[INPUTS] = (len(run.inputs.values),)
@@ -192,7 +191,7 @@ class Pullback:
                 total += tables.factors[name].of_entries(of_factors, total.shape[1])
         through_steps, of_element, coefficients = self._through_steps(tables, of_x, of_groups)
         of_x0 += through_steps
-        states0 = states_of(run.system, of_x0)
+        states0 = run.system.states_of(of_x0)
         values: dict[str, Any] = {"x0": states0[0] if trajectory.start.single else states0}
         for name, total in totals.items():
             by_coefficients, entries, shape = tables.coefficients[name], total.shape[1], shapes[name]
@@ -226,7 +225,7 @@ class Pullback:
         for name, given in observed.items():
             cotangents, quantity = self._trajectory.with_members(given), self._run.prepared.observe[name]
             for k, m in np.ndindex(states.shape[:2]):
-                function = function_of_rows(member_of(self._run.system, m), quantity, float(times[k]))
+                function = function_of_rows(self._run.system.of_member(m), quantity, float(times[k]))
                 total[k, m] += np.ravel(cotangents[k, m]) @ derivative_of(function, states[k, m]).derivative
         return total
 

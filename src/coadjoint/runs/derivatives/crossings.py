@@ -12,9 +12,9 @@ from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.crossings.crossings import WatchedEvents
+from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import NODES, WEIGHTS
-from coadjoint.systems.protocol import coordinates_of, states_of, unforced_matrix_system
 from coadjoint.systems.user_functions import takes_time
 
 if TYPE_CHECKING:
@@ -110,10 +110,10 @@ def function_of_rows(system: Any, quantity: Any, t: float) -> Callable[[NDArray[
         is_function = not isinstance(quantity, Polynomial | Invariant)
         time_argument = (t,) if is_function and takes_time(quantity, "observe") else ()
 
-    matrices = unforced_matrix_system(system)
+    matrices = system.matrix_system
 
     def of_row(row: NDArray[Any]) -> NDArray[Any]:
-        state = states_of(system, row)
+        state = system.states_of(row)
         if matrices is not None:
             state = matrices.algebra.projected(matrices.from_vector(row))
         return np.ravel(quantity(state, *time_argument))

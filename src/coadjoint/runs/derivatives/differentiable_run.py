@@ -26,7 +26,6 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import distinct
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
-from coadjoint.systems.protocol import is_batch, member_of, rows_of, unforced
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.crossings import Crossings
@@ -84,7 +83,7 @@ class DifferentiableRun:
                 "a given step"
             )
         if self.base.differentiable:
-            check_differentiable(unforced(system))
+            check_differentiable(system.unforced)
         self.prepared, self.system = prepared, system
         self.parameters: Mapping[str, Parameter] = parameters_of_run(system) if parameters is None else parameters
         self.representation, self.inputs = prepared.representation, prepared.inputs
@@ -94,13 +93,13 @@ class DifferentiableRun:
         """Return the derivative of the energy by a parameter, or by the inputs for `INPUTS`."""
         if name == INPUTS and self.inputs is not None:
             return by_linear(self.inputs)
-        of_member = parameters_of(self.system[member]) if is_batch(self.system) else self.parameters
+        of_member = parameters_of(self.system[member]) if self.system.is_batch else self.parameters
         energy = of_member[name].energy()
         return energy if self.inputs is None else without_inputs(energy, self.inputs)
 
     def energies(self, name: str, members: int) -> list[tuple[slice, EnergyDerivative]]:
         """Return the derivatives of the energy by a parameter, each with its members."""
-        if is_batch(self.system):
+        if self.system.is_batch:
             return [(slice(m, m + 1), self.energy(name, m)) for m in range(members)]
         return [(slice(0, members), self.energy(name))]
 
@@ -111,7 +110,7 @@ class DifferentiableRun:
             named = [name for name in self.parameters if name in chosen]
             self._tables[h, chosen] = (
                 tables_of_members(self, h, named)
-                if is_batch(self.system)
+                if self.system.is_batch
                 else build_tables(self, h, named, INPUTS in chosen)
             )
         return self._tables[h, chosen]
@@ -120,7 +119,7 @@ class DifferentiableRun:
         """Return the derivatives of the attitude of each member, or None without a group element."""
         if self.representation is None:
             return None
-        of_first = AttitudeDerivatives(member_of(self.system), tables.shift, self.representation)
+        of_first = AttitudeDerivatives(self.system.of_member(0), tables.shift, self.representation)
         if tables.of_members is None:
             return [of_first] * members
         return [of_first.with_factors(factors) for factors in tables.of_members]
@@ -176,7 +175,7 @@ class Trajectory:
         self.solution = self._run.solution(run.prepared.observed(self.start))
         self.t = self.solution.t
         elements = self._elements()[: len(self.point)]
-        self.outputs = self.with_members(rows_of(self.start.system, self.solution.x)), np.swapaxes(elements, 2, 3)
+        self.outputs = self.with_members(self.start.system.rows_of(self.solution.x)), np.swapaxes(elements, 2, 3)
 
     def _take_steps(self, prepared: Preparation, times: Times) -> None:
         """Take whole steps, in stretches."""
@@ -302,7 +301,7 @@ def parameters_of_run(system: Any) -> Mapping[str, Parameter]:
 
     Those of a batch have an axis of members; they are those that all members have, in one shape.
     """
-    if not is_batch(system):
+    if not system.is_batch:
         return parameters_of(system)
     members = [parameters_of(member) for member in system]
     found = {}

@@ -18,7 +18,6 @@ from coadjoint.runs.derivatives.results import Tangents, overflow
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.energy_gradients import gradients_at
-from coadjoint.systems.protocol import is_batch, rows_of, states_of, unforced_matrix_system
 from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -73,16 +72,16 @@ class Directions:
             array = arrays[name]
             return array[None] if self.single else np.moveaxis(array, -1, 0)
 
-        matrices = unforced_matrix_system(run.system)
+        matrices = run.system.matrix_system
         if matrices is None:
-            x0 = rows_of(run.system, rows("x0"))
+            x0 = run.system.rows_of(rows("x0"))
         else:  # these must be in the algebra
             x0 = matrices.read(rows("x0").reshape(-1, *run.system.shape), "the direction x0")
         x0 = np.asarray(x0).reshape(self.count, members, n)
         self.x0 = np.ascontiguousarray(np.moveaxis(x0, 0, 1))
         groups = rows("attitude0").reshape(self.count, members, d, d) if d else np.zeros((self.count, members, 0, 0))
         self.attitude0 = np.ascontiguousarray(np.moveaxis(groups, 0, 1))
-        self.by_system = (members,) if is_batch(run.system) else ()
+        self.by_system = (members,) if run.system.is_batch else ()
         self.parameters = {
             name: np.moveaxis(rows(name).reshape(self.count, *self.by_system, -1), 0, -2)
             for name in run.parameters
@@ -165,7 +164,7 @@ def tangents_of_run(
     rules = run.tables(trajectory.times.h, directions.names).rules
     of_energy = np.einsum("pmi,pmki->pmk", gradients_at(trajectory.system, x, trajectory.t), of_x)
     for name, of_entries in directions.parameters.items():
-        each = of_entries if is_batch(run.system) else [of_entries]
+        each = of_entries if run.system.is_batch else [of_entries]
         for (some, energy), directions_of_some in zip(run.energies(name, trajectory.members), each, strict=True):
             of_energy[:, some] += energy.at(x[:, some]) @ directions_of_some.T
     if run.inputs is not None and directions.inputs is not None:
@@ -182,7 +181,7 @@ def tangents_of_run(
         last = last[..., 0] if directions.single else last
         return last[:, 0] if trajectory.start.single else last
 
-    states, events = states_of(run.system, of_x), {}
+    states, events = run.system.states_of(of_x), {}
     if trajectory.crossings is not None and of_times is not None:
         rows = trajectory.crossings.rows
         events = {"t": shaped(of_times, slice(None)), "x": shaped(states, rows)}

@@ -23,7 +23,6 @@ from coadjoint.runs.derivatives.run_tables import differ_in_columns
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import forces_of, is_batch
 from coadjoint.validation import read_choice, to_array
 
 if TYPE_CHECKING:
@@ -80,7 +79,7 @@ def _trajectory(run: DifferentiableRun, given: Arguments, reverse: str | None) -
 
 def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
     """Return whether members are differentiated in several runs: their structure, steps or times differ."""
-    several = is_batch(prepared.system)
+    several = prepared.system.is_batch
     if several and not (given.events or prepared.method.own_steps):
         pieces = [len(members) for members, _ in _in_columns(prepared)]
         several = pieces != [len(prepared.system)] or cast(Loops, prepared.loops(prepared.step)).order is not None
@@ -119,7 +118,7 @@ def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Pi
 
 def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], PreparedRun]]:
     """Return the members of a batch that differ in coefficients of one set of tables, and the run of these."""
-    if not is_batch(prepared.system) or forces_of(prepared.system):
+    if not prepared.system.is_batch or prepared.system.forces:
         return []
     cache = prepared.cache
     if cache.in_columns is None:
@@ -138,7 +137,7 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
     leading: dict[str, Any] = {}
     for name, value in directions.items():
         shape = (count, *prepared.system.shape) if name == "x0" else None
-        if name in parameters and is_batch(prepared.system):
+        if name in parameters and prepared.system.is_batch:
             shape = parameters[name].shape
         if shape is None and name != "attitude0":
             continue
@@ -228,7 +227,7 @@ class PullbackOfMembers(Pullback):
         parameters = [name for name in found[0] if name in prepared.parameters]
         for name in [*(name for name in ("x0", "attitude0") if name in found[0]), *parameters]:
             stacked = _beside(self._pieces, [one[name] for one in found], len(solution.x0), axis=0)
-            summed = name in parameters and not is_batch(prepared.system)
+            summed = name in parameters and not prepared.system.is_batch
             values[name] = stacked.sum(axis=0) if summed else stacked
         gradient = Gradient(values, _rules(found, parameters))
         if error is not None:

@@ -29,7 +29,6 @@ from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.force_parameters import check_may_change, force_numbers
 from coadjoint.systems.parameters import parameters_of
-from coadjoint.systems.protocol import forces_of, unforced
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
@@ -45,9 +44,9 @@ FEWEST_IN_LANES = 8
 
 def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:
     """Return the tables of a step h, with the parameters of these names, and with the inputs if `by_inputs`."""
-    if not forces_of(run.system):
+    if not run.system.forces:
         return _of_scheme(run, run.system, run.inputs, h, names, by_inputs)
-    plain, inputs, representation = unforced(run.system), run.inputs, run.representation
+    plain, inputs, representation = run.system.unforced, run.inputs, run.representation
     of_plain = None if inputs is None else inputs.of_hamiltonian
     in_energy = [name for name in names if name in parameters_of(plain)]
     inner = _of_scheme(run, plain, of_plain, h, in_energy, by_inputs and of_plain is not None)
@@ -73,7 +72,7 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
             inner_values = (values[: len(of_plain.values)],)
             of_step = loops.at(*inner_values)
         structure = inner.tables_at(step, *inner_values)
-        parts = PartialSteps(unforced(system), run.base, of_step)
+        parts = PartialSteps(system.unforced, run.base, of_step)
         return ForcedSteps(system, inner, structure, parts, entries_at(values), attitudes)
 
     every = entries_at(NONE if inputs is None else inputs.values)
@@ -156,7 +155,7 @@ def _flow_entries_of_inputs(run: DifferentiableRun, inputs: Inputs, values: Floa
 
 
 def _using_energy(run: DifferentiableRun) -> tuple[int, ...]:
-    return tuple(j for j, (_, force) in enumerate(forces_of(run.system)) if force.uses_energy)
+    return tuple(j for j, force in enumerate(run.system.forces) if force.uses_energy)
 
 
 def _of_scheme(

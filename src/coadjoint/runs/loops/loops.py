@@ -24,7 +24,6 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import unforced_matrix_system
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
@@ -389,7 +388,7 @@ def loops_of_system(
     tracked = system.casimirs if casimirs is None else casimirs
     watch = _watch_of(system, loop, tracked, compact)
     correction = _correction_of(system, loop, representation)
-    matrices, rows = unforced_matrix_system(system), matrix_rows(system)
+    matrices, rows = system.matrix_system, matrix_rows(system)
     loops = Loops(system.dim, ["energy", *tracked], [loop], [watch], [correction], matrices=matrices, rows=rows)
     if system.dim > RELEASED_SIZE:
         release_freed_memory()
@@ -459,7 +458,7 @@ def _watch_of(system: System, loop: CompiledLoop, tracked: Mapping[str, Any], co
     """Return the tables of the energy and the tracked invariants, with accounts also of their balances."""
     from coadjoint.kernels.tables.invariants import balance_tables, watch_tables
 
-    if unforced_matrix_system(system) is not None:
+    if system.has_matrices:
         count = (1 + len(tracked)) * (2 if loop.accounts else 1) - 1
         return watch_tables(system, dict.fromkeys(map(str, range(count)), UNTRACKED))
     if loop.accounts:

@@ -9,7 +9,6 @@ import numpy.typing as npt
 from numpy.typing import NDArray
 
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, member_count, members_text, missing_attitude
-from coadjoint.systems.protocol import is_batch, members_of, unforced
 from coadjoint.validation import read_numbers
 
 if TYPE_CHECKING:
@@ -165,7 +164,7 @@ class BodyMotion(SolutionAttributes):
 
         The errors are those of `rotation`.
         """
-        if getattr(unforced(self.system), "has_attitude", False):
+        if getattr(self.system.unforced, "has_attitude", False):
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
             if self.carried is None:
@@ -188,10 +187,12 @@ class BodyMotion(SolutionAttributes):
 
     def _of_bodies(self, name: str, what: str) -> NDArray[np.float64]:
         """Return what the system of each member reads from its states, over times (and members)."""
-        functions = [getattr(unforced(one), name, None) for one in members_of(self.system)]
+        functions = [
+            getattr(one.unforced, name, None) for one in (self.system if self.system.is_batch else (self.system,))
+        ]
         if None in functions:
             raise TypeError(f"the states of {self.system.name} have no {what}")
-        if not is_batch(self.system):
+        if not self.system.is_batch:
             return np.asarray(functions[0](self.x))  # type: ignore[misc]
         return np.stack([read(self.x[:, m]) for m, read in enumerate(functions)], axis=1)  # type: ignore[misc]
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.protocol import is_batch, is_matrix_system, member_of, unforced
 
 Floats = NDArray[np.float64]
 
@@ -91,9 +90,9 @@ def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> di
         summed = np.arange(len(value)) if number < SUMMED_INVARIANTS else np.flatnonzero(value < CANCELLATION * largest)
         size = value.copy()
         for members in _groups(system, summed, states[0].size) if system is not None else ():
-            plain = unforced(member_of(system, int(members[0])))
+            plain = system.of_member(int(members[0])).unforced
             invariant = plain.hamiltonian if name == "energy" else plain.casimirs.get(name)
-            rows = states[members] if is_matrix_system(plain) else states[members].reshape(len(members), -1)
+            rows = states[members] if plain.has_matrices else states[members].reshape(len(members), -1)
             terms = sum_of_absolute_terms(invariant, rows)
             size[members] = np.where(value[members] < CANCELLATION * terms, terms, value[members])
         size[~(np.isfinite(size) & (size > 0.0))] = 1.0
@@ -104,7 +103,7 @@ def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> di
 def _groups(system: Any, members: NDArray[np.int64], numbers: int) -> list[NDArray[np.int64]]:
     """Return members of one system in groups whose terms are summed together."""
     length = max(1, SUMMED_NUMBERS // numbers)
-    if is_batch(system):
+    if system.is_batch:
         owners = system.owners[members]
         order = np.argsort(owners, kind="stable")
         of_systems = np.split(members[order], np.flatnonzero(np.diff(owners[order])) + 1)

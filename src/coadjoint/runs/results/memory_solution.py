@@ -13,7 +13,6 @@ from coadjoint.keyword_hints import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.start import Start, start_without_groups
-from coadjoint.systems.protocol import states_of
 
 if TYPE_CHECKING:
     from coadjoint.kernels.arrays import Layout, NamedArrays
@@ -169,7 +168,7 @@ class MemorySolution(Solution):
         return series[:, 0] if self._start.single else series
 
     def _states(self, rows: Floats) -> NDArray[Any]:
-        return np.asarray(states_of(self._start.system, rows))
+        return np.asarray(self._start.system.states_of(rows))
 
 
 class SolutionOfVector(MemorySolution):

@@ -14,7 +14,6 @@ from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.protocol import unforced_matrix_system
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_number
@@ -31,11 +30,11 @@ class Observed:
         from coadjoint.kernels.tables.invariants import watch_tables
         from coadjoint.kernels.tables.recording import values_along
 
-        self._names, self._matrices = list(observe), unforced_matrix_system(system)
+        self._names, self._matrices = list(observe), system.matrix_system
         self._quantities = dict(observe)
         start: Any = x0
         if self._matrices is not None:
-            start = self._matrices.states(x0)
+            start = self._matrices.states_of(x0)
             _check_matrix_functions(self._matrices, observe)
         for name, quantity in observe.items():
             value = _value_at(quantity, name, start.copy())
@@ -67,7 +66,7 @@ class Observed:
         timed = takes_time(function, name)
         values = np.full(points.shape[:2], np.nan)
         for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
-            W = system.states(points[k, m, : system.dim].copy())
+            W = system.states_of(points[k, m, : system.dim].copy())
             value = function(W, float(t[k])) if timed else function(W)
             values[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
         return values

@@ -16,7 +16,6 @@ from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, 
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.coordinates import CoordinateGroups
-from coadjoint.systems.protocol import is_batch, unforced_matrix_system
 from coadjoint.validation import read_bool
 
 if TYPE_CHECKING:
@@ -370,7 +369,7 @@ class Solution(SolutionOutput):
         >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
         True
         """
-        system = unforced_matrix_system(self.system)
+        system = self.system.matrix_system
         if system is None:
             raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
         axes = 1 if self.failed is None else 2  # of times and members
@@ -414,7 +413,7 @@ class Solution(SolutionOutput):
         """
         modified_hamiltonian = shortcut("modified_hamiltonian")
         h = self.step if self.t_span[1] > self.t_span[0] else -self.step
-        if is_batch(self.system):
+        if self.system.is_batch:
             hamiltonians = [modified_hamiltonian(member, self.method, order) for member in self.system]
             return np.stack([H(self.x[:, m], h) for m, H in enumerate(hamiltonians)], axis=1)
         return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
-from coadjoint.systems.protocol import unforced
 
 if TYPE_CHECKING:
     import xarray
@@ -238,7 +237,7 @@ class SolutionAttributes:
 def missing_attitude(solution: Any) -> str:
     """Explain why a run has no group element, and where its attitude is found."""
     what = f"the run of {solution.system.name} has no"
-    if getattr(unforced(solution.system), "has_attitude", False):
+    if getattr(solution.system.unforced, "has_attitude", False):
         return f"{what} group element, since attitudes are part of its states; take sol.rotation"
     return f"{what} attitude; give attitude=True to integrate"
 

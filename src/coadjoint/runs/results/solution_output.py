@@ -10,7 +10,6 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.body_motion import BodyMotion
 from coadjoint.short_repr import distinct, html_table
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.protocol import member_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -192,7 +191,7 @@ class SolutionOutput(BodyMotion):
 
 def is_driven(system: Any) -> bool:
     """Whether the Hamiltonian depends on time; a change of the energy is then not a drift."""
-    return bool(getattr(member_of(system).hamiltonian, "timed", False))
+    return bool(getattr(system.of_member(0).hamiltonian, "timed", False))
 
 
 def extent_text(solution: Solution) -> str:

@@ -88,6 +88,7 @@ class MatrixSystem(System):
 
     sign = 1
     shape: tuple[int, ...] = ()
+    has_matrices = True
     second_stream: Stream | None = None
     energy_unit: float = 1.0
     """Energy of ``<P, W>/2 = 1``."""
@@ -160,6 +161,11 @@ class MatrixSystem(System):
     def casimirs(self) -> dict[str, Any]:
         """Name to function of W, shape (..., N, N), or of its vectors: the traces of powers."""
         return dict(traces_of(self.algebra, self.powers, self.matrices, self.to_vector))
+
+    @property
+    def matrix_system(self) -> MatrixSystem:
+        """The Hamiltonian part, which has the matrices."""
+        return self.unforced
 
     @cached_property
     def in_numbers(self) -> MatrixSystem:
@@ -327,6 +333,10 @@ class MatrixSystem(System):
         """Validate initial states that are matrices, and return them."""
         return self.algebra.read(given, what)
 
-    def states(self, rows: Floats) -> Matrix:
-        """Return vectors as states of this system, which are matrices."""
+    def states_of(self, rows: Floats) -> Matrix:
+        """Return rows of numbers as states, which are matrices unless the system is `in_numbers`."""
         return self.from_vector(rows) if self.shape == self.matrix_shape else rows
+
+    def rows_of(self, states: Matrix) -> Floats:
+        """Return states as rows of numbers."""
+        return self.to_vector(states) if self.shape == self.matrix_shape else states

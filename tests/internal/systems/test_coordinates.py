@@ -7,8 +7,7 @@ from scipy.sparse.csgraph import connected_components
 
 import coadjoint as co
 from coadjoint.algebra.exact.components import strongly_connected
-from coadjoint.systems import protocol
-from coadjoint.systems.coordinates import CoordinateGroups, coordinate_names
+from coadjoint.systems.coordinates import CoordinateGroups, coordinate_names, coordinates_of
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -78,5 +77,5 @@ DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 
 
 def test_attributes_of_own_systems_are_not_those_of_forces_and_batches():
     own = type("Own", (co.System,), {"name": "own body", "dim": 3, "algebra": BODY.algebra, "systems": ("SI", "CGS")})()
-    assert protocol.coordinates_of(own) == coordinate_names(own) == ("x1", "x2", "x3")
+    assert coordinates_of(own) == coordinate_names(own) == ("x1", "x2", "x3")
     assert coordinate_names(co.batch([DAMPED, DAMPED])) == coordinate_names(BODY)
