@@ -19,6 +19,18 @@ FIRST = "rigid_body", "heavy_top"
 """Systems whose pictures are shown where they declare the kind; otherwise the first one that does."""
 
 RUNS = {
+    "angular momentum": """\
+import coadjoint as co
+
+system = co.systems.heavy_top(inertia=(1, 2, 3), lever=(0, 0, 1))
+sol = co.integrate(system, (0.5, 0.2, 2.0, 0.6, 0.0, 0.8), (0, 30), 0.05, attitude=True)
+figure = sol.plot([co.plotting.Picture("angular momentum", frame="space")])""",
+    "angular velocity": """\
+import coadjoint as co
+
+system = co.systems.heavy_top(inertia=(1, 2, 3), lever=(0, 0, 1))
+sol = co.integrate(system, (0.5, 0.2, 2.0, 0.6, 0.0, 0.8), (0, 30), 0.05, attitude=True)
+figure = sol.plot("angular velocity")""",
     "body": """\
 import coadjoint as co
 

@@ -108,6 +108,11 @@ class LiePoissonSystem(System):
     _integrals: Mapping[str, Any]
     _layout: dict[str, Any]
 
+    @property
+    def _kind(self) -> type[LiePoissonSystem]:
+        """The class of the systems with which a batch mixes this one."""
+        return type(self)
+
     def __init__(
         self,
         algebra: LieAlgebra,

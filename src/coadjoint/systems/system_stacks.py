@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -19,7 +18,6 @@ from coadjoint.systems.vanishing_products import without_cancelling
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-STACKED = (LiePoissonSystem, ClassicalBody)
 MAX_DIMENSION = 1024  # of larger systems, tables of which each takes long, no structures are compared
 
 
@@ -115,7 +113,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
     known: dict[Hashable, int] = {}
     members: dict[Hashable, tuple[list[int], list[Any]]] = {}
     for m, system in enumerate(systems):
-        if all(type(system) is not kind for kind in STACKED) or system.dim > MAX_DIMENSION:
+        if getattr(system, "_kind", None) is not LiePoissonSystem or system.dim > MAX_DIMENSION:
             continue
         structure = _Structure()
         for term in system.hamiltonian.terms():

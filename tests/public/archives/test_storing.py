@@ -70,7 +70,7 @@ def test_every_part_is_covered():
     derived = {
         "system", "stats", "events", "choice", "error_estimate", "step_error", "rotation", "to_pandas", "t_eval",
         "drift", "balance", "change", "modified_energy", "spectrum", "at", "to_xarray", "plot", "movie",
-        "positions", "velocities", "angular_velocity", "angular_momentum",
+        "positions", "velocities", "angular_velocity", "angular_momentum", "in_space",
     }  # fmt: skip
     public = {name for name in dir(run("one body")) if not name.startswith("_")}
     assert public == {*PARTS} | derived
@@ -126,7 +126,7 @@ def test_archives_follow_cf_conventions(tmp_path, name, store):
             assert variable.attrs["long_name"], label
             assert (variable.attrs.get("units") == "1") == (variable.dtype.kind == "f"), label
         assert found["time"].dims == ("time",) and found["time"].dtype == "float64"
-        assert set(found.dims) - set(found.coords) <= {"member", "row", "column"}
+        assert set(found.dims) - set(found.coords) <= {"member", "row", "column", "axis"}
         assert found["x"].dims[0] == "time" and found["energy"].dims == found["x"].dims[: found["energy"].ndim]
         for label, variable in run(name).to_xarray(grid=False).variables.items():
             np.testing.assert_array_equal(found[label].values, variable.values, err_msg=label)

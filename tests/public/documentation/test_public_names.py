@@ -76,7 +76,7 @@ def test_type_checker_knows_the_public_names(tmp_path):
     command = [sys.executable, "-m", "mypy", "--strict", "--config-file", "", str(file)]
     paths = {**os.environ, "MYPYPATH": str(ROOT / "src")}
     output = subprocess.run(command, capture_output=True, text=True, env=paths, cwd=ROOT).stdout
-    for line, kind in [(5, "LiePoissonSystem"), (6, "LiePoissonSystem"), (7, "LieAlgebra"), (8, "Torque")]:
+    for line, kind in [(5, "ClassicalBody"), (6, "LiePoissonSystem"), (7, "LieAlgebra"), (8, "Torque")]:
         assert any(f":{line}: note: Revealed" in row and f".{kind}" in row for row in output.splitlines()), output
     assert ":10: note: Revealed type is" in output and "ndarray" in output
     for line, name in [(11, "frisbee"), (12, "integrat"), (13, "so3"), (14, "Spliting")]:

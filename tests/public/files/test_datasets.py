@@ -17,7 +17,8 @@ def test_variables_and_attributes():
         co.systems.rigid_body(), X, (0.0, 2.0), 0.1, observe={"x1 x2": co.Polynomial({(1, 1, 0): 1})}, attitude=True
     )
     dataset = sol.to_xarray()
-    assert dict(dataset.sizes) == {"time": 21, "component": 3, "invariant": 2, "tenth": 10, "row": 3, "column": 3}
+    sizes = {"time": 21, "component": 3, "invariant": 2, "tenth": 10, "row": 3, "column": 3, "axis": 3}
+    assert dict(dataset.sizes) == sizes
     assert dataset["component"].values.tolist() == ["x1", "x2", "x3"]
     assert dataset["x"].dims == ("time", "component")
     assert dataset["attitude"].dims == ("time", "row", "column")

@@ -91,7 +91,7 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     if solution.events is not None:
         variables |= variables_of(solution.events)
     fields, of_grid = vorticity_variables(solution, grid)
-    variables |= fields | angular_motion_variables(solution)
+    variables |= fields | ({} if grid is False else angular_motion_variables(solution))
     coordinates = {**parameters_of(solution.system), **coordinates_of(solution), **of_grid}
     return with_checksum(unstacked(xarray.Dataset(variables, coordinates, attributes_of(solution))))
 

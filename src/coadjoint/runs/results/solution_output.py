@@ -34,15 +34,17 @@ class SolutionOutput(BodyMotion):
         ----------
         grid : (int, int) or bool, optional
             Of a fluid: the numbers of latitudes and longitudes (on the torus, of points along both sides) at which the
-            dataset has the vorticity; False for none, True for those of ``system.grid()``. By default True for fields
-            of at most 128 MB, where the package that evaluates spherical harmonics is installed.
+            dataset has the vorticity; False for none, nor the motion of bodies, True for those of ``system.grid()``. By
+            default True for fields of at most 128 MB, where the package that evaluates spherical harmonics is
+            installed.
 
         Returns
         -------
         xarray.Dataset
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr. Runs of fluids have also
             ``vorticity`` over ``latitude`` and ``longitude`` in degrees, or ``eastward`` and ``northward``, relative to
-            the rotating sphere; runs of two fields ``carried`` as well.
+            the rotating sphere; runs of two fields ``carried`` as well. Runs of bodies in memory have their
+            ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also ``body``.
 
         Raises
         ------

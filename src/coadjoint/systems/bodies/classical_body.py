@@ -18,6 +18,10 @@ class ClassicalBody(LiePoissonSystem):
 
     bodies: tuple[int, ...] = ()
 
+    @property
+    def _kind(self) -> type[LiePoissonSystem]:
+        return LiePoissonSystem  # it only adds functions of the state
+
     def angular_momentum(self, x: npt.ArrayLike) -> Floats:
         """Return the angular momentum in the body frame: the first part of the state.
 
