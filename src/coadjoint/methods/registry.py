@@ -15,10 +15,12 @@ from typing import Any, TypeVar
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
+from coadjoint.plain_forms import construct, plain
+from coadjoint.plain_forms import from_description as described
 from coadjoint.program.parts.decompose import ChosenParts
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.validation import check_parameters, read_choice
+from coadjoint.validation import read_choice
 
 Scheme = TypeVar("Scheme", bound=type[Method])
 
@@ -180,11 +182,7 @@ def get(name: str, /, **parameters: Any) -> Method:
     >>> get("Composition", base={"name": "Splitting"}, coefficients=[1.0]).order
     2
     """
-    chosen = scheme(name)
-    known = parameters_of(name)
-    required = [key for key, default in known.items() if default is inspect.Parameter.empty]
-    check_parameters(name, parameters, known, required)
-    return chosen(**{key: _read_value(value) for key, value in parameters.items()})
+    return construct("method", _schemes(), name, parameters)  # type: ignore[no-any-return]
 
 
 def from_description(description: Mapping[str, Any]) -> Method:
@@ -211,21 +209,7 @@ def from_description(description: Mapping[str, Any]) -> Method:
     ... )
     True
     """
-    if not isinstance(description, Mapping):
-        raise TypeError(
-            f"a scheme is described by a mapping, not by {short(description)}; give its name and parameters"
-        )
-    parameters = dict(description)
-    name, nested = parameters.pop("name", None), parameters.pop("parameters", {})
-    if not isinstance(name, str) or not isinstance(nested, Mapping):
-        raise ValueError(
-            f"{short(dict(description))} is not a scheme; "
-            "give its name and parameters, such as name = 'Splitting', order = 2"
-        )
-    repeated = sorted(parameters.keys() & nested.keys())
-    if repeated:
-        raise ValueError(f"the parameter {short(repeated[0])} of {name} is given twice; give it once")
-    return get(name, **{**parameters, **nested})
+    return described("method", _schemes(), description)  # type: ignore[no-any-return]
 
 
 def read_method(value: Any) -> Method:
@@ -263,13 +247,6 @@ ADAPTIVE_NAMES = frozenset(("rk45", "rk23", "dop853", "radau", "bdf", "lsoda", "
 TABLEAU_NAMES = frozenset(("rk4", "runge2"))
 
 
-def _read_value(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        # Mappings without a name are chosen parts.
-        return from_description(value) if "name" in value else {key: _read_value(entry) for key, entry in value.items()}
-    return tuple(_read_value(entry) for entry in value) if isinstance(value, list) else value
-
-
 def parameters_of(name: str) -> dict[str, Any]:
     """Return the parameters of a scheme with their defaults (``inspect.Parameter.empty`` if there is none).
 
@@ -292,8 +269,9 @@ def documentation_of(name: str) -> str:
     return (inspect.getdoc(scheme(name)) or "").partition("\nExamples\n")[0].rstrip()
 
 
+@plain.register(Method)
 def description_of(method: Method) -> dict[str, Any]:
-    """Return a scheme as name and parameters in plain numbers, lists and text, for `from_description`.
+    """Return the plain form of a scheme, its name and parameters, for `from_description`.
 
     TypeError: the scheme is not a dataclass, so that its parameters are unknown.
 
@@ -305,17 +283,20 @@ def description_of(method: Method) -> dict[str, Any]:
     """
     if not dataclasses.is_dataclass(method):
         raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be stored; make it one")
-    fields = [field.name for field in dataclasses.fields(method) if field.init]
-    return {"name": type(method).__name__, "parameters": {key: _plain_value(getattr(method, key)) for key in fields}}
+    values = {field.name: getattr(method, field.name) for field in dataclasses.fields(method) if field.init}
+    return {"name": type(method).__name__, "parameters": plain(values)}
 
 
-def _plain_value(value: Any) -> Any:
-    if isinstance(value, ChosenParts):
-        return value.to_mapping()
-    if isinstance(value, Method):
-        return description_of(value)
-    if isinstance(value, Quadratic):
-        value = value.to_polynomial()
-    if isinstance(value, Polynomial):
-        return [[float(coefficient), list(powers)] for powers, coefficient in value.monomials.items()]
-    return [_plain_value(entry) for entry in value] if isinstance(value, tuple | list) else value
+@plain.register(Quadratic)
+def _(value: Quadratic) -> Any:
+    return _terms(value.to_polynomial())
+
+
+@plain.register(Polynomial)
+def _terms(value: Polynomial) -> list[Any]:
+    return [[float(coefficient), list(powers)] for powers, coefficient in value.monomials.items()]
+
+
+@plain.register(ChosenParts)
+def _(value: ChosenParts) -> dict[str, Any]:
+    return value.to_mapping()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.plain_forms import plain
 from coadjoint.short_repr import html_table, short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -59,7 +60,10 @@ def description(name: str) -> dict[str, Any]:
         "summary": summary_of(builder),
         "equations": [_line(text) for text in equations.split("\n\n") if text.strip()],
         "parameters": {
-            key: {"default": _plain(value.default), **documented.get(key, {"kind": "", "meaning": ""})}
+            key: {
+                "default": None if value.default is inspect.Parameter.empty else plain(value.default),
+                **documented.get(key, {"kind": "", "meaning": ""}),
+            }
             for key, value in inspect.signature(builder).parameters.items()
         },
         "state": _line(sections.get("Returns", "").partition("\n")[2]),
@@ -114,12 +118,6 @@ def _entries(text: str) -> dict[str, dict[str, str]]:
 
 def _line(text: str) -> str:
     return " ".join(text.replace("``", "").replace("`", "").split())
-
-
-def _plain(value: Any) -> Any:
-    if value is inspect.Parameter.empty:
-        return None
-    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value
 
 
 def _formula(value: Any, system: Any) -> str | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping, Sequence
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL
 from coadjoint.files.records.matrix_records import matrix_record
 from coadjoint.files.records.reconstruction import system_of
 from coadjoint.files.records.stored_axes import axes_record
+from coadjoint.plain_forms import plain
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force
@@ -61,7 +61,7 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         functions = [f"{system.name}: {key}" for key, value in parameters.items() if callable(value)]
         if functions:
             return {"name": system.name, "not_stored": functions}
-        return {"name": system.name, "parameters": {key: _plain(value) for key, value in parameters.items()}}
+        return {"name": system.name, "parameters": {key: plain(value) for key, value in parameters.items()}}
     if isinstance(system, MatrixSystem):
         return matrix_record(system)
     if not isinstance(system, LiePoissonSystem):
@@ -90,7 +90,7 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     if system.integrals:
         record["integrals"] = invariants_record(system.integrals)
     if system.layout:
-        record["layout"] = {key: _plain(value) for key, value in system.layout.items()}
+        record["layout"] = {key: plain(value) for key, value in system.layout.items()}
     if missing:
         record["not_stored"] = missing
     return record
@@ -163,34 +163,19 @@ def _force_record(force: Force) -> dict[str, Any] | None:
     if described.KINDS.get(record["name"]) is not type(force):
         return None
     for key, value in force.parameters().items():
-        entry = _force_record(value) if isinstance(value, Force) else None if callable(value) else _plain(value)
+        entry = _force_record(value) if isinstance(value, Force) else None if callable(value) else plain(value)
         if entry is None and value is not None:
             return None
         record[key] = entry
     return record
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, tuple) and np.asarray(value).dtype.kind == "c":
-        matrix = np.asarray(value)
-        return {"real": matrix.real.tolist(), "imaginary": matrix.imag.tolist()}
-    if isinstance(value, tuple | list):
-        return [_plain(entry) for entry in value]
-    return {str(key): _plain(entry) for key, entry in value.items()} if isinstance(value, Mapping) else value
-
-
 def _function_name(function: Any) -> str:
     return str(getattr(function, "__name__", type(function).__name__))
 
 
-def _number(value: Any) -> Any:
-    return f"{value.numerator}/{value.denominator}" if isinstance(value, Fraction) else value
-
-
 def _monomials(polynomial: Polynomial) -> list[list[Any]]:
-    return [[_number(value), list(exponents)] for exponents, value in polynomial.monomials.items()]
+    return [[plain(value), list(exponents)] for exponents, value in polynomial.monomials.items()]
 
 
 def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
@@ -221,7 +206,7 @@ def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
 def _formula_record(function: ParsedFunction, factors: Sequence[Any]) -> dict[str, Any]:
     """Return the formula of a function as its text, and the factors that multiply it."""
     names = None if function.names is None else list(function.names)
-    parameters = {name: _number(value) for name, value in function.parameters.items()}
+    parameters = {name: plain(value) for name, value in function.parameters.items()}
     return {
         "kind": "formula",
         "dim": function.dim,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Any
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.short_repr import short
+from coadjoint.plain_forms import construct
+from coadjoint.plain_forms import from_description as described
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.beta_plane import BetaPlane
 from coadjoint.systems.forces.control_moment_gyros import ControlMomentGyros
@@ -26,7 +26,6 @@ from coadjoint.systems.forces.sampled import Sampled
 from coadjoint.systems.forces.thrusters import Thrusters
 from coadjoint.systems.forces.torque import Torque
 from coadjoint.systems.forces.viscosity import Viscosity
-from coadjoint.validation import check_parameters, read_choice
 
 FORCES: tuple[type[Force], ...] = (
     *(BetaPlane, DoubleBracketDamping, Friction, HeatBath, LinearDamping),
@@ -79,11 +78,7 @@ def get(name: str, /, **parameters: Any) -> Force:
     >>> get("LinearDamping", rate=0.5)
     LinearDamping(rate=0.5, toward=0.0)
     """
-    kind = KINDS[read_choice(name, "force", KINDS)]
-    known = inspect.signature(kind).parameters
-    required = [key for key, parameter in known.items() if parameter.default is inspect.Parameter.empty]
-    check_parameters(name, parameters, known, required)
-    return kind(**parameters)
+    return construct("force", KINDS, name, parameters)  # type: ignore[no-any-return]
 
 
 def from_description(description: Mapping[str, Any]) -> Force:
@@ -92,7 +87,7 @@ def from_description(description: Mapping[str, Any]) -> Force:
     Parameters
     ----------
     description : mapping
-        ``"name"``, and parameters.
+        ``"name"`` and the parameters, or ``"name"`` and a mapping ``"parameters"``.
 
     Returns
     -------
@@ -108,14 +103,4 @@ def from_description(description: Mapping[str, Any]) -> Force:
     >>> from_description({"name": "Torque", "torque": [0.0, 0.0, 1.0]})
     Torque(torque=(0.0, 0.0, 1.0))
     """
-    parameters = {
-        key: from_description(value) if isinstance(value, Mapping) and "name" in value else value
-        for key, value in description.items()
-    }
-    name = parameters.pop("name", None)
-    if not isinstance(name, str):
-        raise ValueError(
-            f"{short(dict(description))} is not a force; give its name and parameters, such as name = 'LinearDamping', "
-            "rate = 0.1"
-        )
-    return get(name, **parameters)
+    return described("force", KINDS, description)  # type: ignore[no-any-return]
