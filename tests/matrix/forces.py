@@ -41,7 +41,7 @@ def force_text(name: str, system: Any) -> str:
     """Return a registered force as text; with matrices `system` is the name of the system."""
     parameters = inspect.signature(getattr(co.forces, name)).parameters.values()
     given = [p.name for p in parameters if p.default is p.empty or p.name in GIVEN_ANYWAY]
-    values = VALUES | ({"torque": OF_MATRICES} if hasattr(system, "in_numbers") else {})
+    values = VALUES | ({"torque": OF_MATRICES} if system.has_matrices else {})
     return f"co.forces.{name}({', '.join(f'{key}={values[key].format(system)}' for key in given)})"
 
 

@@ -30,7 +30,7 @@ def exact_end(system: Any, states: np.ndarray, start: float, end: float) -> np.n
 def field(system: Any, x: np.ndarray, t: float) -> np.ndarray:
     """Return x'; states of matrices, which rounding may move out of their algebra, are projected on it."""
     plain = system.unforced
-    if not hasattr(plain, "in_numbers"):
+    if not plain.has_matrices:
         return system.vector_field(x, t)
     given = () if plain is system else (t,)
     return np.stack([system.vector_field(W, *given) for W in plain.algebra.projected(x)])
@@ -127,7 +127,7 @@ def rounding_of(sol: co.Solution) -> dict[str, float]:
     invariant itself is one more.
     """
     plain = getattr(sol.system, "system", sol.system)
-    vectors = getattr(plain, "in_numbers", plain)
+    vectors = plain.in_numbers
     states = sol.x[: measured(sol)]
     states = states[:: max(1, len(states) // 8)]
     if vectors is not plain:
@@ -148,7 +148,7 @@ def rounding_of_group(sol: co.Solution, size: float) -> float:
 def preserved(system: Any, properties: co.methods.Properties) -> list[str]:
     """Return the names of the invariants that a scheme declares to preserve."""
     plain = system.unforced
-    casimirs = getattr(plain, "in_numbers", plain).casimirs
+    casimirs = plain.in_numbers.casimirs
 
     def kept(casimir: Any) -> bool:
         polynomial = isinstance(casimir, co.Polynomial)

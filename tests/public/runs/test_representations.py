@@ -115,7 +115,7 @@ def results():
     yield co.equilibrium(body, (0.9, 0.1, 0.1))
     lines = co.frequencies(sol, None, 3)
     yield from (lines, lines.combinations(), co.frequencies(sol, 1, 10))
-    yield from (co.analysis.slope([0.4, 0.2, 0.1], [1.6e-3, 4e-4, 1e-4], [1e-16] * 3),)
+    yield co.analysis.fit_order([0.4, 0.2, 0.1], [1.6e-3, 4e-4, 1e-4], [1e-16] * 3)
     yield co.analysis.fit_order(np.linspace(0.1, 0.4, 30), np.linspace(0.1, 0.4, 30) ** 2)
     yield co.analysis.growth(np.linspace(0.0, 50.0, 500), np.linspace(0.0, 1.0, 500))
     yield from (co.methods.gauss_tableau(3), co.modified_hamiltonian(body, method, order=2))
