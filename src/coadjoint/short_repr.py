@@ -1,9 +1,11 @@
-"""Short one-line representations of arbitrary values for messages."""
+"""Representations of arbitrary values: short ones in one line for messages, and plain ones for JSON and TOML."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
+from fractions import Fraction
+from functools import singledispatch
 from types import BuiltinFunctionType, FunctionType, MethodType
 from typing import Any
 
@@ -208,3 +210,43 @@ def _truncated_repr(value: Any, limit: int) -> str:
         return " ".join(repr(value)[: 8 * limit].split())
     except Exception:
         return f"<{type(value).__name__} object without a representation>"
+
+
+@singledispatch
+def plain(value: Any) -> Any:
+    """Return the plain form of a value; the modules of polynomials, schemes and forces register theirs.
+
+    Examples
+    --------
+    >>> plain({"inertia": np.array([1.0, 2.0]), "rate": Fraction(1, 3), "shift": (1, 1j)})
+    {'inertia': [1.0, 2.0], 'rate': '1/3', 'shift': {'real': [1.0, 0.0], 'imaginary': [0.0, 1.0]}}
+    """
+    return value
+
+
+@plain.register(np.ndarray)
+@plain.register(np.generic)
+def _(value: Any) -> Any:
+    if value.dtype.kind == "c":
+        return {"real": value.real.tolist(), "imaginary": value.imag.tolist()}
+    return plain(value.tolist()) if value.dtype.kind == "O" else value.tolist()
+
+
+@plain.register(tuple)
+@plain.register(list)
+def _(value: Any) -> Any:
+    return plain(np.array(value)) if _has_complex(value) else [plain(entry) for entry in value]
+
+
+def _has_complex(value: Any) -> bool:
+    return any(map(_has_complex, value)) if isinstance(value, tuple | list) else isinstance(value, complex)
+
+
+@plain.register(Mapping)
+def _(value: Any) -> Any:
+    return {str(key): plain(entry) for key, entry in value.items()}
+
+
+@plain.register(Fraction)
+def _(value: Any) -> Any:
+    return f"{value.numerator}/{value.denominator}"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 import numbers
-from collections.abc import Collection, Iterable, Mapping, Sized
+from collections.abc import Callable, Collection, Iterable, Mapping, Sized
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -381,6 +382,47 @@ def read_choice(value: Any, what: str, known: Collection[str]) -> str:
     if not isinstance(value, str) or value not in known:
         raise unknown_name(what, value, known)
     return str(value)
+
+
+def construct(what: str, kinds: Mapping[str, Callable[..., Any]], name: Any, parameters: Mapping[str, Any]) -> Any:
+    """Return what is made by its name in `kinds` and its parameters, of which objects may be described by mappings."""
+    made = kinds[read_choice(name, what, kinds)]
+    known = inspect.signature(made).parameters
+    required = [key for key, parameter in known.items() if parameter.default is inspect.Parameter.empty]
+    check_parameters(str(name), parameters, known, required)
+
+    def read(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            if "name" in value:
+                return from_description(what, kinds, value)
+            return {key: read(entry) for key, entry in value.items()}
+        return tuple(map(read, value)) if isinstance(value, list) else value
+
+    return made(**{key: read(value) for key, value in parameters.items()})
+
+
+def from_description(what: str, kinds: Mapping[str, Callable[..., Any]], description: Any) -> Any:
+    """Return the object that a mapping describes: its name, and parameters beside it or in ``"parameters"``.
+
+    Examples
+    --------
+    >>> from_description("number", {"complex": complex}, {"name": "complex", "parameters": {"real": 1, "imag": 2}})
+    (1+2j)
+    """
+    if not isinstance(description, Mapping):
+        raise TypeError(
+            f"a {what} is described by a mapping, not by {short(description)}; give its name and parameters"
+        )
+    parameters = dict(description)
+    name, nested = parameters.pop("name", None), parameters.pop("parameters", {})
+    if not isinstance(name, str) or not isinstance(nested, Mapping):
+        raise ValueError(
+            f"{short(dict(description))} is not a {what}; give its name and parameters, such as name = {min(kinds)!r}"
+        )
+    repeated = sorted(parameters.keys() & nested.keys())
+    if repeated:
+        raise ValueError(f"the parameter {short(repeated[0])} of {name} is given twice; give it once")
+    return construct(what, kinds, name, {**parameters, **nested})
 
 
 def read_array_file(path: Path, named: str) -> NDArray[Any]:

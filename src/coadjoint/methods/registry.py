@@ -15,12 +15,11 @@ from typing import Any, TypeVar
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
-from coadjoint.plain_forms import construct, plain
-from coadjoint.plain_forms import from_description as described
 from coadjoint.program.parts.decompose import ChosenParts
-from coadjoint.short_repr import short
+from coadjoint.short_repr import plain, short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.validation import read_choice
+from coadjoint.validation import construct, read_choice
+from coadjoint.validation import from_description as described
 
 Scheme = TypeVar("Scheme", bound=type[Method])
 
@@ -186,29 +185,7 @@ def get(name: str, /, **parameters: Any) -> Method:
 
 
 def from_description(description: Mapping[str, Any]) -> Method:
-    """Return the scheme that a mapping describes, in the form of configuration files.
-
-    Parameters
-    ----------
-    description : mapping
-        ``"name"`` and the parameters, or ``"name"`` and a mapping ``"parameters"`` (if one of them is called name).
-
-    Returns
-    -------
-    Method
-
-    Raises
-    ------
-    ValueError, TypeError
-        As for `get`; and if there is no name, or a parameter is given twice.
-
-    Examples
-    --------
-    >>> from_description({"name": "Splitting", "order": 4}) == from_description(
-    ...     {"name": "Splitting", "parameters": {"order": 4}}
-    ... )
-    True
-    """
+    """Return the scheme of a mapping of its name and parameters, as in configuration files."""
     return described("method", _schemes(), description)  # type: ignore[no-any-return]
 
 

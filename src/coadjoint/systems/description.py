@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.plain_forms import plain
-from coadjoint.short_repr import html_table, short
+from coadjoint.short_repr import html_table, plain, short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems

@@ -107,12 +107,29 @@ def free_bodies(x, inertias, masses, potential, gradient, hessian):
     return spins + sum((x[12 * k + 3 * i : 12 * k + 3 * i + 3] ** 2).sum() / masses[i] / 2 for i in range(k))
 
 
+def gravitating_bodies(x, inertias, masses, G, order):
+    """MacCullagh, for attitudes of any matrix: of the second moments only the anisotropic part acts."""
+    k, total = len(masses), free_bodies(x, inertias, masses, None, None, None)
+    centres = x[15 * k : 18 * k].reshape(k, 3)
+    turned = [x[12 * i + 3 : 12 * i + 12].reshape(3, 3) for i in range(k)]
+    for i in range(k):
+        for j in range(i):
+            apart = centres[i] - centres[j]
+            s = mpmath.sqrt(apart @ apart)
+            total -= G * masses[i] * masses[j] / s
+            for here, other in ((i, j), (j, i)):
+                u, I = turned[here].T @ apart / s, matrix(inertias[here])
+                total -= G * masses[other] * (np.trace(I) * (u @ u) - 3 * (u @ I @ u)) / (2 * s**3)
+    return total
+
+
 # The energy of the state by the parameters, and other arguments of the system.
 FORMULAS = {
     "rigid_body": body,
     "body": lambda x, inertia, attitude, wheels, gyros, held: body(x[:3], inertia),
     "satellite_on_orbit": on_orbit,
     "bodies": free_bodies,
+    "gravitating_bodies": gravitating_bodies,
     "gyrostat": lambda x, inertia, rotors: body(x - rotors, inertia),
     "heavy_top": lambda x, inertia, lever: body(x[:3], inertia) + lever @ x[3:],
     "kovalevskaya_top": lambda x, equatorial, lever: top(x, equatorial, lever, 2),

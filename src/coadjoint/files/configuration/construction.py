@@ -28,7 +28,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
-from coadjoint.validation import read_choice
+from coadjoint.validation import from_description, read_choice
 
 
 def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) -> Polynomial:
@@ -120,7 +120,7 @@ def system_of_file(name: str, file: File) -> System:
     system, forces = _hamiltonian_part(name, file), []
     for k, description in enumerate(file.forces):
         with section(name, f"forces[{k}]"):
-            forces.append(described.from_description(description))
+            forces.append(from_description("force", described.KINDS, description))
     with section(name, "forces"):
         return system.with_forces(*forces) if forces else system
 

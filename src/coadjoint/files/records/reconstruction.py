@@ -25,6 +25,7 @@ from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
+from coadjoint.validation import from_description
 
 BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 BYTES_PER_MEMBER = 100  # of a batch; a reference and its start
@@ -69,7 +70,7 @@ def _system_of(record: Entry, dim: int | None) -> System:
     for force in record["forces"].entries():
         parameters = {key: entry.plain() for key, entry in force.table().items()}
         with as_value_errors(force):
-            forces.append(described.from_description(parameters))
+            forces.append(from_description("force", described.KINDS, parameters))
     system = _unforced_system_of(record["system"], dim)
     with as_value_errors(record["forces"]):
         return system.with_forces(*forces)

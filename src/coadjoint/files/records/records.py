@@ -15,7 +15,7 @@ from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL
 from coadjoint.files.records.matrix_records import matrix_record
 from coadjoint.files.records.reconstruction import system_of
 from coadjoint.files.records.stored_axes import axes_record
-from coadjoint.plain_forms import plain
+from coadjoint.short_repr import plain
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.plain_forms import construct
-from coadjoint.plain_forms import from_description as described
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.beta_plane import BetaPlane
 from coadjoint.systems.forces.control_moment_gyros import ControlMomentGyros
@@ -26,6 +23,7 @@ from coadjoint.systems.forces.sampled import Sampled
 from coadjoint.systems.forces.thrusters import Thrusters
 from coadjoint.systems.forces.torque import Torque
 from coadjoint.systems.forces.viscosity import Viscosity
+from coadjoint.validation import construct
 
 FORCES: tuple[type[Force], ...] = (
     *(BetaPlane, DoubleBracketDamping, Friction, HeatBath, LinearDamping),
@@ -79,28 +77,3 @@ def get(name: str, /, **parameters: Any) -> Force:
     LinearDamping(rate=0.5, toward=0.0)
     """
     return construct("force", KINDS, name, parameters)  # type: ignore[no-any-return]
-
-
-def from_description(description: Mapping[str, Any]) -> Force:
-    """Return the force described by a mapping of its name and parameters, as in a configuration file.
-
-    Parameters
-    ----------
-    description : mapping
-        ``"name"`` and the parameters, or ``"name"`` and a mapping ``"parameters"``.
-
-    Returns
-    -------
-    Force
-
-    Raises
-    ------
-    ValueError, TypeError
-        As for `get`, or the name is missing.
-
-    Examples
-    --------
-    >>> from_description({"name": "Torque", "torque": [0.0, 0.0, 1.0]})
-    Torque(torque=(0.0, 0.0, 1.0))
-    """
-    return described("force", KINDS, description)  # type: ignore[no-any-return]
