@@ -65,6 +65,6 @@ def test_a_grid_of_another_system_is_refused():
     body = co.integrate(S.rigid_body((1, 2, 3)), (1.0, 0.2, 0.1), (0, 1), 0.1)
     with refused(TypeError, "grid", "rigid_body", "no vorticity"):
         body.to_xarray(grid=(3, 4))
-    assert body.to_xarray(grid=False).identical(body.to_xarray())
+    assert "angular_velocity" in body.to_xarray() and "angular_velocity" not in body.to_xarray(grid=False)
     with refused(TypeError, "shape"):
         run(TORUS, TORUS).to_xarray(grid=3)
