@@ -205,6 +205,7 @@ def test_signal_at_any_write(folder, capsys, write, name, again, then):
     (folder / "top.toml").write_text(TOP.format(end=END))
     assert command(capsys, "run", "top.toml", "--out", "alone.nc", "--quiet").status == 0
     found, alone = co.open_archive("run.zarr").to_xarray().load(), xarray.load_dataset("alone.nc", engine="h5netcdf")
+    alone = alone.drop_vars(["angular_velocity", "angular_momentum"])  # of states, which archives do not load
     assert found.sizes["time"] == END / 0.0625 + 1 and set(alone.variables) == set(found.variables)
     for label, variable in alone.variables.items():
         assert np.array_equal(found[label].values, variable.values), label
