@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from jax.scipy.special import ndtri
 from coadjoint.jax.numpy_arrays import on_jax
 from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, Field
 from coadjoint.jax.table_steps import product
+from coadjoint.methods.forced import substeps_of
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.forces.state_torque import NODES, WEIGHTS
 from coadjoint.systems.protocol import forces_of
@@ -25,10 +26,10 @@ Flow = Callable[[Any, Any, Any, Any, Any], Any]
 
 
 class ForcedSteps:
-    """Steps of another scheme between half flows of forces, as of `methods.Forced`."""
+    """Steps of another scheme between half flows of forces, at fractions of the step, as of `methods.Forced`."""
 
-    def __init__(self, inner: Any, system: Any, field: Field) -> None:
-        self.inner = inner
+    def __init__(self, inner: Any, system: Any, field: Field, fractions: Sequence[float]) -> None:
+        self.inner, self.fractions = inner, fractions
         plain = system.unforced
         self.flows: list[Flow] = [
             force.describe_to(ForceFlows(plain, field, f"a function of {label}"), plain)
@@ -45,12 +46,14 @@ class ForcedSteps:
 
     def step(self, constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         """Take a step."""
-        (own, energy), (x, attitude), half = constants, state, 0.5 * h
-        for flow in self.flows:
-            x = flow(energy, x, t, half, member)
-        x, attitude = self.inner.whole(own, (x, attitude), t, h, member)
-        for flow in reversed(self.flows):
-            x = flow(energy, x, t + half, half, member)
+        (own, energy), (x, attitude) = constants, state
+        for begin, length in substeps_of(self.fractions, t, h):
+            half = 0.5 * length
+            for flow in self.flows:
+                x = flow(energy, x, begin, half, member)
+            x, attitude = self.inner.whole(own, (x, attitude), begin, length, member)
+            for flow in reversed(self.flows):
+                x = flow(energy, x, begin + half, half, member)
         return x, attitude
 
     def finish(self, constants: Any, state: Any, t: Any, h: Any, start: Any, elapsed: Any) -> Any:

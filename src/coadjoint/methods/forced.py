@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper, check_base
+from coadjoint.methods.protocol.wrapper import Wrapper, check_base, composition_order
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
 from coadjoint.systems.protocol import forces_of, is_batch
@@ -27,11 +29,14 @@ TANGENT_METHODS = ("formula", "complex step", "differences")
 def effective_scheme(system: Any, method: Method) -> Method:
     """Return the scheme of a run: `Forced` around the given scheme if the system has forces.
 
-    TypeError: the given scheme is already `Forced`.
+    Splittings of higher order are composed with the forces if all of these run backward. TypeError: the given scheme is already `Forced`.
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
-    return Forced(method) if forces_of(system) else method
+    forces = forces_of(system)
+    if not forces:
+        return method
+    return Forced(*method.substeps()) if all(force.reversible for _, force in forces) else Forced(method)
 
 
 def check_supports(system: Any, method: Method) -> None:
@@ -52,6 +57,17 @@ def check_steps(system: Any, t0: float, h: float) -> None:
     for one in system.distinct if is_batch(system) else (system,):
         for _, force in forces_of(one):
             force.check_steps(t0, h)
+
+
+def substeps_of(fractions: Sequence[float], t: Any, h: Any) -> list[tuple[Any, Any]]:
+    """Return the times at which substeps of these fractions begin, and their lengths, as the kernels compute them."""
+    begins = [0.0, *accumulate(fractions)]
+    return [(t + begin * h, c * h) for begin, c in zip(begins, fractions, strict=False)]
+
+
+@cache
+def _order(fractions: tuple[float, ...], order: int) -> int:
+    return order if len(fractions) == 1 else composition_order(fractions, order)
 
 
 class FlowOfForce(NamedTuple):
@@ -92,6 +108,10 @@ def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, t
 class Forced(Wrapper):
     """A scheme for a system with forces, as a symmetric splitting: order two, or one if the scheme has order one.
 
+    Splittings of order 4, 6, 8 and 10 compose it at fractions of the step, some of them negative, and keep their order
+    if the flows of the forces are exact or symmetric. A torque that is a function of the state has order 4 at most.
+    Forces that do not run backward (noise, and what is sampled or held over a step) keep it at order two.
+
     A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
     half flows in reverse order. Each step of the base starts afresh, except for the initial guesses of schemes for
     matrices. `integrate`, `prepare` and `stepper` apply it automatically if a system has forces; use it directly for
@@ -101,6 +121,8 @@ class Forced(Wrapper):
     ----------
     base : Method
         Any scheme that supports the Hamiltonian part.
+    coefficients : tuple of float
+        Fractions of the step at which the symmetric splitting is composed, of sum 1.
 
     Raises
     ------
@@ -118,6 +140,7 @@ class Forced(Wrapper):
     """
 
     base: Method
+    coefficients: tuple[float, ...] = (1.0,)
 
     offered = False
     compensates = False
@@ -127,8 +150,13 @@ class Forced(Wrapper):
 
     @property
     def order(self) -> int:
-        """At most two, the order of the symmetric splitting."""
-        return min(2, self.base.order)
+        """At most two, the order of the symmetric splitting, or that of its composition."""
+        return _order(self.coefficients, min(2, self.base.order))
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Fractions of the substeps."""
+        return self.coefficients
 
     def properties(self, system: Any) -> Properties:
         """Return the properties of the base on the Hamiltonian part, without those that the forces break."""
@@ -157,19 +185,22 @@ class Forced(Wrapper):
         from coadjoint.kernels.tables.forces import forced_loop
 
         check_steps(system, 0.0, h)
-        return forced_loop(system, self.base.loop(system.unforced, h, representation), representation)
+        inner = {c: self.base.loop(system.unforced, c * h, representation) for c in self.coefficients}
+        return forced_loop(system, inner, self.coefficients, representation)
 
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy; noise is that of the first member."""
         self.properties(system)
         if np.ndim(x) > 1 and hasattr(system.unforced, "from_vector"):
             return np.asarray(system.unforced.from_vector(self.step(system, system.unforced.to_vector(x), t, h)))
-        half, y = 0.5 * h, np.asarray(x)
-        for force in system.forces:
-            y = force.flow(system.unforced, y, t, half)
-        y = np.asarray(self.base.step(system.unforced, y, t, h))
-        for force in reversed(system.forces):
-            y = force.flow(system.unforced, y, t + half, half)
+        y = np.asarray(x)
+        for begin, length in substeps_of(self.coefficients, t, h):
+            half = 0.5 * length
+            for force in system.forces:
+                y = force.flow(system.unforced, y, begin, half)
+            y = np.asarray(self.base.step(system.unforced, y, begin, length))
+            for force in reversed(system.forces):
+                y = force.flow(system.unforced, y, begin + half, half)
         return y
 
     def tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -182,21 +213,23 @@ class Forced(Wrapper):
 
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
         self.properties(system)
-        plain, half, y, P, by = system.unforced, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
+        plain, y, P, by = system.unforced, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
 
-        def chain_tangent(force: Force, time: float) -> None:
+        def chain_tangent(force: Force, time: float, half: float) -> None:
             nonlocal y, P
             flow = flow_of_force(force, plain, y, time, half)
             y, P = flow.end, flow.tangents(P.T).T
             by.append(flow.by)
 
-        for force in system.forces:
-            chain_tangent(force, t)
-        by.append(self.base.tangent_by(plain, y, t, h))
-        y, derivative = self.base.tangent(plain, y, t, h)
-        P = derivative @ P
-        for force in reversed(system.forces):
-            chain_tangent(force, t + half)
+        for begin, length in substeps_of(self.coefficients, t, h):
+            half = 0.5 * length
+            for force in system.forces:
+                chain_tangent(force, begin, half)
+            by.append(self.base.tangent_by(plain, y, begin, length))
+            y, derivative = self.base.tangent(plain, y, begin, length)
+            P = derivative @ P
+            for force in reversed(system.forces):
+                chain_tangent(force, begin + half, half)
         return y, P, by
 
     def work(self, system: Any, group: Representation = None) -> Work:

@@ -357,6 +357,13 @@ class Splitting(FlowMethod):
         """Return the sweeps of the processor P of a processed scheme."""
         return [] if self.order == 1 else self._named.processor(number)
 
+    def substeps(self) -> tuple[Method, tuple[float, ...]]:
+        """Return the splitting of order two and the fractions of the composition, if it is one without a processor."""
+        if self.order <= 2 or not self._named.of_second_order or self._named.processed:
+            return super().substeps()
+        half = [float(c) for c in self._named.half]
+        return replace(self, order=2, scheme=None), (*half, *half[-2::-1])
+
     @property
     def _named(self) -> SplittingScheme:
         return SCHEMES[self.scheme or DEFAULT_SCHEMES[self.order]]

@@ -354,6 +354,12 @@ def _stages(
 
 def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
     """Half flows of the forces, a step of the scheme, and half flows in reversed order."""
+    fractions = prepared.scheme.fractions
+    if len(fractions) > 1:
+        raise TypeError(
+            f"{prepared.method} is composed with the forces at fractions of the step, which is not exported; take "
+            "Splitting(order=2), or a scheme without forces"
+        )
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
     forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]
     if inner.compensated:

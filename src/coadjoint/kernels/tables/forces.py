@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -208,8 +208,13 @@ def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     return integers, [system.energy_factor, *numbers], owners
 
 
-def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
-    """Return a loop of steps of `inner`, the Hamiltonian part for one member, between half flows of the forces."""
+def forced_loop(
+    system: Any, inner: Mapping[float, CompiledLoop], fractions: Sequence[float], representation: Any
+) -> CompiledLoop:
+    """Return a loop of substeps at fractions of the step, each between half flows of the forces.
+
+    `inner` are the loops of the Hamiltonian part for one member, by fraction.
+    """
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
@@ -222,24 +227,32 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     hamiltonian_part = system.unforced
     casimirs_conserved = is_matrix_system(hamiltonian_part) or all(force.casimirs for force in system.forces)
     watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
-    loop_integers, loop_keepalive = inner_loop_integers(inner, hamiltonian_part, representation)
+    called = [inner_loop_integers(one, hamiltonian_part, representation) for one in inner.values()]
+    loop_integers = called[0][0]
     structures = [as_structure(table) for table in tables]
     matrices, numbers, owners = _matrices(hamiltonian_part)
-    integers = [*loop_integers, len(tables), *map(ctypes.addressof, structures), *matrices]
+    order = list(inner)
+    integers = [*loop_integers, len(tables), *map(ctypes.addressof, structures), len(called) - 1]
+    first_other = len(integers)
+    integers += [number for numbers_of_loop, _ in called[1:] for number in numbers_of_loop]
+    substeps = [(int(np.float64(c).view(np.int64)), order.index(c)) for c in fractions]
+    integers += [len(substeps), *(number for pair in substeps for number in pair), *matrices]
     step = named_step_tables(
         hamiltonian_part,
         "forced",
         watched,
         integers,
         representation,
-        (*keepalive, *owners, *structures, *loop_keepalive),
+        (*keepalive, *owners, *structures, *(one for _, kept in called for one in kept)),
         numbers,
     )
     recorded = [
         CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, table, k))
         for k, table in enumerate(tables)
     ]
-    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(recorded, len(loop_integers) + 1))}
+    places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(order))]
+    referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
+    referenced |= dict(enumerate(recorded, len(loop_integers) + 1))
     return CompiledLoop(
         STEP_LOOP,
         step.tables,

@@ -144,6 +144,10 @@ class Method(metaclass=ExplainedCalls):
         """Substeps of one step as fractions of it; one unless the scheme is a composition."""
         return (1.0,)
 
+    def substeps(self) -> tuple[Method, tuple[float, ...]]:
+        """Return a scheme and the fractions of a step at which forces act around it, too; one unless of higher order."""
+        return self, (1.0,)
+
     def loop(self, system: System, h: float, representation: Representation = None) -> CompiledLoop:
         """Return the scheme on a system as a compiled loop with its tables.
 

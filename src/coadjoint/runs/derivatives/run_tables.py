@@ -48,11 +48,13 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
     inner = _of_scheme(run, plain, of_plain, h, in_energy, by_inputs and of_plain is not None)
     entries = _flow_entries(run, names)
     attitudes = None if representation is None else AttitudeDerivatives(plain, inner.shift, representation)
-    loops: Any = (
-        loops_of_system(plain, run.base, h, representation)
+    fractions = run.scheme.fractions
+    loops: dict[bool, Any] = {
+        c > 0.0: loops_of_system(plain, run.base, h if c > 0.0 else -h, representation)
         if of_plain is None
-        else InputLoops(of_plain, run.base, h, representation)
-    )
+        else InputLoops(of_plain, run.base, h if c > 0.0 else -h, representation)
+        for c in sorted(fractions)
+    }
 
     def entries_at(values: Floats) -> list[FlowEntry]:
         if inputs is None:
@@ -62,14 +64,14 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
         return moved + (_flow_entries_of_inputs(run, inputs, values, h) if by_inputs else [])
 
     def steps_at(step: float, values: Floats = NONE) -> ForcedSteps:
-        system, of_step = run.system if inputs is None else inputs.system_at(values), loops
+        system, of_steps = run.system if inputs is None else inputs.system_at(values), loops
         inner_values: tuple[Floats, ...] = ()
         if of_plain is not None:
             inner_values = (values[: len(of_plain.values)],)
-            of_step = loops.at(*inner_values)
-        structure = inner.tables_at(step, *inner_values)
-        parts = PartialSteps(unforced(system), run.base, of_step)
-        return ForcedSteps(system, inner, structure, parts, entries_at(values), attitudes)
+            of_steps = {forward: one.at(*inner_values) for forward, one in loops.items()}
+        structures = {c * step: inner.tables_at(c * step, *inner_values) for c in fractions}
+        parts = {(step > 0.0) == with_step: PartialSteps(unforced(system), run.base, one) for with_step, one in of_steps.items()}
+        return ForcedSteps(system, inner, fractions, structures, parts, entries_at(values), attitudes)
 
     every = entries_at(NONE if inputs is None else inputs.values)
     return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])
