@@ -16,6 +16,7 @@ from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import Field, StageSteps
 from coadjoint.jax.table_steps import TableSteps
 from coadjoint.memory import check_available_memory
+from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.provenance import monomials_of
@@ -45,7 +46,10 @@ class XlaRun:
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER)
         self._system = prepared.system
-        self._table = self._describe(prepared.method.expanded, prepared.representation)
+        forced = prepared.scheme if isinstance(prepared.scheme, Forced) else None
+        self._fractions = () if forced is None else forced.fractions
+        scheme = prepared.method if forced is None else forced.base
+        self._table = self._describe(scheme.expanded, prepared.representation)
         self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
         self._t0, self._h = times.t0, times.h
@@ -92,7 +96,9 @@ class XlaRun:
             table = program.to_mapping()
             self._steps = TableSteps(table, program.functions, *_of_group(program, group))
         if forces_of(self._system):
-            self._steps = ForcedSteps(self._steps, self._system, Field(system, table["energy"]["monomials"]))
+            self._steps = ForcedSteps(
+                self._steps, self._system, Field(system, table["energy"]["monomials"]), self._fractions
+            )
         return table
 
     def _initial_attitude(self, prepared: PreparedRun) -> Any:

@@ -29,7 +29,9 @@ TANGENT_METHODS = ("formula", "complex step", "differences")
 def effective_scheme(system: Any, method: Method) -> Method:
     """Return the scheme of a run: `Forced` around the given scheme if the system has forces.
 
-    Splittings of higher order are composed with the forces if all of these run backward. TypeError: the given scheme is already `Forced`.
+    Splittings of higher order are composed with the forces if all of these run backward.
+
+    TypeError: the given scheme is already `Forced`.
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")

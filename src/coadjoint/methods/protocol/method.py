@@ -145,7 +145,7 @@ class Method(metaclass=ExplainedCalls):
         return (1.0,)
 
     def substeps(self) -> tuple[Method, tuple[float, ...]]:
-        """Return a scheme and the fractions of a step at which forces act around it, too; one unless of higher order."""
+        """Return a scheme and the fractions of a step at which forces act around it; one if it is not composed."""
         return self, (1.0,)
 
     def loop(self, system: System, h: float, representation: Representation = None) -> CompiledLoop:

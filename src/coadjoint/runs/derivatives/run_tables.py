@@ -70,7 +70,10 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
             inner_values = (values[: len(of_plain.values)],)
             of_steps = {forward: one.at(*inner_values) for forward, one in loops.items()}
         structures = {c * step: inner.tables_at(c * step, *inner_values) for c in fractions}
-        parts = {(step > 0.0) == with_step: PartialSteps(unforced(system), run.base, one) for with_step, one in of_steps.items()}
+        parts = {
+            (step > 0.0) == with_step: PartialSteps(unforced(system), run.base, one)
+            for with_step, one in of_steps.items()
+        }
         return ForcedSteps(system, inner, fractions, structures, parts, entries_at(values), attitudes)
 
     every = entries_at(NONE if inputs is None else inputs.values)
