@@ -22,10 +22,8 @@ def of_state(x):
 
 
 def spins():
-    """Return three coupled spins with a damping on the orbit."""
-    algebra = co.algebras.so(3) + co.algebras.so(3) + co.algebras.so(3)
-    M = np.diag([1.0, 0.5, 0.2] * 3) - 0.4 * (np.eye(9, k=3) + np.eye(9, k=-3))
-    return co.LiePoissonSystem(algebra, co.Quadratic(M)).with_forces(co.forces.DoubleBracketDamping(0.1))
+    """Return a lattice of coupled spins with a damping on the orbit."""
+    return co.systems.spin_lattice(3).with_forces(co.forces.DoubleBracketDamping(0.1))
 
 
 def so4():

@@ -354,7 +354,10 @@ def _stages(
 
 def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
     """Half flows of the forces, a step of the scheme, and half flows in reversed order."""
-    inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
+    whole = loop.referenced[INNER_LOOP_INDEX]
+    if len(prepared.scheme.fractions) > 1:  # a table of the whole step, since those of the loop have fractions of it
+        whole = prepared.scheme.base.loop(prepared.system.unforced, prepared.step, prepared.representation)
+    inner = _exported(prepared, whole, numbers, inputs, tangent, forced=False)
     forces = [table.tables for table in loop.referenced.values() if isinstance(table.tables, ForceTable)]
     if inner.compensated:
         raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
