@@ -23,7 +23,7 @@ def of_state(x):
 
 def spins():
     """Return a lattice of coupled spins with a damping on the orbit."""
-    return co.systems.spin_lattice(3).with_forces(co.forces.DoubleBracketDamping(0.1))
+    return co.systems.spin_lattice("chain", 3).with_forces(co.forces.DoubleBracketDamping(0.1))
 
 
 def so4():
