@@ -354,10 +354,12 @@ def _stages(
 
 def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
     """Half flows of the forces, a step of the scheme, and half flows in reversed order."""
-    whole = loop.referenced[INNER_LOOP_INDEX]
-    if len(prepared.scheme.fractions) > 1:  # a table of the whole step, since those of the loop have fractions of it
-        whole = prepared.scheme.base.loop(prepared.system.unforced, prepared.step, prepared.representation)
-    inner = _exported(prepared, whole, numbers, inputs, tangent, forced=False)
+    if len(prepared.scheme.fractions) > 1:
+        raise TypeError(
+            f"{prepared.method} is composed with the forces at fractions of the step, which is not exported; take "
+            "Splitting(order=2)"
+        )
+    inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
     forces = [table.tables for table in loop.referenced.values() if isinstance(table.tables, ForceTable)]
     if inner.compensated:
         raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
@@ -369,21 +371,18 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs
         if tangent:
             lines += function(f"force_change_{k}", "double *v, double tau", change)
     x, numbered = f"x{inputs.passed}", range(len(forces))
-    fractions = prepared.scheme.fractions
-    lengths = ["h"] if len(fractions) == 1 else [f"({c!r} * h)" for c in fractions]
-    forward = {h: [f"coadjoint_force_{k}({x}, 0.5 * {h});" for k in numbered] for h in lengths}
+    forward = [f"coadjoint_force_{k}({x}, 0.5 * h);" for k in numbered]
     lines += function("inner_step", f"double *x{declared}, double h", inner.step)
-    step = [line for h in lengths for line in (*forward[h], f"coadjoint_inner_step({x}, {h});", *forward[h][::-1])]
+    step = [*forward, f"coadjoint_inner_step({x}, h);", *forward[::-1]]
     steps = [f"for (; steps > 0; --steps) coadjoint_step({x}, h);"]
     changed: list[str] = []
     if tangent:
         lines += function("inner_change", f"double *x, {VECTORS}{declared}, double h", inner.change)
         each = "for (unsigned long vector = 0; vector < vectors; ++vector)"
-        for h in lengths:
-            moved = [f"coadjoint_force_change_{k}(v + vector * {n}, 0.5 * {h});" for k in numbered]
-            half = [[*block(each, [moved[k]]), forward[h][k]] for k in numbered]
-            middle = f"coadjoint_inner_change(x, v, vectors{inputs.passed}, {h});"
-            changed += [*(line for one in half for line in one), middle, *(line for one in half[::-1] for line in one)]
+        moved = [f"coadjoint_force_change_{k}(v + vector * {n}, 0.5 * h);" for k in numbered]
+        half = [[*block(each, [moved[k]]), forward[k]] for k in numbered]
+        middle = f"coadjoint_inner_change(x, v, vectors{inputs.passed}, h);"
+        changed = [*(line for one in half for line in one), middle, *(line for one in half[::-1] for line in one)]
     return Exported(lines, step, steps, changed, inner.widest)
 
 
