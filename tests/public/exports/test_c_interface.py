@@ -38,6 +38,7 @@ CASES = {
     "monomials": (QUARTIC, co.Splitting(order=4)),
     "series": (co.LiePoissonSystem(co.algebras.get("gl(n)", n=3), co.Quadratic(np.eye(9) + 0.1)), co.Splitting()),
     "growth": (co.systems.lorenz_1960(), co.Splitting()),
+    "a state at rest": (co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.ones(6))), co.Splitting()),  # no parts
     "a composition": (TOP, co.Composition(co.Splitting(), (0.25, 0.5, 0.25))),
 }
 

@@ -104,7 +104,7 @@ void StoredFlow::read_terms(const NamedArrays& arrays) {
     kind = integers_of<uint8_t>(arrays, "term_kind", 2.0);
     const size_t terms = kind.size();
     share = integers_of(arrays, "share", ANY);
-    require(share.size() > 1, "share", "has no parts");
+    require(!share.empty(), "share", "does not begin at 0");
     require(share[0] == 0 && share.back() == terms, "share", "has other terms than term_kind");
     require(std::adjacent_find(share.begin(), share.end(), [](uint32_t a, uint32_t b) { return a >= b; }) == share.end(),
             "share", "has a part without terms");
