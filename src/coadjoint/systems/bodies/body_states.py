@@ -11,13 +11,21 @@ from coadjoint.algebra.group_elements import ORTHOGONALITY, is_rotation, matrice
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_inertia import BodyInertia
-from coadjoint.validation import read_bool, read_choice, read_finite
+from coadjoint.validation import read_bool, read_choice, read_finite, read_numbers
 
 Floats = npt.NDArray[np.float64]
 
 ROD_VELOCITY = 64 * UNIT_ROUNDOFF
 """Largest angular velocity along a rod, relative to the whole, that is taken for rounding."""
 FRAMES = ("body", "space")
+
+
+def read_states(system: Any, x: Any) -> Floats:
+    """Validate states (..., dim) of a system of bodies."""
+    states = read_numbers(x, "x")
+    if states.shape[-1:] != (system.dim,):
+        raise ValueError(f"x has shape {states.shape}; {system.name} needs (..., {system.dim})")
+    return states
 
 
 def read_vectors(values: Any, what: str, shape: tuple[int, ...]) -> Floats:

@@ -15,6 +15,7 @@ from coadjoint.systems.bodies.body_states import (
     check_rods,
     read_angular_velocities,
     read_attitudes,
+    read_states,
     read_vectors,
 )
 from coadjoint.systems.bodies.rotors import NO_ROTORS, Rotors, without_wheels
@@ -41,17 +42,11 @@ class _Bodies(LiePoissonSystem):
 
     def _rows(self, x: Any) -> Floats:
         """Return (L, X, Y, Z) of each body, (..., bodies, 4, 3)."""
-        states = self._states(x)
+        states = read_states(self, x)
         if not self.has_attitude:
             return states[..., None, None, :3]
         count = len(self.inertias)
         return states[..., : PER_BODY * count].reshape(*states.shape[:-1], count, 4, 3)
-
-    def _states(self, x: Any) -> Floats:
-        states = read_numbers(x, "x")
-        if states.shape[-1:] != (self.dim,):
-            raise ValueError(f"x has shape {states.shape}; {self.name} needs (..., {self.dim})")
-        return states
 
     def _of_bodies(self, array: Floats, axes: int) -> Floats:
         """Return an array with an axis of bodies before the last `axes`, without it for a single body."""
@@ -201,11 +196,11 @@ class BodySystem(_Bodies):
             return super()._velocities(x)
         momenta = np.einsum("...q,qi->...i", self._carried(x), self.rotors.momenta)
         inverse = without_wheels(self.inertias[0].tensor, self.rotors.wheels)
-        return np.asarray(np.einsum("ij,...j->...i", inverse, self._states(x)[..., :3] - momenta))[..., None, :]
+        return np.asarray(np.einsum("ij,...j->...i", inverse, read_states(self, x)[..., :3] - momenta))[..., None, :]
 
     def _carried(self, x: Any) -> Floats:
         first = self.first_carried
-        return self._states(x)[..., first : first + len(self.rotors.names)]
+        return read_states(self, x)[..., first : first + len(self.rotors.names)]
 
     def wheel_speeds(self, x: npt.ArrayLike) -> Floats:
         """Return the speeds of the reaction wheels relative to the body, in radians per time.
@@ -351,7 +346,7 @@ class BodiesSystem(_Bodies):
         return self._centres(x, PER_BODY) / self.masses[:, None]
 
     def _centres(self, x: Any, begin: int) -> Floats:
-        states, count = self._states(x), len(self.inertias)
+        states, count = read_states(self, x), len(self.inertias)
         return states[..., begin * count : (begin + 3) * count].reshape(*states.shape[:-1], count, 3).copy()
 
     @suggest_keywords

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.systems.bodies.body_states import read_states
 from coadjoint.systems.energy_gradients import gradients_at
 from coadjoint.systems.forces.body_torque import velocity_map
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -34,7 +35,7 @@ class ClassicalBody(LiePoissonSystem):
         -------
         ndarray, shape (..., 3)
         """
-        return self._states(x)[..., :3]
+        return read_states(self, x)[..., :3]
 
     def angular_velocity(self, x: npt.ArrayLike) -> Floats:
         """Return the angular velocity in the body frame, the derivative of the energy by the momentum.
@@ -49,7 +50,7 @@ class ClassicalBody(LiePoissonSystem):
         ndarray, shape (..., 3)
             In radians per time.
         """
-        states = self._states(x)
+        states = read_states(self, x)
         gradients = gradients_at(self, states.reshape(1, -1, self.dim), np.zeros(1))
         return np.asarray(gradients[0, :, :3].reshape(*states.shape[:-1], 3))
 
@@ -89,9 +90,3 @@ class ClassicalBody(LiePoissonSystem):
                 "give momenta in the state itself"
             )
         return np.asarray(np.einsum("ij,...j->...i", np.linalg.inv(W[:, :3]), omega - at_rest))
-
-    def _states(self, x: npt.ArrayLike) -> Floats:
-        states = read_numbers(x, "x")
-        if states.shape[-1:] != (self.dim,):
-            raise ValueError(f"x has shape {states.shape}; {self.name} needs (..., {self.dim})")
-        return states
