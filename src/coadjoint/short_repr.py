@@ -214,7 +214,7 @@ def _truncated_repr(value: Any, limit: int) -> str:
 
 @singledispatch
 def plain(value: Any) -> Any:
-    """Return the plain form of a value; the modules of polynomials, schemes and forces register theirs.
+    """Return the plain form of a value; classes register theirs beside their definition.
 
     Examples
     --------

@@ -12,12 +12,9 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any, TypeVar
 
-from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
-from coadjoint.program.parts.decompose import ChosenParts
 from coadjoint.short_repr import plain, short
-from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.validation import construct, read_choice
 from coadjoint.validation import from_description as described
 
@@ -262,18 +259,3 @@ def description_of(method: Method) -> dict[str, Any]:
         raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be stored; make it one")
     values = {field.name: getattr(method, field.name) for field in dataclasses.fields(method) if field.init}
     return {"name": type(method).__name__, "parameters": plain(values)}
-
-
-@plain.register(Quadratic)
-def _(value: Quadratic) -> Any:
-    return _terms(value.to_polynomial())
-
-
-@plain.register(Polynomial)
-def _terms(value: Polynomial) -> list[Any]:
-    return [[float(coefficient), list(powers)] for powers, coefficient in value.monomials.items()]
-
-
-@plain.register(ChosenParts)
-def _(value: ChosenParts) -> dict[str, Any]:
-    return value.to_mapping()

@@ -24,6 +24,7 @@ from coadjoint.algebra.polynomials.monomials import (
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
+from coadjoint.short_repr import plain as plain_form
 from coadjoint.short_repr import short
 from coadjoint.validation import MAX_TITLE_LENGTH, read_integer, read_list, read_title, to_array
 
@@ -461,3 +462,8 @@ def _read_text(
 
     count = read_dimension(text, dim, basis)
     return parse_polynomial(text, count, None if basis is None else tuple(basis), parameters).monomials, count
+
+
+@plain_form.register(Polynomial)
+def _(value: Polynomial) -> list[Any]:
+    return [[float(coefficient), list(powers)] for powers, coefficient in value.monomials.items()]

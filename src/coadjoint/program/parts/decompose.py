@@ -27,7 +27,7 @@ from coadjoint.program.shifts.shift import (
     quadratic_casimirs,
     shifted_terms,
 )
-from coadjoint.short_repr import short
+from coadjoint.short_repr import plain, short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -286,3 +286,8 @@ def sample_points(size: int) -> NDArray[np.float64]:
     points /= np.sqrt(np.sum(points**2, axis=1, keepdims=True))
     points.flags.writeable = False
     return points
+
+
+@plain.register(ChosenParts)
+def _(value: ChosenParts) -> dict[str, Any]:
+    return value.to_mapping()

@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
-from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
+from coadjoint.short_repr import MAX_SHOWN_LENGTH, plain, short
 from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, repeated_rows
 from coadjoint.systems.hamiltonians.summable import Summable
@@ -499,3 +499,8 @@ class Quadratic(Summable):
         entries = str(linear.tolist()) if linear.size <= 4 else ""
         tail = f", linear={entries if 0 < len(entries) <= MAX_SHOWN_LENGTH else '...'}" if linear.any() else ""
         return f"Quadratic({shown}{tail})"
+
+
+@plain.register(Quadratic)
+def _(value: Quadratic) -> Any:
+    return plain(value.to_polynomial())
