@@ -30,7 +30,7 @@ def effective_scheme(system: Any, method: Method) -> Method:
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
-    return Forced(method) if system is not None and system.forces else method
+    return Forced(method) if system.forces else method
 
 
 def check_supports(system: Any, method: Method) -> None:
@@ -46,7 +46,7 @@ def check_steps(system: Any, t0: float, h: float) -> None:
     >>> import coadjoint as co
     >>> check_steps(co.systems.rigid_body(), 0.0, -0.1)
     """
-    if system is None or not system.forces:
+    if not system.forces:
         return
     for one in system.distinct:
         for force in one.forces:

@@ -32,7 +32,7 @@ def initial_state(system: Any, value: Any, folder: Path) -> Any:
     """
     if isinstance(value, str):
         return array_of_file(folder / value, value)
-    if system is None or not system.has_matrices or not system.complex:
+    if not system.has_matrices or not system.complex:
         return value
     array = np.array(value, dtype=np.float64)
     pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == system.algebra.shape
