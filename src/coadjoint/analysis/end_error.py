@@ -44,7 +44,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     NaN without a last state.
     """
     system = solution.system
-    if any(force.random for force in system.forces):
+    if system.has_noise:
         raise TypeError(
             f"{system.name} has random forces, whose noise belongs to the step; compare averages of ensembles with two "
             "steps"

@@ -74,7 +74,7 @@ def step_errors_of_groups(solution: Solution) -> dict[str, float]:
 def loses_digits(solution: Solution) -> bool:
     """Test whether a step loses many digits of a group by rounding; False if steps cannot be repeated."""
     method, system = solution.method, solution.system
-    if method.own_steps or any(force.random for force in system.forces):
+    if method.own_steps or system.has_noise:
         return False
     return _Measured(solution, None).lossy
 
@@ -118,7 +118,7 @@ class _Measured:
         method, system = described.method, described.system
         if method.own_steps:
             raise TypeError(f"{method} chooses its own steps, and controls their error; there is no step to measure")
-        if any(force.random for force in system.forces):
+        if system.has_noise:
             raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
         # Loops of a run with attitudes need elements, and those with inputs their values.
         if prepared is None or prepared.representation is not None or prepared.takes_inputs:
@@ -411,7 +411,7 @@ def _ratios(errors: Floats, changes: Floats) -> Floats:
 
 def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
     """Warn if the error of a step is a large part of the change of the state in it, or rounding one of a group."""
-    if prepared.method.own_steps or any(force.random for force in prepared.system.forces):
+    if prepared.method.own_steps or prepared.system.has_noise:
         return
     try:
         measured = _Measured(solution, prepared)

@@ -56,7 +56,7 @@ class XlaRun:
         self._starts = times.at(marks)
         self._lengths = np.zeros(len(marks)) if moments is None else moments.length
         steps = np.arange(times.steps + 1)
-        self._moments = times.at(steps) if any(force.random for force in self._system.forces) else None
+        self._moments = times.at(steps) if self._system.has_noise else None
         self.solve = jax.jit(self._solve)
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:

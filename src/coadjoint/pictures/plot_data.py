@@ -99,7 +99,7 @@ class PlottedRun:
     @cached_property
     def random(self) -> bool:
         """Whether a force is noise, so that neither a field nor states between two steps exist."""
-        return any(force.random for force in self.system.forces)
+        return self.system.has_noise
 
     def _with_times(self, times: Floats) -> PlottedRun:
         """Return the same run at other times, which include the saved ones."""

@@ -87,9 +87,8 @@ def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64]
 
     Forces may have moved the coordinate that is 1 at the beginning; tangents are taken in every direction.
     """
-    matrices = system.matrix_system
-    if matrices is not None:
-        rows = matrices.read(x0)
+    if system.has_matrices:
+        rows = system.unforced.read(x0)
         if not len(rows):
             raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs at least one member")
         return rows.reshape(-1, system.dim), rows.ndim == 1

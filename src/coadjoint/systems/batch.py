@@ -43,7 +43,6 @@ class Batch:
 
     is_batch: Literal[True] = True
     has_matrices = False
-    matrix_system = None
 
     def __init__(
         self, systems: Iterable[System], axes: Mapping[str, Axis] | None = None, combined: bool = True
@@ -81,6 +80,11 @@ class Batch:
     def forces(self) -> Any:
         """The forces of the first member."""
         return self.systems[0].forces
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether a force of the first member, and so of each, is random."""
+        return bool(self.systems[0].has_noise)
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -78,7 +78,6 @@ class System:
     is_batch: Literal[False] = False
     has_matrices = False
     """Whether states are matrices, with streams, traces and spectra."""
-    matrix_system: Any = None
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
     _unforced: System | None = None
@@ -327,7 +326,7 @@ class System:
 
     def numbered_from(self, first: int) -> Self:
         """Return the system for members whose numbers begin at `first`; noise depends on these numbers."""
-        if not first or not any(force.random for force in self.forces):
+        if not first or not self.has_noise:
             return self
         forces: list[Any] = list(self.forces)
         renumbered = [replace(force, stream=force.stream + first) if force.random else force for force in forces]
@@ -368,6 +367,11 @@ class System:
     def labelled_forces(self) -> tuple[tuple[str, Force], ...]:
         """The forces with their labels."""
         return tuple(zip(self.labels, self.forces, strict=True))
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether a force is random, so that neither a field nor states between two steps exist."""
+        return any(force.random for force in self.forces)
 
     @property
     def reversible(self) -> bool:

@@ -110,12 +110,10 @@ def function_of_rows(system: Any, quantity: Any, t: float) -> Callable[[NDArray[
         is_function = not isinstance(quantity, Polynomial | Invariant)
         time_argument = (t,) if is_function and takes_time(quantity, "observe") else ()
 
-    matrices = system.matrix_system
-
     def of_row(row: NDArray[Any]) -> NDArray[Any]:
         state = system.states_of(row)
-        if matrices is not None:
-            state = matrices.algebra.projected(matrices.from_vector(row))
+        if system.has_matrices:
+            state = system.algebra.projected(system.from_vector(row))
         return np.ravel(quantity(state, *time_argument))
 
     return of_row

@@ -72,11 +72,10 @@ class Directions:
             array = arrays[name]
             return array[None] if self.single else np.moveaxis(array, -1, 0)
 
-        matrices = run.system.matrix_system
-        if matrices is None:
+        if not run.system.has_matrices:
             x0 = run.system.rows_of(rows("x0"))
         else:  # these must be in the algebra
-            x0 = matrices.read(rows("x0").reshape(-1, *run.system.shape), "the direction x0")
+            x0 = run.system.read(rows("x0").reshape(-1, *run.system.shape), "the direction x0")
         x0 = np.asarray(x0).reshape(self.count, members, n)
         self.x0 = np.ascontiguousarray(np.moveaxis(x0, 0, 1))
         groups = rows("attitude0").reshape(self.count, members, d, d) if d else np.zeros((self.count, members, 0, 0))

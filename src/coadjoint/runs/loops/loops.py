@@ -388,7 +388,7 @@ def loops_of_system(
     tracked = system.casimirs if casimirs is None else casimirs
     watch = _watch_of(system, loop, tracked, compact)
     correction = _correction_of(system, loop, representation)
-    matrices, rows = system.matrix_system, matrix_rows(system)
+    matrices, rows = system.unforced if system.has_matrices else None, matrix_rows(system)
     loops = Loops(system.dim, ["energy", *tracked], [loop], [watch], [correction], matrices=matrices, rows=rows)
     if system.dim > RELEASED_SIZE:
         release_freed_memory()
@@ -438,9 +438,8 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
     for k in np.flatnonzero(owner < 0).tolist():
         add(k)
     loops, watches = zip(*built, strict=True)
-    random = any(force.random for system in distinct for force in system.forces)
     rows = batch.owners
-    fields = batch.dim, ["energy", *names], loops, watches, corrections, owner[rows], random
+    fields = batch.dim, ["energy", *names], loops, watches, corrections, owner[rows], batch.has_noise
     return Loops(*fields, columns=columns, numbers=number[rows], corrected=rows)
 
 

@@ -30,7 +30,7 @@ class Observed:
         from coadjoint.kernels.tables.invariants import watch_tables
         from coadjoint.kernels.tables.recording import values_along
 
-        self._names, self._matrices = list(observe), system.matrix_system
+        self._names, self._matrices = list(observe), system.unforced if system.has_matrices else None
         self._quantities = dict(observe)
         start: Any = x0
         if self._matrices is not None:

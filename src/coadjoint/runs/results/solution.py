@@ -369,12 +369,11 @@ class Solution(SolutionOutput):
         >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
         True
         """
-        system = self.system.matrix_system
-        if system is None:
+        if not self.system.has_matrices:
             raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
         axes = 1 if self.failed is None else 2  # of times and members
         finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))
-        values = system.spectrum(self.x[finite])
+        values = self.system.unforced.spectrum(self.x[finite])
         spectra = np.full((*finite.shape, values.shape[-1]), np.nan, dtype=values.dtype)
         spectra[finite] = values
         return spectra

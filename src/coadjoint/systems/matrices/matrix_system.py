@@ -162,11 +162,6 @@ class MatrixSystem(System):
         """Name to function of W, shape (..., N, N), or of its vectors: the traces of powers."""
         return dict(traces_of(self.algebra, self.powers, self.matrices, self.to_vector))
 
-    @property
-    def matrix_system(self) -> MatrixSystem:
-        """The Hamiltonian part, which has the matrices."""
-        return self.unforced
-
     @cached_property
     def in_numbers(self) -> MatrixSystem:
         """The same system with vectors as states, in the form of `to_vector`, for functions that need coordinates.
