@@ -46,6 +46,10 @@ TABLE(Terms, TERMS_FIELDS)
     _(integers, begin) _(integers, coordinate)
 TABLE(Forms, FORMS_FIELDS)
 
+// A function of the user that is a sum of shares: the compiled one at `address` takes the number of a share as its time.
+#define SHARED_FIELDS(_) _(integer, address) _(integer, shares) _(integer, results)
+TABLE(SharedFunction, SHARED_FIELDS)
+
 #define ACTION_FIELDS(_)                                                                                             \
     _(integer, size) _(indices, run) _(bytes, kind) _(indices, angles) _(indices, repeat) _(indices, angle)          \
     _(indices, position) _(indices, constant) _(indices, width) _(indices, entries) _(indices, degree)              \
