@@ -356,6 +356,18 @@ class Splitting(FlowMethod):
         """Return the sweeps of the processor P of a processed scheme."""
         return [] if self.order == 1 else self._named.processor(number)
 
+    def substeps(self) -> tuple[Method, tuple[float, ...]]:
+        """Return the splitting of order two and the fractions of its composition."""
+        if self.order <= 2:
+            return super().substeps()
+        if not self._named.of_second_order or self._named.processed:
+            raise ValueError(
+                f"{self} does not consist of steps of order two, between which forces act; with forces take "
+                f"Splitting(order={self.order}), or Splitting(order=2)"
+            )
+        half = [float(c) for c in self._named.half]
+        return replace(self, order=2, scheme=None), (*half, *half[-2::-1])
+
     @property
     def _named(self) -> SplittingScheme:
         return SCHEMES[self.scheme or DEFAULT_SCHEMES[self.order]]
