@@ -60,7 +60,7 @@ class Force(metaclass=ExplainedCalls):
     """Whether every Casimir is preserved, to round-off."""
 
     reversible: ClassVar[bool] = True
-    """Whether it can run backward in time."""
+    """Whether it can run backward in time, as schemes of order above two require in some substeps."""
 
     random: ClassVar[bool] = False
     """Whether it is random, and therefore has no field."""
