@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ class XlaRun:
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER)
         self._system = prepared.system
-        self._forced = prepared.scheme if isinstance(prepared.scheme, Forced) else None
+        self._forced = cast(Forced, prepared.scheme) if self._system.forces else None
         scheme = prepared.method if self._forced is None else self._forced.inner
         self._table = self._describe(scheme.expanded, prepared.representation)
         self._attitude = self._initial_attitude(prepared)

@@ -149,11 +149,11 @@ class Forced(Wrapper):
 
     def __post_init__(self) -> None:
         check_base(self.base, "Forced", "Splitting()")
-        assert self._substeps
+        _ = self._substeps  # raises the error of a base of higher order
 
     @cached_property
     def _substeps(self) -> tuple[Method, tuple[float, ...]]:
-        inner, fractions = self.base.substeps()
+        inner, fractions = self.base.steps_between_forces()
         if _order_of_composition(fractions) > 2:
             return inner, fractions
         if self.base.order > max(2, inner.order):

@@ -357,10 +357,10 @@ class Splitting(FlowMethod):
         """Return the sweeps of the processor P of a processed scheme."""
         return [] if self.order == 1 else self._named.processor(number)
 
-    def substeps(self) -> tuple[Method, tuple[float, ...]]:
+    def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
         """Return the splitting of order two and the fractions of its composition."""
         if self.order <= 2:
-            return super().substeps()
+            return super().steps_between_forces()
         if not self._named.of_second_order or self._named.processed:
             raise ValueError(
                 f"{self} does not consist of steps of order two, between which forces act; with forces take "

@@ -213,7 +213,7 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
         raise TypeError(f"{system.name} has matrices as states, which are multiplied by BLAS; it cannot be exported")
     if system.unforced.algebra is None:
         raise TypeError(f"{system.name} has a structure matrix that is a function, which cannot be exported")
-    if isinstance(scheme, Forced):  # substeps multiply the step, as those of the library
+    if system.forces:  # substeps multiply the step, as those of the library
         scheme = Forced(scheme.inner)
     if prepared.inputs is None:
         return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
@@ -357,7 +357,7 @@ def _stages(
 def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
     """Half flows of the forces, a step of the scheme, and half flows in reversed order, at fractions of the step."""
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
-    forces = [table.tables for table in loop.referenced.values() if isinstance(table.tables, ForceTable)]
+    forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]
     if inner.compensated:
         raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
     lines, n = inner.lines, prepared.system.dim

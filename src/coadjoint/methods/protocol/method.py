@@ -143,7 +143,7 @@ class Method(metaclass=ExplainedCalls):
         """Substeps of one step as fractions of it; one unless the scheme is a composition."""
         return (1.0,)
 
-    def substeps(self) -> tuple[Method, tuple[float, ...]]:
+    def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
         """Return a symmetric scheme of order two and the fractions of the step at which forces act around it.
 
         By default the scheme itself, once. ValueError: the order is only that of steps without forces.
