@@ -144,11 +144,12 @@ def declared(method: str, system: str, forces: list[str]) -> co.methods.Properti
     return co.methods.Forced(value_of(method)).properties(forced)
 
 
-def excluded(options: Options, system: Any, attitude: str) -> list[str]:
+def excluded(options: Options, system: Any, attitude: str, without_forces: bool) -> list[str]:
     """Return options that are refused with others, in the order in which they are dropped."""
-    noise, batch = options["forces"] == "noise", options["members"] == "batch"
+    noise, batch = options["forces"] == "noise" and not without_forces, options["members"] == "batch"
     own = options["attitude"] == "own" and getattr(system, "representation", None) is None
     refused = {
+        "forces": without_forces,
         "direction": noise and options["direction"] == "backward",
         "saved": noise and options["saved"] == "times",
         "events": noise and options["events"] != "none",
@@ -234,7 +235,11 @@ def accepted(method: str, system: str, options: Options, seed: int) -> tuple[Cas
     if options["attitude"] == "turned" and getattr(plain, "representation", None) is None:
         options = options | {"attitude": "own"}
     forces = forces_of(plain, options, np.random.default_rng(seed))
-    for name in excluded(options, plain, declared(method, system, forces).attitude):
+    try:
+        attitude, without_forces = declared(method, system, forces).attitude, False
+    except REFUSALS:  # of order above two, with a force that acts forward only, or in flows of order one
+        attitude, without_forces = declared(method, system, []).attitude, True
+    for name in excluded(options, plain, attitude, without_forces):
         try:
             return *case_of(method, system, options, seed), refusals
         except Refused as refused:

@@ -164,7 +164,7 @@ class _Measured:
         whole = Times(t, h, 1, 1).with_saved_steps([1])
         (full,) = _run(prepared, states, whole)
         # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-        errors = error_by_comparison(groups.norms(full - halved), 0.5**self.method.order)
+        errors = error_by_comparison(groups.norms(full - halved), 0.5**self.prepared.scheme.order)
         changes = np.maximum(groups.norms(full - states), change)
         if known_rounding is None:
             halved, full = None, full.copy()
@@ -428,7 +428,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
     member = member if rounded is None else rounded.member
     motion = "this motion" if solution.failed is None else f"the motion of member {member}"
     if too_large and rounded is None:
-        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.method.order)
+        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.scheme.order)
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
             f"{truncation:.2g} of the change of the state, though invariants may be kept; take a step of about "

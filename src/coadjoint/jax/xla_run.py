@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +16,7 @@ from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import Field, StageSteps
 from coadjoint.jax.table_steps import TableSteps
 from coadjoint.memory import check_available_memory
+from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.provenance import monomials_of
@@ -44,7 +45,9 @@ class XlaRun:
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER)
         self._system = prepared.system
-        self._table = self._describe(prepared.method.expanded, prepared.representation)
+        self._forced = cast(Forced, prepared.scheme) if self._system.forces else None
+        scheme = prepared.method if self._forced is None else self._forced.inner
+        self._table = self._describe(scheme.expanded, prepared.representation)
         self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
         self._t0, self._h = times.t0, times.h
@@ -90,8 +93,9 @@ class XlaRun:
             program = scheme.program(system, group=group)
             table = program.to_mapping()
             self._steps = TableSteps(table, program.functions, *_of_group(program, group))
-        if self._system.forces:
-            self._steps = ForcedSteps(self._steps, self._system, Field(system, table["energy"]["monomials"]))
+        if self._forced is not None:
+            field = Field(system, table["energy"]["monomials"])
+            self._steps = ForcedSteps(self._steps, self._system, field, self._forced)
         return table
 
     def _initial_attitude(self, prepared: PreparedRun) -> Any:

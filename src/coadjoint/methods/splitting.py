@@ -117,7 +117,8 @@ class Splitting(FlowMethod):
     order : {1, 2, 4, 6, 8, 10}
         1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X_1(h/2) ... X_n(h) ... X_1(h/2)`` (Lemma 4.1).
         4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, with the smallest error at equal cost on
-        a rigid body.
+        a rigid body. Forces act in each of these steps, some of which go backward in time; the order is kept, and
+        forces that act forward only, such as noise, are refused.
     parts : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts
         How H is split into parts. ``"auto"``: commuting coordinates share a part. Multiples of quadratic Casimirs are
         subtracted from H if this removes a part or lowers the error, and the parts are ordered. The same system always
@@ -355,6 +356,18 @@ class Splitting(FlowMethod):
     def processor(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the processor P of a processed scheme."""
         return [] if self.order == 1 else self._named.processor(number)
+
+    def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
+        """Return the splitting of order two and the fractions of its composition."""
+        if self.order <= 2:
+            return super().steps_between_forces()
+        if not self._named.of_second_order or self._named.processed:
+            raise ValueError(
+                f"{self} does not consist of steps of order two, between which forces act; with forces take "
+                f"Splitting(order={self.order}), or Splitting(order=2)"
+            )
+        half = [float(c) for c in self._named.half]
+        return replace(self, order=2, scheme=None), (*half, *half[-2::-1])
 
     @property
     def _named(self) -> SplittingScheme:

@@ -11,7 +11,9 @@ F, H = co.forces, 0.0625
 X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
 UNIT_SPINS = np.array([0.6, 0.0, 0.8, 0.48, 0.64, 0.6, 0.0, 0.6, -0.8])
 SCHEMES = {
+    "order 2": co.Splitting(),
     "order 4": co.Splitting(order=4),
+    "order 6": co.Splitting(order=6),
     "processed": co.Splitting(scheme="blanes_casas_murua6"),
     "compensated": co.Splitting(compensated=True),
     "rational": co.Splitting(rotation="rational", parts="coordinates"),
@@ -161,10 +163,11 @@ FORCED = [
     ("damping", "Gauss", "A3,7"),
     ("functions", "order 4", "sl(2)"),
     ("functions", "Kahan", "so(3)"),
-    ("orbit", "processed", "A5,40"),
+    ("functions", "order 6", "so(4)"),
+    ("orbit", "order 4", "A5,40"),
     ("orbit", "Gauss", "so(3)"),
     ("orbit", "commutator-free", "sl(2)"),
-    ("noise", "order 4", "so(3)"),
+    ("noise", "order 2", "so(3)"),
     ("noise", "Gauss", "A3,7"),
     pytest.param("noise", "Kahan", "sl(2)", marks=pytest.mark.long),
 ]
@@ -329,7 +332,7 @@ NOISE = [BATCH[0].with_forces(F.LinearDamping(rate), F.HeatBath(0.3, temperature
 
 @pytest.mark.parametrize(
     ("systems", "method"),
-    [(BATCH, co.Splitting(order=4)), (BATCH, co.GaussLegendre(2)), (NOISE, co.Splitting(order=4))],
+    [(BATCH, co.Splitting(order=4)), (BATCH, co.GaussLegendre(2)), (NOISE, co.Splitting())],
 )
 def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
     """A bath of member m is that of the stream m."""

@@ -324,6 +324,8 @@ FORCED = {
     "branches": (BODY, [forces.Torque(kicked)]),
     "sampled": (None, [forces.Sampled(forces.Pointing(0.5, 1.5), period=0.2, max_torque=0.3)]),
     "full damping": (BODY, [forces.LinearDamping(((0.1, 0.2, 0.0), (0.0, 0.3, 0.1), (0.1, 0.0, 0.2)))]),
+    "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping((0.1, 0.2, 0.3))]),
+    "order 4 on the orbit": (SPIN, [forces.DoubleBracketDamping(0.1), forces.Torque((0.0, 0.3, 0.1))]),
     "of time": (BODY, [forces.Torque(lambda t: np.array([np.cos(t), 0.0, t]))]),
     "own flow": (BODY, [forces.OwnForce(lambda x, t, tau: x / (1.0 + np.abs(x) * tau), backward=False)]),
     "double bracket": (SPIN, [forces.DoubleBracketDamping(0.3, np.diag((1.0, 2.0, 3.0)) + 0.1)]),
@@ -349,15 +351,15 @@ def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
     x0 = 0.7 * np.cos(1.0 + np.arange(forced.dim))
     if system is None:
         x0 = forced.state((0.6, 0.0, 0.0, 0.8), angular_velocity=(0.1, 0.2, 0.3))
-    ready, method = None, co.Splitting(order=1 if name == "functions" else 2)
-    ready = co.prepare(forced, method, 0.1)
+    order = {"functions": 1, "order 4 on the orbit": 4, "order 6": 6}.get(name, 2)
+    ready = co.prepare(forced, co.Splitting(order=order), 0.1)
     states = np.array([x0, x0]) if any(one.random for one in given) else x0
     f = co.jax.solution(ready, (0.2, 1.2), 5, backend="xla")
     wanted = ready.run(states, (0.2, 1.2), 5).x
     np.testing.assert_allclose(f(states), wanted, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF * np.abs(wanted).max())
     if len(states) == 2:
         assert np.abs(wanted[-1, 0] - wanted[-1, 1]).max() > 1e-3
-    if name in ("damping, torque", "heat bath", "double bracket"):
+    if name in ("damping, torque", "heat bath", "double bracket", "order 6"):
         of_x0 = jax.grad(lambda x0: (weights(wanted) * f(x0)).sum())(states)
         _, pullback = ready.vjp(states, (0.2, 1.2), save_every=5)
         gradient = pullback(weights(wanted))["x0"]

@@ -81,6 +81,7 @@ CASES = {
         BODY.with_forces(co.forces.Torque((0.1, 0.2, -0.3)), co.forces.LinearDamping((0.1, 0.2, 0.3), toward=0.1)),
         co.Splitting(order=4),
     ),
+    "damping at substeps": (TOP.with_forces(co.forces.LinearDamping(0.3)), co.Splitting(order=6)),
     "damping of stages": (BODY.with_forces(co.forces.LinearDamping(0.3)), co.ExplicitRungeKutta()),
 }
 
@@ -232,6 +233,8 @@ def test_inputs_are_arguments(tmp_path):
     forced = BODY.with_forces(co.forces.Torque((0.1, 0.2, -0.3)), co.forces.LinearDamping(0.1))
     prepared = co.prepare(forced, co.Splitting(), step=0.05, inputs={"wheel": "Torque", "spin": (1,)})
     check_run(prepared, x0[:3], 5, tmp_path / "forces", FIRST, u=u[:4], wheel=u[:3], spin=u[3:4])
+    prepared = co.prepare(forced, co.Splitting(order=4), step=0.05, inputs={"wheel": "Torque", "spin": (1,)})
+    check_run(prepared, x0[:3], 5, tmp_path / "substeps", FIRST, u=u[:4], wheel=u[:3], spin=u[3:4])
 
 
 def test_repeated_steps_are_runs_of_one_step(tmp_path):

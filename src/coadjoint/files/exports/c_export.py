@@ -25,6 +25,7 @@ from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.methods.forced import Forced
 from coadjoint.program.blocks import Kind
 from coadjoint.program.term_table import FUNCTION, Terms
 from coadjoint.runs.inputs import InputLoops
@@ -212,6 +213,8 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
         raise TypeError(f"{system.name} has matrices as states, which are multiplied by BLAS; it cannot be exported")
     if system.unforced.algebra is None:
         raise TypeError(f"{system.name} has a structure matrix that is a function, which cannot be exported")
+    if system.forces:  # substeps multiply the step, as those of the library
+        scheme = Forced(scheme.inner)
     if prepared.inputs is None:
         return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
     loops = InputLoops(prepared.inputs, scheme, 1.0, prepared.representation)
@@ -352,7 +355,7 @@ def _stages(
 
 
 def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
-    """Half flows of the forces, a step of the scheme, and half flows in reversed order."""
+    """Half flows of the forces, a step of the scheme, and half flows in reversed order, at fractions of the step."""
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
     forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]
     if inner.compensated:
@@ -364,10 +367,13 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs
         lines += function(f"force_{k}", f"double *x{declared}, double tau", flow)
         if tangent:
             lines += function(f"force_change_{k}", "double *v, double tau", change)
-    x, numbered = f"x{inputs.passed}", range(len(forces))
+    x, numbered, fractions = f"x{inputs.passed}", range(len(forces)), prepared.scheme.fractions
     forward = [f"coadjoint_force_{k}({x}, 0.5 * h);" for k in numbered]
     lines += function("inner_step", f"double *x{declared}, double h", inner.step)
     step = [*forward, f"coadjoint_inner_step({x}, h);", *forward[::-1]]
+    if len(fractions) > 1:
+        lines += function("substep", f"double *x{declared}, double h", step)
+        step = [f"coadjoint_substep({x}, {c!r} * h);" for c in fractions]
     steps = [f"for (; steps > 0; --steps) coadjoint_step({x}, h);"]
     changed: list[str] = []
     if tangent:
@@ -377,6 +383,9 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs
         half = [[*block(each, [moved[k]]), forward[k]] for k in numbered]
         middle = f"coadjoint_inner_change(x, v, vectors{inputs.passed}, h);"
         changed = [*(line for one in half for line in one), middle, *(line for one in half[::-1] for line in one)]
+        if len(fractions) > 1:
+            lines += function("subchange", f"double *x, {VECTORS}{declared}, double h", changed)
+            changed = [f"coadjoint_subchange(x, v, vectors{inputs.passed}, {c!r} * h);" for c in fractions]
     return Exported(lines, step, steps, changed, inner.widest)
 
 

@@ -76,7 +76,7 @@ class DifferentiableRun:
         system = prepared.system
         self.scheme = prepared.scheme.fixed_steps
         # The scheme of the Hamiltonian part.
-        self.base = self.scheme.base if isinstance(self.scheme, Forced) else self.scheme
+        self.base = self.scheme.inner if isinstance(self.scheme, Forced) else self.scheme
         if self.base.own_steps:
             raise TypeError(
                 f"{self.base} chooses its own steps, and with forces its runs have no derivatives; take a scheme with "

@@ -144,7 +144,8 @@ TABLE(StepTables, STEP_FIELDS)
 // For a force on modes of a matrix of `extent` rows, at `position` of a state, `shape` selects the modes; on the
 // diagonal d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries
 // of `rate`, and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`.
-// `basis` is described in matrices/modes.hpp.
+// `basis` is described in matrices/modes.hpp. The flow of a function of the state is extrapolated in `extent` columns, or
+// is a step of the classical Runge-Kutta method if that is zero.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
     _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
