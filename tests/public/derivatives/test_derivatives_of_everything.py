@@ -19,6 +19,7 @@ SCHEMES = {
     "rk4": co.ExplicitRungeKutta("rk4"),
     "Taylor": co.Taylor(order=5),
     "commutator-free": co.CommutatorFree(),
+    "projected": co.Projected(co.Splitting(order=2)),
     "Kahan": co.Kahan(),
 }
 
@@ -59,6 +60,7 @@ def cubic(changed):
 
 BODY, TOP = named("rigid_body", inertia=(1.0, 2.0, 2.5)), named("heavy_top", inertia=(1.0, 2.0, 2.5))
 FULL = own(co.algebras.so(3), [[1.0, 0.1, 0.2], [0.1, 0.7, 0.0], [0.2, 0.0, 0.4]], [0.1, 0.0, 0.2])
+TRIAD = own(co.systems.fluid_triad().algebra, [0.5, 0.2, 0.1], np.zeros(3))
 # Its matrices turn by half the angle of the momentum.
 SPINORS = own(co.algebras.get("su(2)"), [0.3, 0.6, 1.0], np.zeros(3))
 TIMES = {"t_eval": [0.5, 0.52, 0.75, 0.97]}
@@ -84,6 +86,8 @@ STEERED = {
     "cubic": (cubic, "Gauss", X3, (0.5, 1.0), TWO),
     "cubic, step by step": (cubic, "Taylor", X3, (0.5, 0.65), TWO),
     "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.35), TWO),
+    # Its parts are chosen without the inputs, with which others would be better.
+    "triad, step by step": (TRIAD, "projected", X3, (0.5, 0.65), LINEAR),
 }
 
 
@@ -92,7 +96,7 @@ STEERED = {
     ids=[*RUNS, *(f"{name} by inputs" for name in STEERED)])  # fmt: skip
 def test_derivatives_of_runs(build, scheme, x0, span, options):
     rule = assert_derivatives(build, SCHEMES[scheme], x0, span, **options).rule
-    by_steps = scheme in ("Taylor", "commutator-free")
+    by_steps = scheme in ("Taylor", "commutator-free", "projected")
     assert rule.get("inputs") == (None if "inputs" not in options else "differences" if by_steps else "exact")
 
 
