@@ -356,6 +356,16 @@ def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items() if name != "attitude0")
 
 
+@pytest.mark.parametrize("scheme", WITH_STEPS, ids=str)
+def test_every_scheme_is_differentiated_in_a_batch(scheme):
+    """Also where the steps of members that share tables are differentiated in Python."""
+    x0, weights = np.linspace(0.2, 0.9, 9).reshape(3, 3), np.cos(np.arange(27.0)).reshape(3, 3, 3)
+    gradient = co.prepare(co.batch(BATCH), scheme, H).vjp(x0, (0.25, 0.25 + 2 * H))[1](x=weights)
+    for m, system in enumerate(BATCH):
+        alone = co.prepare(system, scheme, H).vjp(x0[m], (0.25, 0.25 + 2 * H))[1](x=weights[:, m])
+        assert all(np.array_equal(gradient[name][m], value) for name, value in alone.items())
+
+
 def _tops(rng, count):
     """Heavy tops of several structures: the order of parts depends on the moments, and some are symmetric."""
     thirds = [2.0, *(1.5 + rng.random(count - 1))]
