@@ -1,5 +1,7 @@
 """Gradients by states, parameters, inputs and forces: those of tangents, and of differences of whole runs."""
 
+import warnings
+
 import numpy as np
 import pytest
 from derivative_checks import DIFFERENCE_ERROR, DISTANCE, assert_derivatives, difference, outputs
@@ -500,6 +502,33 @@ def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
     assert abs(total - gradient["HeatBath.temperature"]) <= 2.0**10 * UNIT_ROUNDOFF * abs(total)
 
 
+@pytest.mark.parametrize("forces", [(), (F.LinearDamping(1e-4),)], ids=["free", "forced"])
+@pytest.mark.parametrize("members", [1, 9])
+def test_gradients_through_steps_that_contract_warn_of_their_errors(members, forces):
+    """Flows are undone from the end of a step: what has contracted by exp(-h) has lost as many digits."""
+    plain = co.LiePoissonSystem(co.algebras.get("A3_2"), co.Quadratic([1.0, 0.5, 0.3]))
+    system = plain.with_forces(*forces) if forces else plain
+    x0, direction, weight = (
+        np.tile([0.7, -0.4, 0.6], (members, 1)),
+        np.array([0.5, -1.0, 0.3]),
+        np.array([0.2, 0.6, 1.0]),
+    )
+    for step, lost in ((0.5, False), (20.0, True)):
+        ready = co.prepare(system, co.Splitting(order=2), step)
+        sol, tangents = ready.jvp(x0, (0.0, 2 * step), {"x0": np.tile(direction, (members, 1))})
+        weights = np.zeros_like(sol.x)
+        weights[-1] = weight
+        _, pullback = ready.vjp(x0, (0.0, 2 * step))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            gradient = pullback(x=weights)["x0"]
+        error = np.abs(gradient @ direction - tangents.x[-1] @ weight)
+        size = np.abs(gradient * direction).sum(axis=1) + np.abs(tangents.x[-1] * weight).sum(axis=1)
+        assert np.any(error > 2.0**-20 * size) == lost
+        assert [warning.category for warning in caught] == [co.LargeStepWarning] * lost
+        assert not lost or "jvp" in str(caught[0].message)
+
+
 @pytest.mark.parametrize("method", [co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
 @pytest.mark.parametrize("step", [0.25, 4.0])
 def test_derivatives_of_long_steps(method, step):
@@ -511,6 +540,18 @@ def test_derivatives_of_long_steps(method, step):
     gradient = ready.vjp(x0, span, save_every=4)[1](x=[np.zeros(3), np.ones(3)])["x0"]
     size = np.abs(gradient * direction).sum()
     assert abs(gradient @ direction - tangents.x[-1].sum()) <= 2.0**12 * UNIT_ROUNDOFF * size
+
+
+def test_derivatives_where_products_of_their_iteration_overflow():
+    """In a step so long that the changes of the diverging iteration pass the square root of the largest number."""
+    ready, span, direction = (
+        co.prepare(BODY({}), co.GaussLegendre(2), 3000.0),
+        (0.0, 3000.0),
+        np.array([0.5, -1.0, 2.0]),
+    )
+    wanted = difference(lambda by: ready.end(X3 + by * direction, span))
+    _, tangents = ready.jvp(X3, span, {"x0": direction})
+    np.testing.assert_allclose(tangents.x[-1], wanted, rtol=0, atol=8 * DIFFERENCE_ERROR * np.abs(wanted).max())
 
 
 def test_substeps_of_driven_runs_and_shifted_energies_of_forced_ones():

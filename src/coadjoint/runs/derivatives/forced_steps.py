@@ -93,7 +93,7 @@ class ForcedSteps:
             t, base = run.t0 + (k - 1) * run.h, steps[k - run.k0 - 1]
             by_entries = coefficients[:, self._flows]
             of_x = forces.pull(base.end, of_x, Half(t, run.h, True), by_entries)
-            of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients)
+            of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients, run.deviations[some])
             of_x = forces.pull(starts[k - run.k0 - 1], of_x, Half(t, run.h, False), by_entries)
         run.cotangents[some], run.group_cotangents[some] = of_x, of_groups
         run.coefficients[some] += coefficients
@@ -139,7 +139,7 @@ class ForcedSteps:
         return run.at_points[0], np.array(after)
 
     def _base_backward(
-        self, base: _Base, of_x: Floats, of_groups: Floats, coefficients: Floats
+        self, base: _Base, of_x: Floats, of_groups: Floats, coefficients: Floats, deviations: Floats
     ) -> tuple[Floats, Floats]:
         at_groups, before, of_start = of_groups, np.zeros_like(of_x), None
         if self._attitudes is not None:
@@ -159,6 +159,7 @@ class ForcedSteps:
         run = base.step.backward(of_x[None], at_groups[None], *zeros, of_inner)
         self._carry(run)
         coefficients[:, : self._flows.start] += of_inner
+        np.maximum(deviations, run.deviations, out=deviations)
         return before + run.cotangents, run.group_cotangents if of_start is None else of_start
 
     def _carry(self, run: ForwardRun | BackwardRun) -> None:
