@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.kernels.tables.forces import linear_coefficients_in
 from coadjoint.kernels.tables.structures import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.method import Method
@@ -111,7 +110,11 @@ class Inputs:
 
     def _check_forces(self) -> None:
         """Raise TypeError if a force is compiled with a coefficient that is an input."""
-        for label, force in self.system.labelled_forces if len(self.in_energy) else ():
+        if not len(self.in_energy) or not self.system.forces:
+            return
+        from coadjoint.kernels.tables.forces import linear_coefficients_in
+
+        for label, force in self.system.labelled_forces:
             contained = sorted({*linear_coefficients_in(force, self._unforced)} & {*self.in_energy.tolist()})
             if contained:
                 raise TypeError(
