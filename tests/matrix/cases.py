@@ -105,10 +105,23 @@ def start_text(system: Any, rng: np.random.Generator, members: int) -> str:
     basis = list(getattr(system.algebra, "basis", ()))
     if "z" in basis:
         states[..., basis.index("z")] = 1.0  # that of the canonical brackets
-    if hasattr(system, "positions"):  # of bodies so far apart that they do not collide
-        far = 4.0 * np.arange(len(system.masses))
-        states[..., -1 - 3 * len(far) : -1 : 3] += far
+    if hasattr(system, "positions"):
+        for state in states if members else [states]:
+            put_on_orbit(system, state)
     return numbers_of(states)
+
+
+def put_on_orbit(system: Any, state: np.ndarray) -> None:
+    """Move bodies apart, and turn them about each other so that they do not collide, forward nor backward in time."""
+    count, masses = len(system.masses), np.array(system.masses)
+    apart = np.arange(count) - (count - 1) / 2.0
+    positions, momenta = (state[-1 - k * 3 * count : -1 - (k - 1) * 3 * count].reshape(count, 3) for k in (1, 2))
+    positions[:] = 0.2 * positions + np.outer(4.0 * apart, [1.0, 0.0, 0.0])
+    accelerations = system.vector_field(state)[-1 - 6 * count : -1 - 3 * count].reshape(count, 3) / masses[:, None]
+    # On a circle of this radius, the attraction is the centripetal force.
+    speed = np.sqrt(np.maximum(0.0, -accelerations[:, 0] * positions[:, 0])) * np.sign(apart)
+    momenta[:] = 0.05 * momenta + np.outer(masses * speed, [0.0, 1.0, 0.0])
+    state[:] = np.round(state, 3)
 
 
 def step_for(system: Any, states: np.ndarray) -> float:

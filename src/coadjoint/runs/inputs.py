@@ -106,6 +106,22 @@ class Inputs:
         if len(np.unique(self.changing)) < len(self.changing):
             repeated = int(np.flatnonzero(np.bincount(self.changing) > 1)[0])
             raise ValueError(f"inputs name coordinate {repeated} more than once; each coefficient is one input")
+        self._check_forces()
+
+    def _check_forces(self) -> None:
+        """Raise TypeError if a force is compiled with a coefficient that is an input."""
+        if not len(self.in_energy) or not self.system.forces:
+            return
+        from coadjoint.kernels.tables.forces import linear_coefficients_in
+
+        for label, force in self.system.labelled_forces:
+            contained = sorted({*linear_coefficients_in(force, self._unforced)} & {*self.in_energy.tolist()})
+            if contained:
+                raise TypeError(
+                    f"inputs name coordinate {contained[0]}, whose coefficient {label} reads, as it does the angular "
+                    "velocity of a body; take inputs of other coordinates or of a constant Torque, or make such a "
+                    "coefficient a coordinate, as momenta of wheels are in co.systems.body(inertia, wheels=...)"
+                )
 
     def _check_name(self, name: Any, of_linear_term: bool) -> None:
         if not isinstance(name, str) or not name.isidentifier():
@@ -237,9 +253,10 @@ class Inputs:
     def settled(self, method: Method, system: Any = None) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term.
 
-        The choices are those for the system, or for another one that differs in its parameters.
+        The choices are those for the system, or for another one that differs in its parameters, with the default
+        values of the inputs: they are made before the inputs are known.
         """
-        coordinates, plain = np.sort(self.in_energy), self._unforced if system is None else system.unforced
+        coordinates, plain = np.sort(self.in_energy), self.system_at(self.values, system).unforced
         return method.settled(plain, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from matrix.forces import forces_on
 from own_schemes import Classical, Interpreted
 from refusals import refused
 
@@ -221,6 +222,26 @@ def test_wrong_inputs_are_refused():
     split_up = co.SplitHamiltonian([((0,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
     with refused(ValueError, "pieces 0 and 1", "coordinate 0"):
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+@pytest.mark.parametrize("name", ["body", "gyrostat"])
+def test_inputs_beside_every_force(name, method):
+    """A force that reads the angular velocity, to which such an input belongs, is refused by name."""
+    plain = co.systems.get(name)
+    for force in forces_on(plain):
+        forced = plain.with_forces(force)
+        x = np.cos(1.0 + np.arange(forced.dim))
+        if isinstance(force, co.forces.Pointing | co.forces.Sampled):
+            with refused(TypeError, force.label, "coordinate 0", "inputs"):
+                co.prepare(forced, method, STEP, inputs=True)
+        first = 3 if isinstance(force, co.forces.Pointing | co.forces.Sampled) else 0
+        names = tuple(range(first, plain.dim))
+        if not names:
+            continue
+        run = co.prepare(forced, method, STEP, inputs=names).run(x, SPANS[0], linear=0.1 * x[first : plain.dim])
+        again = co.integrate(run.system, x, SPANS[0], STEP, run.method)
+        assert np.array_equal(run.x, again.x), force
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.kernels.tables.compiled import CompiledTables
@@ -20,8 +21,9 @@ from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_lo
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import Coefficients, Multiples, Sources
-from coadjoint.systems.forces.base import Noise
+from coadjoint.systems.forces.base import Force, Noise
 from coadjoint.systems.forces.state_torque import extrapolation_columns
+from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)
@@ -249,8 +251,8 @@ def forced_loop(
         numbers,
     )
     recorded = [
-        CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, table, k))
-        for k, table in enumerate(tables)
+        CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, force, table, k))
+        for k, (force, table) in enumerate(zip(system.forces, tables, strict=True))
     ]
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
@@ -266,10 +268,49 @@ def forced_loop(
     )
 
 
-def _sources_of_force(system: Any, table: ForceTable, number: int) -> Sources:
-    """Return the sources of a force of this number: those of a constant torque."""
+def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:
+    """Return the sources of a force of this number: a constant torque, or what its function contains."""
+    energy = Coefficients.of(system.hamiltonian.terms())
+    if len(table.function) and force.uses_energy:
+        contained = energy.of_coordinates(np.array(linear_coefficients_in(force, system), dtype=np.int64))
+        # Of other coefficients, a function may contain any.
+        return Sources(computed={"function": np.concatenate([energy.others, contained])})
     if table.kind != codes("ForceKind")["CONSTANT"]:
         return Sources()
     position = np.arange(system.dim)
-    first = Coefficients.of(system.hamiltonian.terms()).size + number * system.dim
+    first = energy.size + number * system.dim
     return Sources({"aim": Multiples(position, first + position, np.ones(system.dim))})
+
+
+class _FunctionReader(_ForceTableBuilder):
+    """Reader of the function of a force, which is not compiled."""
+
+    read: Callable[..., Any] | None = None
+
+    def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
+        self.read = function
+
+
+def linear_coefficients_in(force: Force, system: Any) -> list[int]:
+    """Return the coordinates of the linear term of H of a system whose coefficients the function of a force contains.
+
+    A function is compiled with what it reads of the system, such as the angular velocity of a body at zero momentum.
+    """
+    if not force.uses_energy or not len(Coefficients.of(system.hamiltonian.terms()).number):
+        return []
+    n = system.dim
+
+    def key_at(linear: NDArray[np.float64]) -> Any:
+        reader = _FunctionReader(system, 0, 0)
+        force.describe_to(reader, with_linear(system, linear))
+        return None if reader.read is None else compilation_key(reader.read)
+
+    try:
+        linear = linear_of(system.hamiltonian, n)
+        moved = 2.0 * linear + 1.0 + np.arange(n)
+        own = key_at(linear)
+        if own == key_at(moved):
+            return []
+        return [k for k in range(n) if key_at(np.where(np.arange(n) == k, moved, linear)) != own]
+    except (TypeError, ValueError):
+        return list(range(n))  # the terms cannot be told apart

@@ -144,6 +144,8 @@ class Trajectory:
     """Number of threads."""
     threads_inside: int = 1
     """Number of threads that may share a member."""
+    deviation: float = 0.0
+    """The largest relative error of a state from which the flows of a step were undone, to be differentiated."""
     solution: Solution
     t: Floats
     outputs: tuple[Floats, Floats]
@@ -247,7 +249,9 @@ class Trajectory:
 
     def backward(self, tables: DerivativeTables, stretch: Stretch, *arrays: Floats) -> None:
         """Carry cotangents from the end of a stretch to its start, in place; `arrays` as of `Stretch.backward`."""
-        self._carry(tables, stretch.backward(*arrays, marks=self._marks(stretch), threads=self.threads_inside))
+        run = stretch.backward(*arrays, marks=self._marks(stretch), threads=self.threads_inside)
+        self._carry(tables, run)
+        self.deviation = max(self.deviation, float(run.deviations.max(initial=0.0)))
 
     def inside(self, stretch: Stretch) -> NDArray[np.bool_]:
         """Return which saved steps belong to a stretch of whole steps."""

@@ -99,7 +99,7 @@ class ForcedSteps:
             for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h)[::-1]:
                 base = steps.pop()
                 of_x = forces.pull(base.end, of_x, Half(t, h, True), by_entries)
-                of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients)
+                of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients, run.deviations[some])
                 of_x = forces.pull(starts.pop(), of_x, Half(t, h, False), by_entries)
         run.cotangents[some], run.group_cotangents[some] = of_x, of_groups
         run.coefficients[some] += coefficients
@@ -148,7 +148,7 @@ class ForcedSteps:
         return run.at_points[0], np.array(after)
 
     def _base_backward(
-        self, base: _Base, of_x: Floats, of_groups: Floats, coefficients: Floats
+        self, base: _Base, of_x: Floats, of_groups: Floats, coefficients: Floats, deviations: Floats
     ) -> tuple[Floats, Floats]:
         at_groups, before, of_start = of_groups, np.zeros_like(of_x), None
         if self._attitudes is not None:
@@ -168,6 +168,7 @@ class ForcedSteps:
         run = base.step.backward(of_x[None], at_groups[None], *zeros, of_inner)
         self._carry(run)
         coefficients[:, : self._flows.start] += of_inner
+        np.maximum(deviations, run.deviations, out=deviations)
         return before + run.cotangents, run.group_cotangents if of_start is None else of_start
 
     def _carry(self, run: ForwardRun | BackwardRun) -> None:

@@ -203,11 +203,13 @@ TABLE(ForwardRun, FORWARD_RUN_FIELDS)
 // `at_points` (marked, members, n) and `at_groups` (marked, members, d, d) of the states finished after the steps
 // `marks`, ascending. Accumulated are `cotangents` (members, n) and `group_cotangents` (members, d, d) of the
 // unfinished states, and the derivatives by the offsets, weights and coefficients of the terms (members, their number).
+// `deviations` (members), which may be null, become at least the largest distance, relative to its size, of a state from
+// which flows were undone to that before the step.
 #define BACKWARD_RUN_FIELDS(_)                                                                                       \
     _(integer, size) _(integer, square) _(integer, members) _(number, t0) _(number, h) _(integer, k0) _(integer, k1)  \
     _(numbers, momenta) _(numbers, errors) _(numbers, groups) _(numbers, group_errors) _(integer, marked)            \
     _(integers, marks) _(numbers, at_points) _(numbers, at_groups) _(numbers, cotangents)                            \
-    _(numbers, group_cotangents) _(numbers, coefficients) _(flag, undone) _(integer, threads)
+    _(numbers, group_cotangents) _(numbers, coefficients) _(numbers, deviations) _(flag, undone) _(integer, threads)
 TABLE(BackwardRun, BACKWARD_RUN_FIELDS)
 
 #define UNSHIFT_FIELDS(_)                                                                                            \
