@@ -68,9 +68,9 @@ def rotation_block(representation: Any) -> int | None:
     >>> [rotation_block(one.representation) for one in (co.algebras.so(3), co.algebras.e(3), co.algebras.sl(2))]
     [0, 0, None]
     """
-    if representation is None:
-        return None
     rho = np.asarray(representation)
+    if rho.ndim != 3:  # none, or the name of one
+        return None
     size = rho.shape[-1]
     if size == 3 or (size == 4 and not rho[:, 3].any()):
         return 0

@@ -272,7 +272,7 @@ class Inputs:
 
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
-    named = isinstance(value, bool) or np.asarray(value).dtype.kind in "US"
+    named = np.asarray(value).dtype.kind in "bUS"
     numbers = None if named else read_numbers(value, f"the coordinates of {name}")
     if numbers is None or not numbers.size or numbers.ndim == 0 or np.any(numbers != np.floor(numbers)):
         raise TypeError(

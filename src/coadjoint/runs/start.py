@@ -223,7 +223,7 @@ def with_group(
             )
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs "
-            f"{expected_elements(size, None if isinstance(representation, str) else rotation_block(representation))}"
+            f"{expected_elements(size, rotation_block(representation))}"
         )
     if not are_finite(initial):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
