@@ -376,8 +376,14 @@ def _weights(
         if name not in outputs:
             raise unknown_name("measured value of this run", name, (*outputs, *quantities))
         array, shape = read_numbers(value, f"measured {name}"), outputs[name].shape
-        if array.shape != shape or not are_finite(array):
-            raise ValueError(f"measured {name} has the shape {array.shape}; it must be {shape}, of finite numbers")
+        if array.shape != shape:
+            raise ValueError(f"measured {name} has the shape {array.shape}; it must be {shape}")
+        if not are_finite(array):
+            place = short(tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0]))
+            raise ValueError(
+                f"measured {name} is NaN or infinite at {place}; give finite numbers, and for those that are missing a "
+                "large sigma, of the shape of the measurements"
+            )
         if name not in sigma:
             raise ValueError(f"sigma has no standard deviation of {name}; give one")
         deviation = read_numbers(sigma[name], f"sigma of {name}")

@@ -197,10 +197,13 @@ class Inputs:
             "value for each member"
         )
 
-    def check_not_square(self, members: int) -> None:
-        """Raise ValueError if the values of members, for one state, are square, as a vector over a tensor is."""
-        if all(indices.shape == (members,) for indices in self.indices.values()):
-            name, n = next(iter(self.indices)), self.system.dim
+    def check_not_square(self, inputs: Mapping[str, Any]) -> None:
+        """Raise ValueError if all values of members, for one state, are square, as a vector over a tensor is."""
+        shapes = {name: np.shape(value) for name, value in inputs.items()}
+        by_member = {name: shape for name, shape in shapes.items() if shape != self.indices[name].shape}
+        members = next(iter(by_member.values()))[0]
+        if members > 1 and all(shape == (members, members) for shape in by_member.values()):
+            name, n = next(iter(by_member)), self.system.dim
             raise ValueError(
                 f"{name} has the shape ({members}, {members}), which may be a matrix or values for {members} members, "
                 f"and x0 is one state; give one value, ({members},), or x0 for each member, ({members}, {n})"
@@ -286,7 +289,8 @@ class Inputs:
 
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
-    numbers = read_numbers(value, f"the coordinates of {name}") if not isinstance(value, bool) else None
+    named = np.asarray(value).dtype.kind in "bUS"
+    numbers = None if named else read_numbers(value, f"the coordinates of {name}")
     if numbers is None or not numbers.size or numbers.ndim == 0 or np.any(numbers != np.floor(numbers)):
         raise TypeError(
             f"inputs has {short(value)} for {name}; give coordinates, whole numbers from 0 to {n - 1}, or True"

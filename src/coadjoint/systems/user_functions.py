@@ -21,6 +21,8 @@ SEED = 1993  # of sample points; any other would do
 SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
 LEAST_SHARED_BODIES, BODIES_OF_A_SHARE, MAX_SHARES = 57, 16, 32
 """Bodies from which on threads share a member of 18 coordinates each; what is done once for each share is small."""
+TIMES = ("t", "time")
+"""Names of arguments that are the time."""
 MANY_COORDINATES = 1 << 16
 """Dimension above which one point is a sample."""
 
@@ -163,6 +165,9 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
         parameters = [p for p in signature.parameters.values() if p.kind in positional]
         required = [p for p in parameters if p.default is inspect.Parameter.empty]
+        if len(required) == 2 and required[0].name in TIMES and required[1].name not in TIMES:
+            names = ", ".join(p.name for p in required)
+            raise TypeError(f"{name} is a function of ({names}); the state is first, and the time second: give (x, t)")
         count = 2 if len(parameters) > 1 and len(required) < 2 and parameters[1].name == "t" else len(required)
         if any(
             p.kind is inspect.Parameter.KEYWORD_ONLY and p.default is p.empty for p in signature.parameters.values()

@@ -281,6 +281,20 @@ def test_a_quotient_by_a_tensor_is_no_ensemble():
             call(x)
         call(np.ones((3, 3)))
     assert ready.run(x, (0, 1), linear=np.ones((4, 3))).x.shape == (11, 4, 3)
+    both = co.prepare(pushed, None, 0.1, inputs={"bias": (0, 2), "torque": "Torque"})
+    for given in ({}, {"bias": np.ones(2)}):
+        with refused(ValueError, "torque has the shape (3, 3)", "one state"):
+            both.run(x, (0, 1), torque=-k / tensor, **given)
+    members = both.run(x, (0, 1), torque=-k / tensor, bias=np.ones((3, 2)))  # the shape of bias is no matrix
+    assert members.x.shape == (11, 3, 3)
+    one = co.prepare(body, None, 0.1, inputs={"bias": (1,)})
+    assert one.run(x, (0, 1), bias=np.ones((1, 1))).x.shape == (11, 1, 3)
+
+
+def test_names_in_place_of_coordinates_are_refused_with_the_coordinates():
+    for given in (("linear",), {"field": "linear"}, {"field": ["x1", "x2"]}):
+        with refused((TypeError, ValueError), "inputs", "rigid_body" if given == {"field": "linear"} else "0 to 2"):
+            co.prepare(co.systems.rigid_body(), None, 0.1, inputs=given)
 
 
 def test_names_of_parameters_are_no_names_of_the_linear_term():

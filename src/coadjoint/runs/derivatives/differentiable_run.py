@@ -153,7 +153,7 @@ class Trajectory:
 
     def __init__(self, run: DifferentiableRun, given: Arguments, reverse: str | None) -> None:
         prepared, self.reverse = run.prepared, reverse
-        self.values = prepared.values_of(given.inputs)
+        self.values = prepared.values_of(given.inputs, given.x0)
         self.times, moments = prepared.times_of(given.t_span, given.save_every, given.t_eval)
         self.start = prepared.start(given.x0, given.attitude, self.values)
         self.system = prepared.system_at(self.values)
