@@ -179,6 +179,7 @@ def test_matrices_without_structure_constants():
         assert np.max(np.abs(before - after)) < 1e-12
     assert sol.drift(relative=False)["|X|^2"] < 1e-11 and 1e-8 < sol.drift(relative=False)["energy"] < 1e-1
     assert abs(sol.energy[0, 0] - system.energy(X[0])) < 1e-12
+    assert Isospectral().work(system).cost(1.0, 1.0) > 0.0
 
 
 class Springs:
