@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from functools import cache, wraps
 from inspect import Parameter, signature
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -129,7 +129,7 @@ def ready_made(
             _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric, potential)
         if unit:
             _UNITS[wrapped.__name__] = unit
-        return wrapped
+        return cast(Builder, wrapped)
 
     return register if function is None else register(function)
 
