@@ -307,7 +307,10 @@ def corrected(case: Case, space: dict[str, Any]) -> Iterator[str]:
         yield refusal(call, "LiePoissonSystem")
         return
     kernel = re.sub(r"co\.(Composition|methods\.even_order)\((base=)?", "", case.method)
-    if not kernel.startswith(("co.Splitting", "user.Flows")):
+    innermost = method
+    while isinstance(innermost, co.Composition):
+        innermost = innermost.base
+    if not isinstance(innermost, co.methods.FlowMethod):
         yield refusal(call, "order" if "tolerance" in kernel else "Splitting")
         return
     if not isinstance(plain.hamiltonian, co.Quadratic | co.Polynomial) or method.order * plain.dim > 24:

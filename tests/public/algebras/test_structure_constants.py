@@ -256,6 +256,7 @@ def test_brackets_come_with_everything_that_an_algebra_has():
         ({0: {0: 1.0}}, TypeError, "pair"),
         ({(0, 1): 1.0}, TypeError, "{k: c}"),
         ({(0, 1): {2: 1.0}}, ValueError, "k = 2"),
+        ({(0, 1): {0: 1.0}, (0, 2): {1: 1.0}}, ValueError, r"(0, 2) has the index j = 2"),
         ({(0, 1): {0: 1.0}, (1, 0): {}}, ValueError, "antisymmetry"),
         ({(0, 1): {"a": 1.0}}, ValueError, "'a'"),
     ],

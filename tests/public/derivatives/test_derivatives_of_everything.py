@@ -204,7 +204,7 @@ def test_derivatives_by_torques_that_are_inputs(scheme):
                        values=values)  # fmt: skip
 
 
-EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in getattr(co, name).examples()]
+EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
 OF_FIELDS = ("IsospectralGauss", "LineSplitting")
 WITH_STEPS = [one for one in EVERY_SCHEME if not one.own_steps and type(one).__name__ not in OF_FIELDS]
 

@@ -20,7 +20,7 @@ METHODS = {
     "taylor": co.Taylor(order=8),
     "midpoint": co.SphericalMidpoint(),
 }
-SCHEMES = [method for name in co.methods.names() for method in getattr(co, name).examples()]
+SCHEMES = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()]
 
 
 def varied(value, rng):

@@ -139,7 +139,7 @@ def test_a_refused_attitude_names_the_scheme_of_the_user():
     body, refusing = co.systems.rigid_body(), set()
     driven = body.with_forces(co.forces.LinearDamping(0.1))
     for name in co.methods.names():
-        for method in getattr(co, name).examples():
+        for method in co.methods.registry.scheme(name).examples():
             try:
                 co.integrate(body, (1, 0.1, 0.1), SPAN, STEP, method, attitude=True)
             except ValueError as error:

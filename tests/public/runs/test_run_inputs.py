@@ -62,7 +62,7 @@ def test_zero_input_converges_to_no_input(name, method):
     assert np.array_equal(ready.run(x, SPANS[0]).x, ready.run(x, SPANS[0], linear=np.zeros(len(x))).x)
 
 
-METHODS = [method for name in co.methods.names() for method in getattr(co, name).examples()[:2]]
+METHODS = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()[:2]]
 FORCES = co.forces.LinearDamping(0.1), co.forces.Torque(np.zeros(6))
 
 

@@ -294,7 +294,7 @@ def open_folder(path: Path) -> ArchiveFolder:
     try:
         return ArchiveFolder(path)
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run") from None
+        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
     except NotADirectoryError:
         raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
     except OSError as reason:
@@ -317,11 +317,13 @@ def read_root(path: Path, folder: ArchiveFolder | None = None) -> tuple[dict[str
         version = attributes[VERSION_ATTRIBUTE]
         metadata = root["consolidated_metadata"]["metadata"]
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run") from None
+        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
     except OSError as reason:
         raise ArchiveError(f"{path}: {ROOT_FILE} cannot be read ({reason.strerror})") from None
     except (ValueError, LookupError, TypeError, RecursionError):
-        raise ArchiveError(f"{path}: is no archive of a run, or its {ROOT_FILE} is damaged") from None
+        raise ArchiveError(
+            f"{path}: is no archive of a run, or its {ROOT_FILE} is damaged; other results are opened by co.load"
+        ) from None
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise ArchiveError(f"{path}: {VERSION_ATTRIBUTE} is {short(version)}; it must be a whole number from 1 up")
     if version > FORMAT:

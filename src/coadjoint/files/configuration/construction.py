@@ -120,7 +120,7 @@ def system_of_file(name: str, file: File) -> System:
     system, forces = _hamiltonian_part(name, file), []
     for k, description in enumerate(file.forces):
         with section(name, f"forces[{k}]"):
-            forces.append(from_description("force", described.KINDS, description))
+            forces.append(from_description("force", described.kinds(), description))
     with section(name, "forces"):
         return system.with_forces(*forces) if forces else system
 

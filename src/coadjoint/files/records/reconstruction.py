@@ -70,7 +70,7 @@ def _system_of(record: Entry, dim: int | None) -> System:
     for force in record["forces"].entries():
         parameters = {key: entry.plain() for key, entry in force.table().items()}
         with as_value_errors(force):
-            forces.append(from_description("force", described.KINDS, parameters))
+            forces.append(from_description("force", described.kinds(), parameters))
     system = _unforced_system_of(record["system"], dim)
     with as_value_errors(record["forces"]):
         return system.with_forces(*forces)

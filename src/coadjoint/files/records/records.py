@@ -160,7 +160,7 @@ def _forced_record(system: System) -> dict[str, Any]:
 def _force_record(force: Force) -> dict[str, Any] | None:
     """Return the name and the parameters of a force, and of a law in it; None if there is a function in it."""
     record: dict[str, Any] = {"name": type(force).__name__}
-    if described.KINDS.get(record["name"]) is not type(force):
+    if described.kinds().get(record["name"]) is not type(force):
         return None
     for key, value in force.parameters().items():
         entry = _force_record(value) if isinstance(value, Force) else None if callable(value) else plain(value)
