@@ -3,7 +3,7 @@
 Three others are plain formulas; one Newton iteration for an implicit term is that of game engines. If `mujoco-mjx` and
 `brax` are installed, their own integrators follow: whole steps of a scene of one free body, without contacts.
 
-python benchmarks/jax_free_body.py [--bodies N] [--steps N] [--rounds R]
+python benchmarks/jax_free_body.py [--bodies N] [--steps N] [--rounds R] [--types float32 float64]
 """
 
 from __future__ import annotations
@@ -76,14 +76,7 @@ def runge_kutta(w: Any, q: Any, inertia: Any, h: Any) -> tuple[Any, Any]:
     return w, q / jnp.sqrt((q * q).sum())
 
 
-def exact(w: Any, A: Any, inertia: Any, h: Any) -> tuple[Any, Any]:
-    """The step of the library."""
-    x, A = co.jax.free_body(inertia * w, A, inertia, h)
-    return x / inertia, A
-
-
 FORMULAS: dict[str, Callable[..., Any]] = {
-    "`co.jax.free_body`": exact,
     "semi-implicit Euler": semi_implicit,
     "semi-implicit Euler, implicit gyroscopic term": implicit,
     "Runge-Kutta of order 4": runge_kutta,
@@ -113,9 +106,18 @@ class Integrator(NamedTuple):
 
 def of_formula(formula: Callable[..., Any], kind: Any, h: float) -> Integrator:
     """Return the integrator of a formula."""
-    attitude = jnp.asarray(np.eye(3) if formula is exact else np.eye(4)[0], kind)
-    inertia, length = jnp.asarray(INERTIA, kind), jnp.asarray(h, kind)
+    inertia, length, attitude = (jnp.asarray(one, kind) for one in (INERTIA, h, np.eye(4)[0]))
     return Integrator(lambda w: (w, attitude), lambda state: formula(*state, inertia, length), lambda state: state)
+
+
+def exact(kind: Any, h: float) -> Integrator:
+    """Return the step of the library."""
+    inertia, length, attitude = (jnp.asarray(one, kind) for one in (INERTIA, h, np.eye(3)))
+    return Integrator(
+        lambda w: (inertia * w, attitude),
+        lambda state: co.jax.free_body(*state, inertia, length),
+        lambda state: (state[0] / inertia, state[1]),
+    )
 
 
 def scene(integrator: str, h: float) -> str:
@@ -152,7 +154,8 @@ def of_brax(pipeline: str, kind: Any, h: float) -> Integrator:
 
 def methods() -> dict[str, Callable[..., Integrator]]:
     """Return the integrators by name, as functions of the type of numbers and of the step."""
-    found: dict[str, Callable[..., Integrator]] = {name: partial(of_formula, one) for name, one in FORMULAS.items()}
+    found: dict[str, Callable[..., Integrator]] = {"`co.jax.free_body`": exact}
+    found |= {name: partial(of_formula, one) for name, one in FORMULAS.items()}
     if find_spec("mujoco") is not None and find_spec("mujoco.mjx") is not None:
         found |= {f"MJX, `{name}`": partial(of_mjx, name) for name in ("Euler", "implicitfast", "RK4")}
     if find_spec("brax") is not None:
@@ -202,11 +205,12 @@ def main() -> None:
     parser.add_argument("--bodies", type=int, default=4096)
     parser.add_argument("--steps", type=int, default=100)
     parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--types", nargs="+", choices=("float32", "float64"), default=["float32", "float64"])
     options = parser.parse_args()
     many = options.bodies
     h = float(2.0 * np.pi / np.linalg.norm(np.array(START) / np.array(INERTIA))) / STEPS_PER_TURN[0]
-    for kind in (jnp.float32, jnp.float64):
-        jax.config.update("jax_enable_x64", kind is jnp.float64)
+    for kind in map(jnp.dtype, options.types):
+        jax.config.update("jax_enable_x64", kind == jnp.float64)
         start = jnp.asarray(np.random.default_rng(1).standard_normal((many, 3)), kind)
         runs = {
             name: jax.jit(jax.vmap(run_of(method(kind, h), options.steps))).lower(start).compile()
@@ -221,12 +225,15 @@ def main() -> None:
         first = best[next(iter(best))]
         counts = "; ".join(map(str, STEPS_PER_TURN))
         head = f"errors of momentum and attitude after {TURNS} turns, {counts} steps a turn"
-        print(f"| {kind.__name__}, {many} bodies | ns a step | ratio | {head} |")
+        print(f"| {kind.name}, {many} bodies | ns a step | ratio | {head} |")
         print("|---|---|---|---|")
         for name, seconds in best.items():
             nanoseconds = 1e9 * seconds / (options.steps * many)
-            print(f"| {name} | {nanoseconds:.0f} | {seconds / first:.2f} | {errors_of(methods()[name], kind)} |")
-        print(flush=True)
+            print(
+                f"| {name} | {nanoseconds:.0f} | {seconds / first:.2f} | {errors_of(methods()[name], kind)} |",
+                flush=True,
+            )
+        print()
 
 
 if __name__ == "__main__":

@@ -87,8 +87,6 @@ class XlaRun:
     def _describe_members(self, method: Any, group: Any) -> tuple[Any, Mapping[str, Any]]:
         """Return the steps and the table of the first member of a batch; set the constants of all members."""
         batch = self._system
-        if batch.forces:
-            raise TypeError(f'{CALLER} takes batches without forces, not {batch.name}; take backend="compiled"')
         each = [_described(system, method, group) for system in batch.distinct]
         first = each[0]
         constants = [one.steps.constants(one.table["energy"]["coefficients"]) for one in each]

@@ -427,9 +427,9 @@ def test_ready_made_systems_agree_with_the_compiled_run():
 SCHEMES = {str(one): one for name in co.methods.names() for one in getattr(co, name).examples()}
 
 
-@pytest.mark.thinned(1)
+@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", SCHEMES)
-@pytest.mark.parametrize("attitude", [None, True])
+@pytest.mark.parametrize("attitude", [False, True])
 def test_registered_schemes_agree_with_the_compiled_run_or_are_refused(name, attitude):
     """By their name and with another backend."""
     method = SCHEMES[name]
@@ -441,8 +441,8 @@ def test_registered_schemes_agree_with_the_compiled_run_or_are_refused(name, att
         f = co.jax.solution(ready, (0, 1), 5, backend="xla")
     except TypeError as reason:
         assert str(method) in str(reason)
-        assert method.own_steps or "compiled" in str(reason)
-        assert not (isinstance(method, co.Splitting) and not method.compensates)
+        assert method.own_steps or "compiled" in str(reason) or "compensated=False" in str(reason)
+        assert type(method) is not co.Splitting or method.compensates
         return
     found, sol = f(X0), ready.run(X0, (0, 1), 5)
     found, wanted = (found, (sol.x, sol.attitude)) if attitude else ((found,), (sol.x,))
@@ -472,8 +472,8 @@ def test_inputs_and_gradients_by_them_are_those_of_the_compiled_run(name):
     np.testing.assert_allclose(f(x0), ready.run(x0, (0, 1), 5).x, rtol=0, atol=tolerance)
     assert abs(found - (weights(sol.x) * sol.x).sum()) < sol.x.size * tolerance
     np.testing.assert_allclose(of_inputs, gradient, rtol=0, atol=32 * sol.x.size * tolerance)
-    with refused(ValueError, "gravity", "without inputs"):
-        f(x0, gravity=np.array([0.0, 0.0, 1.0]))
+    with refused(ValueError, "lever", "without inputs"):
+        f(x0, lever=np.array([0.0, 0.0, 1.0]))
 
 
 BODIES = co.batch([BODY, co.systems.rigid_body((1.0, 2.0, 3.0)), BODY])
@@ -536,7 +536,7 @@ REFUSED = {
     ),
     "inputs of squares": (co.prepare(FULL_BODY, co.Splitting(), 0.1, inputs=True), ("inputs", 'parts="coordinates"')),
     "a batch of other parts": (batched([TURNED, FULL_BODY]), ("batch", "same parts", "compiled")),
-    "a batch with forces": (batched([DAMPED, DAMPED]), ("batch", "forces", "compiled")),
+    "a batch with forces": (batched([DAMPED, DAMPED]), ("batch", "forces", "vjp")),
     "a batch of functions": (batched([COSH, COSH], co.GaussLegendre(2)), ("batch", "functions", "compiled")),
 }
 

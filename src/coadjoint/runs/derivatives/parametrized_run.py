@@ -48,6 +48,10 @@ class ParametrizedRun:
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
                 "prepared.jvp and prepared.vjp"
             )
+        if prepared.system.is_batch and prepared.system.forces:
+            raise TypeError(
+                f"{caller} takes batches without forces, not {prepared.system.name}; use prepared.jvp and prepared.vjp"
+            )
         if prepared.method.own_steps:
             raise TypeError(f"{caller} takes schemes with a given step, and {prepared.method} chooses its own steps")
         self._prepared = prepared
