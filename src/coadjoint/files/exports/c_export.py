@@ -205,14 +205,20 @@ class _Numbers:
 def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
     """Return the loop of a run of step 1, whose flows have the lengths of the coefficients, and its numbers."""
     if not isinstance(prepared, PreparedRun):
-        raise TypeError(f"{short(prepared)} is no prepared run; give that of `prepare`")
+        raise TypeError(f"{short(prepared)} is no prepared run; give co.prepare(system, method, step)")
     system, scheme = prepared.system, prepared.scheme
     if system.is_batch:
-        raise TypeError("a batch has several systems, and one is exported; prepare the system of a member")
+        raise TypeError(f"the {system.name} has several systems, and one is exported; prepare the system of a member")
     if system.has_matrices:
-        raise TypeError(f"{system.name} has matrices as states, which are multiplied by BLAS; it cannot be exported")
+        raise TypeError(
+            f"{system.name} has matrices as states, which are multiplied by BLAS and not exported; give a system on a "
+            "Lie algebra, whose states are vectors"
+        )
     if system.unforced.algebra is None:
-        raise TypeError(f"{system.name} has a structure matrix that is a function, which cannot be exported")
+        raise TypeError(
+            f"{system.name} has a structure matrix that is a function, which cannot be exported; give a "
+            "LiePoissonSystem, with structure constants"
+        )
     if system.forces:  # substeps multiply the step, as those of the library
         scheme = Forced(scheme.inner)
     if prepared.inputs is None:
@@ -232,7 +238,7 @@ def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, s
     if tables.has_sums:
         raise TypeError(
             f"inputs of {prepared.system.name} enter completed squares of several coordinates, which cannot be "
-            "exported; prepare it without inputs"
+            'exported; take Splitting(parts="coordinates"), or prepare it without inputs'
         )
     return found
 
@@ -249,24 +255,27 @@ def _exported(
     if forced:
         return _forced(prepared, loop, numbers, inputs, tangent)
     raise TypeError(
-        f"{prepared.method} is neither a splitting nor an explicit Runge-Kutta method, so it cannot be exported"
+        f"{prepared.method} is neither a splitting nor an explicit Runge-Kutta method, so it cannot be exported; take "
+        "Splitting or ExplicitRungeKutta"
     )
 
 
 def _check_attitude(prepared: PreparedRun, loop: CompiledLoop) -> None:
     """Raise TypeError for group elements that need more than the flows of a table."""
-    tables = loop.tables
-    if type(tables) is not FlowTables:
-        why = f"{prepared.method} is no splitting without forces"
+    tables, instead = loop.tables, "take Splitting(parts='free_body')"
+    if prepared.system.forces:
+        why, instead = "the system has forces", "take co.systems.body, whose state contains the attitude"
+    elif type(tables) is not FlowTables:
+        why = f"{prepared.method} is no splitting"
     elif loop.shift:
-        why = "its parts turn by other angles than the state, since Casimirs were subtracted from the energy"
+        why = "Casimirs were subtracted from the energy, so that the parts turn it by other angles than the state"
     elif tables.bent.any() or (tables.group.kind % limit("RATIONAL") == Kind.SERIES).any():
         why = "its blocks are series, or its rotations are not rational as those of the state are"
     else:
         return
     raise TypeError(
-        f"the attitude, a group element, cannot be exported: {why}; prepare the run without, take "
-        "Splitting(parts='free_body'), or co.systems.body, whose state contains the attitude"
+        f"the attitude of {prepared.system.name}, a group element, cannot be exported: {why}; {instead}, or prepare "
+        "the run without attitude="
     )
 
 
@@ -274,11 +283,15 @@ def check_terms(prepared: PreparedRun, terms: Terms) -> None:
     """Raise TypeError for energies with functions, or with more numbers than are exported."""
     if (terms.kind == FUNCTION).any():
         raise TypeError(
-            f"the energy of {prepared.system.name} has a function, which cannot be exported; only polynomials can"
+            f"the energy of {prepared.system.name} has a function that is no polynomial and cannot be exported; give "
+            "a polynomial near it, or call the run from Python"
         )
     size = len(terms.weight) + len(terms.coefficient)
     if size > MOST_NUMBERS:
-        raise TypeError(f"the energy of {prepared.system.name} has {size} numbers; at most {MOST_NUMBERS} are exported")
+        raise TypeError(
+            f"the energy of {prepared.system.name} has {size} numbers, and at most {MOST_NUMBERS} are exported; give a "
+            "smaller system"
+        )
 
 
 def _splitting(prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
@@ -338,7 +351,7 @@ def _stages(
     solver = {value: key for key, value in codes("Solver").items()}[tables.solver]
     if solver not in ("EXPLICIT", "ITERATED"):
         raise TypeError(
-            f"{prepared.method} solves equations in each step, so it cannot be exported; take a splitting or "
+            f"{prepared.method} solves equations in each step, so it cannot be exported; take Splitting or "
             "ExplicitRungeKutta"
         )
     terms = tables.field.terms
@@ -397,7 +410,10 @@ def _flow_of_force(label: str, table: ForceTable, numbers: _Numbers, n: int) -> 
         numbers.check_constant(table, ("aim",), label)
         return repeated("x[{i}] = coadjoint_fma(tau, {b}, x[{i}]);", {"i": range(n), "b": aim[:n]}), []
     if table.kind != kinds["DAMPING"]:
-        raise TypeError(f"the flow of {label} is not exact, or it is a function; it cannot be exported")
+        raise TypeError(
+            f"{label} is random, nonlinear or a function, and its flow cannot be exported; take LinearDamping or a "
+            "constant Torque, which may be an input that each call sets: inputs={'torque': 'Torque'}"
+        )
     if table.shape == shapes["FULL"]:
         raise TypeError(f"the rate of {label} is a matrix, which cannot be exported; give a number for each coordinate")
     rates = table.rate.tolist() * (n if table.shape == shapes["MULTIPLE"] else 1)
