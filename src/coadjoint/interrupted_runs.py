@@ -86,8 +86,7 @@ def _interruption_error(
     partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
     written = ""
     if archive is not None and partial is not None:
-        content = getattr(partial, "progress_text", f"the run up to step {partial.reached}")
-        written = f"; {archive} holds {content}: coadjoint resume {archive} continues it"
+        written = f"; {archive} holds {partial.progress_text}: coadjoint resume {archive} continues it"
     elif target is not None and partial is not None and len(partial.t):
         time = float(partial.t[-1])
         reason = incomplete_attributes(interrupt.description, time)

@@ -203,13 +203,14 @@ def resume_archive(
     A finished run is left unchanged, unless a later end is given. At the end the results are written that the
     configuration file of the run declares: file, figure and movie, relative to the current directory.
     """
+    from coadjoint.files.archives.archive import read_archive_path
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
     from coadjoint.files.configuration.configuration import CONFIGURATION
     from coadjoint.files.configuration.loading import outputs_of_text, system_of_text
     from coadjoint.files.records.required_functions import requires_argument
 
-    archive, system = Path(path), None
+    archive, system = read_archive_path(path), None
     attributes = open_archive(archive).attributes
     if CONFIGURATION in attributes and requires_argument(attributes, "system"):
         # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.

@@ -172,7 +172,7 @@ def _prepared_again(
     archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any, threads: int | None
 ) -> tuple[PreparedRun, dict[str, Any]]:
     """Prepare the run of an archive again; return also all its arguments."""
-    given = resume_arguments(archive.path, archive, system, observe, events)
+    given = resume_arguments(archive, system, observe, events)
     with as_archive_errors(archive.path):
         inputs = archive.inputs(given.events)
     options = {name: inputs[name] for name in ("attitude", "watch")}

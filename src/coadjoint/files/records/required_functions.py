@@ -56,11 +56,9 @@ def requires_argument(attributes: Mapping[str, Any], what: str) -> bool:
     return what in json.loads(attributes[FUNCTIONS_ATTRIBUTE])
 
 
-def resume_arguments(
-    path: Path, archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any
-) -> ResumeArguments:
+def resume_arguments(archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any) -> ResumeArguments:
     """Return the arguments of a resumed run, given or stored; ArchiveError if one is missing or differs."""
-    attributes = archive.attributes
+    path, attributes = archive.path, archive.attributes
     fingerprints = json.loads(attributes[FUNCTIONS_ATTRIBUTE])
     observed = json.loads(attributes[OBSERVED_ATTRIBUTE])
     parsed_events = None if events is None else read_events(events)
@@ -97,7 +95,7 @@ def resume_arguments(
     return ResumeArguments(dict(observe), parsed_events)
 
 
-def _check(path: Path, what: str, contents: Any, stored: Mapping[str, Any], argument: Any) -> None:
+def _check(path: Path | str, what: str, contents: Any, stored: Mapping[str, Any], argument: Any) -> None:
     """Raise ArchiveError if an argument differs from the stored fingerprint."""
     if what in stored and not same_fingerprint(stored[what], fingerprint_of(contents)):
         raise ArchiveError(
@@ -113,7 +111,7 @@ def _check(path: Path, what: str, contents: Any, stored: Mapping[str, Any], argu
         )
 
 
-def _missing(path: Path, what: str, stored: Mapping[str, Any]) -> ArchiveError:
+def _missing(path: Path | str, what: str, stored: Mapping[str, Any]) -> ArchiveError:
     named = short(", ".join(stored[what]["named"]))[1:-1]
     return ArchiveError(
         f"{path}: the run uses functions, which are not stored ({named}); give them by co.resume(path, {what}=...)"
