@@ -25,7 +25,7 @@ SHORTCUTS = {
     "state_at": "coadjoint.runs.state_at:state_at",
     "step_error": "coadjoint.analysis.step_error:step_error",
     "step_errors_of_groups": "coadjoint.analysis.step_error:step_errors_of_groups",
-    "table_of": "coadjoint.files.datasets.table:table_of",
+    "table_of": "coadjoint.files.datasets.export:table_of",
     "vjp": "coadjoint.runs.derivatives.of_prepared_runs:vjp",
     "warn_of_large_step": "coadjoint.analysis.step_error:warn_of_large_step",
     "write_movie": "coadjoint.files.output.movie_file:write_movie",

@@ -33,7 +33,6 @@ FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by 
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
 
-
 # Half the distance of the states between which the derivative of the energy is differentiated; exact for quadratics.
 DISTANCE = 2.0**-10
 # Largest field of a Casimir, relative to the field of other directions of H.

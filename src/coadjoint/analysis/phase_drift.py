@@ -38,7 +38,6 @@ SCALES = 64  # blocks, from whose means the growth is computed
 MIN_SAMPLES = 16  # of a line with an uncertainty: four blocks of four
 MIN_PIECE_SAMPLES = 4  # of a block; fewer have no scatter of their own
 
-
 MAX_ITERATIONS = 30  # of Newton's method, which needs some five
 FIRST_POINTS = 4  # points with initial guess zero; then the number of points is doubled, by extrapolation
 

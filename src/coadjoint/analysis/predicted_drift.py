@@ -22,7 +22,6 @@ from coadjoint.validation import read_bool, read_finite, read_number, read_numbe
 Floats = NDArray[np.float64]
 Function = Callable[[Floats], Any]
 
-
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 2.5e-14, 1e-16  # tolerances of the integration; SciPy's smallest relative one
 RETURN_TOLERANCE = 1e-8  # largest distance from the start at a return, relative to the size of the orbit
 CROSSING_TOLERANCE = 1e-5  # the same for an interpolated crossing

@@ -54,7 +54,6 @@ ROUNDED = 0.01
 # Saved points of the run that is repeated to measure rounding.
 ROUNDED_POINTS = 16
 
-
 # Largest number of points, and of members, at which the step is repeated.
 POINTS, MEMBERS = 5, 64
 # Largest number of entries of the states that are repeated; at least one state.

@@ -28,7 +28,6 @@ MIN_TIMES = 8  # of a transform with a window
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
 BYTES_PER_VALUE = 500  # peak, of a wave vector at a time
 
-
 COMMENSURATE = 1e-9  # distance from a whole number of waves, in waves
 MAX_WAVES = 2**40  # whole numbers of waves up to here are exact in float64
 BYTES_PER_POINT = 100  # of a path: coordinates, distance, and those of the result

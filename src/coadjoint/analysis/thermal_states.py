@@ -26,7 +26,6 @@ MAX_SWEEPS = 2**40  # with which counters stay within 64 bits
 MAX_OVER_RELAXATION = 100  # half turns a sweep, far above any that are useful
 MIN_TEMPERATURE = 1e-300  # its inverse is finite
 
-
 STREAM = 1 << 63
 """The last word of counters, which no noise of forces uses."""
 WORDS = 4  # random numbers of a spin in a sweep

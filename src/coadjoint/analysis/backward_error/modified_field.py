@@ -31,7 +31,6 @@ MAX_ORDER = 64
 MARGIN = 1000  # below the order of a scheme, terms within this many roundings of its coefficients are set to zero
 WAYS = ("auto", "exact", "numerical")
 
-
 DISPLACEMENT_BITS = 53  # steps move by about 2^-53 of the state
 MAX_DISAGREEMENT = 1e-6  # largest accepted relative disagreement of two sets of steps
 SAMPLE_POINTS = (0, 1)  # the sample points of a system at which invariants are tested

@@ -57,7 +57,6 @@ JSON_MEMORY_FACTOR = 32
 """Memory needed to parse JSON, per byte."""
 MAX_ARRAYS = 10**5  # of an archive, which has some ten and one for each observed name
 
-
 Folder = ArchiveFolder | RemoteFolder
 Location = Path | RemoteFolder
 

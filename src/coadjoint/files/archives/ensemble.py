@@ -40,8 +40,7 @@ from coadjoint.files.archives.sinks import BlockSink
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables, start_variables
-from coadjoint.files.records.fingerprints import same_fingerprint
-from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
+from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE, same_fingerprint
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages

@@ -26,7 +26,7 @@ from coadjoint.files.datasets.export import (
 )
 from coadjoint.files.datasets.named_axes import stacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
-from coadjoint.files.datasets.vorticity_variables import with_vorticity
+from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
