@@ -7,7 +7,7 @@ import coadjoint as co
 from coadjoint.analysis import structure_factor, thermal_states
 from coadjoint.analysis.spin_energy import spin_energy
 from coadjoint.analysis.structure_factor import reciprocal_path
-from coadjoint.pictures.structure_factor import corner_name
+from coadjoint.pictures.analysis_figures import corner_name
 from coadjoint.systems.forces.base import random_words
 from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates, lattice_positions, reciprocal_edges
 from coadjoint.systems.lattices.neighbours import graph

@@ -35,8 +35,7 @@ from coadjoint.validation import is_real, read_finite, read_number
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from coadjoint.files.configuration.models import File
-    from coadjoint.files.configuration.sweep_models import SettingsTable, SweepTable
+    from coadjoint.files.configuration.models import File, SettingsTable, SweepTable
 
 KeyPath = tuple[str | int, ...]
 
