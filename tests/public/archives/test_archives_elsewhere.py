@@ -203,10 +203,17 @@ def test_fsspec_is_needed_for_urls_alone(base, monkeypatch):
 
 
 def test_mappings_of_this_machine_follow_no_links(base, tmp_path):
-    """They are the folder itself."""
+    """They are the folder itself, unless they are within another file system."""
     shutil.copytree(base / "finished", tmp_path / "run.zarr")
-    (tmp_path / "run.zarr" / "x").rename(tmp_path / "x")
-    (tmp_path / "run.zarr" / "x").symlink_to(tmp_path / "x")
-    for location in ((tmp_path / "run.zarr").as_uri(), fsspec.get_mapper(str(tmp_path / "run.zarr"))):
-        with refused(ValueError, "x/c.0.0 cannot be read", "link"):
-            _ = co.open_archive(location).x
+    within = fsspec.filesystem("dir", path=str(tmp_path), fs=fsspec.filesystem("file")).get_mapper("run.zarr")
+    locations = ((tmp_path / "run.zarr").as_uri(), fsspec.get_mapper(str(tmp_path / "run.zarr")), within)
+    for inside in ("x", "x/c.0.0"):
+        for location in locations:
+            assert co.open_archive(location).x.shape == (33, 3)
+        (tmp_path / "run.zarr" / inside).rename(tmp_path / "elsewhere")
+        (tmp_path / "run.zarr" / inside).symlink_to(tmp_path / "elsewhere")
+        for location in locations:
+            with refused(ValueError, "x/c.0.0 cannot be read"):
+                _ = co.open_archive(location).x
+        (tmp_path / "run.zarr" / inside).unlink()
+        (tmp_path / "elsewhere").rename(tmp_path / "run.zarr" / inside)

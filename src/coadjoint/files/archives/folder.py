@@ -177,9 +177,12 @@ class RemoteFolder:
         """Return a file, as `ArchiveFolder.read`."""
         path = "/".join(filter(None, (self.root, folder, file)))
         with _as_os_errors():
-            status = dict(self.filesystem.info(path))
+            status = self.filesystem.info(path)
+            linked = status.get("islink")
+            if folder and linked is False:  # a folder of this machine, within another file system
+                linked = self.filesystem.info(f"{self.root}/{folder}").get("islink")
         size = status.get("size")
-        if status.get("type") != "file" or status.get("islink"):
+        if status.get("type") != "file" or linked:
             raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
         if size is None or size < 0:
             raise OSError(errno.EINVAL, "its length is unknown")
