@@ -15,7 +15,7 @@ import numpy as np
 from c_programs import build, run
 
 import coadjoint as co
-from coadjoint.files.exports.headers import FREE_BODY
+from coadjoint.files.exports.c_runtime import FREE_BODY
 
 METHODS = {
     "exact": 0,
