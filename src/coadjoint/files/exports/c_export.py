@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -219,7 +219,7 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
             "LiePoissonSystem, with structure constants"
         )
     if system.forces:  # substeps multiply the step, as those of the library
-        scheme = Forced(scheme.inner)
+        scheme = Forced(cast(Forced, scheme).inner)
     if prepared.inputs is None:
         return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
     loops = InputLoops(prepared.inputs, scheme, 1.0, prepared.representation)
