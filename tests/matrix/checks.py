@@ -80,7 +80,7 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     )
     if chosen["inputs"] == "none":
         yield same(f"numbers(ready.run(x0, span{passed}))")
-        yield same(f"numbers(ready.run(x0, span{passed}))", lines="ready.run(fixed(system, 0.5 * x0, 1.0), span)\n")
+        yield same(f"numbers(ready.run(x0, span{passed}))", lines="ready.run(fixed(system, 0.95 * x0, 1.0), span)\n")
         yield same("ready.end(x0, span)", "ready.run(x0, span).x[-1]")
         return
     name = {"linear": "linear", "torque": "pushed"}[chosen["inputs"]]
