@@ -12,7 +12,7 @@ from pathlib import Path
 
 STRICT = {
     "c": ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion"),
-    "c++": ("-std=c++11", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow", "-Wdouble-promotion"),
+    "c++": ("-std=c++11", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow"),
 }
 
 

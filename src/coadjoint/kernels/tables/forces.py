@@ -301,7 +301,7 @@ def linear_coefficients_in(force: Force, system: Any) -> list[int]:
     n = system.dim
 
     def key_at(linear: NDArray[np.float64]) -> Any:
-        reader = _FunctionReader(system, 0, 0)
+        reader = _FunctionReader(system, 0, 0, 2)
         force.describe_to(reader, with_linear(system, linear))
         return None if reader.read is None else compilation_key(reader.read)
 

@@ -36,13 +36,13 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import (
 )
 from coadjoint.systems.user_functions import (
     MultipleOf,
+    SumOfShares,
     all_take_time,
     callable_from_compiled,
     check_derivative,
     evaluate,
     multiple_of,
     sample_points,
-    shared,
 )
 from coadjoint.validation import read_integer
 
@@ -294,10 +294,11 @@ class FunctionOfConstants(NamedTuple):
         """Return the function of y, bound without a check of the derivatives, which takes minutes for 200 bodies."""
         c = self.constants
         value, gradient, hessian = map(callable_from_compiled, (self.value, self.gradient, self.hessian))
-        functions = (lambda y: value(y, c)), (lambda y: gradient(y, c))
+        functions: tuple[Callable[..., Any], ...] = (lambda y: value(y, c)), (lambda y: gradient(y, c))
         if self.shares > 1:
-            functions = (lambda y, k: value(y, c, k)), (lambda y, k: gradient(y, c, k))
-        energy = Hamiltonian(*(shared(f, self.shares) for f in functions), lambda y: hessian(y, c))
+            shares = (lambda y, k: value(y, c, k)), (lambda y, k: gradient(y, c, k))
+            functions = tuple(SumOfShares(share, self.shares) for share in shares)
+        energy = Hamiltonian(functions[0], functions[1], lambda y: hessian(y, c))
         energy.dim = len(self.coordinates)
         return energy
 

@@ -29,7 +29,8 @@ def mutual_gravity(
     """
     count, squares = len(masses), np.array([(one * one).sum() for one in anisotropic])
     constants = np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares])
-    return FunctionOfConstants(coordinates, constants, *_functions(count, order), number_of_shares(count))
+    value, gradient, hessian = _functions(count, order)
+    return FunctionOfConstants(coordinates, constants, value, gradient, hessian, number_of_shares(count))
 
 
 @lru_cache(maxsize=64)
