@@ -24,7 +24,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.hamiltonians.linear_term import check_linear, linear_of, with_linear
 from coadjoint.systems.system import System
-from coadjoint.validation import are_finite, read_numbers
+from coadjoint.validation import are_finite, read_numbers, to_array
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -289,8 +289,8 @@ class Inputs:
 
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
-    named = np.asarray(value).dtype.kind in "bUS"
-    numbers = None if named else read_numbers(value, f"the coordinates of {name}")
+    what = f"the coordinates of {name}"
+    numbers = None if to_array(value, what).dtype.kind in "bUS" else read_numbers(value, what)
     if numbers is None or not numbers.size or numbers.ndim == 0 or np.any(numbers != np.floor(numbers)):
         raise TypeError(
             f"inputs has {short(value)} for {name}; give coordinates, whole numbers from 0 to {n - 1}, or True"
