@@ -335,9 +335,11 @@ def _structure_differs(system: Any, one: Described, first_system: Any, first: De
     keys = [key for key in first.table if key not in (*DEPENDENT, "energy", "parameters", "provenance", "fixed")]
     pairs = [(one.table[key], first.table[key]) for key in keys if key != "shift"]
     pairs += zip(system.algebra.triples, first_system.algebra.triples, strict=True)
-    pairs.append((one.table["energy"]["monomials"], first.table["energy"]["monomials"]))
+    # As lists: monomials of several degrees are no array.
+    monomials = [[*map(tuple, each.table["energy"]["monomials"])] for each in (one, first)]
     casimirs = [[shift["exponents"] for shift in each.table.get("shift", ())] for each in (one, first)]
-    return bool(one.field.functions) or casimirs[0] != casimirs[1] or not all(np.array_equal(*pair) for pair in pairs)
+    differ = monomials[0] != monomials[1] or casimirs[0] != casimirs[1]
+    return bool(one.field.functions) or differ or not all(np.array_equal(*pair) for pair in pairs)
 
 
 def _of_group(program: Any, group: Any) -> tuple[int | None, list[Any]]:

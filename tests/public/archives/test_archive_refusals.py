@@ -212,6 +212,7 @@ def test_failed_run_raises_the_same_error_again(tmp_path):
         np.testing.assert_equal(error.residual, plain.value.residual)
         assert (str(error), error.step, error.time) == (str(plain.value), plain.value.step, plain.value.time)
         assert error.partial.finished and error.partial.attributes["run_failed"] == 1
+        assert co.open_archive(path).status.tolist() == [2]
         assert np.array_equal(error.partial.x, plain.value.partial.x)
         assert np.array_equal(error.partial.t, plain.value.partial.t)
     edit(path, failed_step=3, failed_time=7.25, failed_residual=0.5)

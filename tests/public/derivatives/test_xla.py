@@ -481,6 +481,15 @@ def test_inputs_and_gradients_by_them_are_those_of_the_compiled_run(name):
 BODIES = co.batch([BODY, co.systems.rigid_body((1.0, 2.0, 3.0)), BODY])
 
 
+@pytest.mark.parametrize("method", [co.Splitting(), co.GaussLegendre(2)], ids=str)
+def test_members_of_a_batch_have_squares_and_linear_terms(method):
+    energies = co.Quadratic([1, 2, 3], [0.1, 0.2, 0.3]), co.Quadratic([1, 2, 3.1], [0.1, 0.2, 0.35])
+    ready = batched([co.LiePoissonSystem(co.algebras.so(3), energy) for energy in energies], method)
+    states = np.array([X0, 2.0 * X0])
+    found = co.jax.solution(ready, (0, 1), 5, backend="xla")(states)
+    np.testing.assert_allclose(found, ready.run(states, (0, 1), 5).x, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF)
+
+
 @pytest.mark.parametrize(
     "method", [co.Splitting(order=4), co.Splitting(parts="free_body"), co.GaussLegendre(2)], ids=str
 )
@@ -526,6 +535,10 @@ def batched(systems, method=None, **options):
 
 FULL_BODY = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([[1, 0.2, 0.1], [0.2, 2, 0.3], [0.1, 0.3, 3]]))
 TURNED = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3]))
+SCALED = [
+    co.LiePoissonSystem(co.LieAlgebra([(0, 1, 2, c), (1, 2, 0, c), (2, 0, 1, c)], dim=3), co.Quadratic([1, 2, 3]))
+    for c in (2.0, 3.0)
+]
 GYROS = co.systems.body((1.0, 2.0, 2.5), gyros=0.1 * np.array(PYRAMID))
 REFUSED = {
     "attitudes of stages": (prepared(method=co.GaussLegendre(2), attitude=True), ("attitudes", "Gauss", "compiled")),
@@ -538,6 +551,7 @@ REFUSED = {
     ),
     "inputs of squares": (co.prepare(FULL_BODY, co.Splitting(), 0.1, inputs=True), ("inputs", 'parts="coordinates"')),
     "a batch of other parts": (batched([TURNED, FULL_BODY]), ("batch", "same parts", "compiled")),
+    "a batch of other brackets": (batched(SCALED, co.GaussLegendre(2)), ("batch", "structure constants", "compiled")),
     "a batch with forces": (batched([DAMPED, DAMPED]), ("batch", "forces", "vjp")),
     "a batch of functions": (batched([COSH, COSH], co.GaussLegendre(2)), ("batch", "functions", "compiled")),
 }
