@@ -544,7 +544,7 @@ def growing(c):
 @pytest.mark.parametrize("forces", [(), (F.LinearDamping(1e-4),)], ids=["free", "forced"])
 @pytest.mark.parametrize(("end", "lost"), [(20.0, False), (38.0, True), (40.0, True)])
 def test_warnings_of_gradients_are_those_of_the_step_that_contracts_most(end, lost, forces):
-    """Which is not the first one, the last to be differentiated: the energy acts after it, in a whole step or a part."""
+    """Not of the first one, the last to be differentiated: the energy acts after it."""
     energy = co.Separable({k: growing(c) for k, c in enumerate((1.0, 0.5, 0.3))})
     plain = co.LiePoissonSystem(co.algebras.get("A3_2"), energy)
     ready = co.prepare(plain.with_forces(*forces) if forces else plain, co.Splitting(order=2), 20.0)
