@@ -178,6 +178,15 @@ def test_every_force_acts_backward_or_is_refused_by_name(name):
             call()
 
 
+@pytest.mark.parametrize("first", [True, False])
+def test_forces_that_act_forward_only_are_refused_beside_others(first):
+    bath, pair = co.forces.HeatBath(0.1, temperature=0.5, seed=3), [DAMPING]
+    pair.insert(0 if first else 1, bath)
+    system, _ = top(*pair)
+    with refused(ValueError, "HeatBath", "backward", "take", co.Splitting()):
+        co.prepare(system, co.Splitting(order=4), step=0.125)
+
+
 @pytest.mark.parametrize(
     ("method", "named"),
     [
@@ -234,6 +243,20 @@ def test_members_steppers_times_and_derivatives(name):
     weights = np.zeros(alone.x.shape)
     weights[-1] = v[::-1]
     assert abs(pullback(weights)["x0"] @ v - weights[-1] @ change) < 1e-8
+
+
+@pytest.mark.parametrize("order", [6, 8, 10])
+def test_gradients_of_long_steps_are_those_of_the_flows_of_the_order(order):
+    """In steps so long that flows of the fourth order would lead to other states, and so to other derivatives."""
+    system, x0 = top(co.forces.Torque(of_both), DAMPING)
+    ready, span = co.prepare(system, co.Splitting(order=order), step=1.0), (0.5, 2.5)
+    _, tangents = ready.jvp(x0, span, {"x0": np.eye(len(x0))})
+    derivative = np.asarray(tangents.x)[-1]
+    _, pullback = ready.vjp(x0, span)
+    weights = np.zeros((3, len(x0)))
+    weights[-1] = np.cos(np.arange(len(x0)))
+    # Flows are differentiated by complex steps, and both products have less than 1e5 roundings.
+    np.testing.assert_allclose(pullback(weights)["x0"], weights[-1] @ derivative, rtol=0, atol=1e-11)
 
 
 def test_members_of_a_batch_have_the_bits_of_single_runs():

@@ -532,6 +532,33 @@ def test_gradients_through_steps_that_contract_warn_of_their_errors(members, for
         assert not lost or "jvp" in str(caught[0].message)
 
 
+def growing(c):
+    """Return a term c x^2 / 2 that begins to act at t = 19, with its derivatives."""
+    return (
+        lambda x, t: 0.25 * c * x * x * (1.0 + np.tanh(20.0 * (t - 19.0))),
+        lambda x, t: 0.5 * c * x * (1.0 + np.tanh(20.0 * (t - 19.0))),
+        lambda x, t: 0.5 * c * (1.0 + np.tanh(20.0 * (t - 19.0))) + 0.0 * x,
+    )
+
+
+@pytest.mark.parametrize("forces", [(), (F.LinearDamping(1e-4),)], ids=["free", "forced"])
+@pytest.mark.parametrize(("end", "lost"), [(20.0, False), (38.0, True), (40.0, True)])
+def test_warnings_of_gradients_are_those_of_the_step_that_contracts_most(end, lost, forces):
+    """Not of the first one, the last to be differentiated: the energy acts after it."""
+    energy = co.Separable({k: growing(c) for k, c in enumerate((1.0, 0.5, 0.3))})
+    plain = co.LiePoissonSystem(co.algebras.get("A3_2"), energy)
+    ready = co.prepare(plain.with_forces(*forces) if forces else plain, co.Splitting(order=2), 20.0)
+    start = 0.0 if forces else -20.0 * 2**14  # in several stretches, from whose starts steps are repeated
+    span = start, 20.0 * np.ceil(end / 20.0)
+    sol, pullback = ready.vjp(np.array([0.7, -0.4, 0.6]), span, t_eval=[start, end])
+    weights = np.zeros_like(sol.x)
+    weights[-1] = 0.2, 0.6, 1.0
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        pullback(x=weights)
+    assert [warning.category for warning in caught] == [co.LargeStepWarning] * lost
+
+
 @pytest.mark.parametrize("method", [co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
 @pytest.mark.parametrize("step", [0.25, 4.0])
 def test_derivatives_of_long_steps(method, step):

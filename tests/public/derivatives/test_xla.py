@@ -323,10 +323,10 @@ forces, PLATES = co.forces, (([2.0, 1.0], [(1, 0, 0), (0, 1, 0)], [(0, 0, 0.5), 
 FORCED = {
     "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
     "heat bath": (SPIN, [forces.HeatBath(0.3, temperature=0.5, seed=7)]),
+    "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping((0.1, 0.2, 0.3))]),
     "branches": (BODY, [forces.Torque(kicked)]),
     "sampled": (None, [forces.Sampled(forces.Pointing(0.5, 1.5), period=0.2, max_torque=0.3)]),
     "full damping": (BODY, [forces.LinearDamping(((0.1, 0.2, 0.0), (0.0, 0.3, 0.1), (0.1, 0.0, 0.2)))]),
-    "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping((0.1, 0.2, 0.3))]),
     "order 4 on the orbit": (SPIN, [forces.DoubleBracketDamping(0.1), forces.Torque((0.0, 0.3, 0.1))]),
     "of time": (BODY, [forces.Torque(lambda t: np.array([np.cos(t), 0.0, t]))]),
     "own flow": (BODY, [forces.OwnForce(lambda x, t, tau: x / (1.0 + np.abs(x) * tau), backward=False)]),
@@ -347,7 +347,7 @@ FORCED = {
 }
 
 
-@pytest.mark.parametrize("name", long_beyond(4, FORCED))
+@pytest.mark.parametrize("name", long_beyond(5, FORCED))
 def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
     """To the bits of the noise; members differ in it. Ten steps round a few times in each of at most 100 operations."""
     system, given = FORCED[name]

@@ -233,8 +233,9 @@ def test_inputs_beside_every_force(name, method):
         forced = plain.with_forces(force)
         x = np.cos(1.0 + np.arange(forced.dim))
         if isinstance(force, co.forces.Pointing | co.forces.Sampled):
-            with refused(TypeError, force.label, "coordinate 0", "inputs"):
-                co.prepare(forced, method, STEP, inputs=True)
+            for one in (forced, plain.with_forces(co.forces.LinearDamping(0.1), force)):
+                with refused(TypeError, force.label, "coordinate 0", "inputs"):
+                    co.prepare(one, method, STEP, inputs=True)
         first = 3 if isinstance(force, co.forces.Pointing | co.forces.Sampled) else 0
         names = tuple(range(first, plain.dim))
         if not names:
