@@ -28,7 +28,7 @@ def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: boo
 
     With `separate` the squares of coupled coordinates are completed even if these commute.
     """
-    label, members, squared = _sets(term, commutation, separate)
+    label, members, squared = sets_of(term, commutation, separate)
     if not separate and np.any(squared):
         terms = separated_products(term, commutation, squared[label] & (label >= 0), label)
         if len(terms) > 1:
@@ -47,7 +47,7 @@ def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None
 
     The parts then depend only on the sparsity pattern, and each angle belongs to one coordinate.
     """
-    label, members, squared = _sets(term, commutation, separate=False)
+    label, members, squared = sets_of(term, commutation, separate=False)
     return None if np.any(squared) else _coupled(term, members, label[members])
 
 
@@ -59,7 +59,7 @@ def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
     """
     if term.multiplications < MIN_CHECKED_ENTRIES or int(np.diff(term.indptr).max(initial=0)) < DENSE_ROW:
         return
-    label, members, squared = _sets(term, commutation, separate=False)
+    label, members, squared = sets_of(term, commutation, separate=False)
     label = label[members]
     size, entries = np.bincount(label), np.bincount(label, weights=np.diff(term.indptr)[members])
     full = squared & (entries >= DENSE_ROW * size)
@@ -67,7 +67,7 @@ def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
     check_products(np.repeat(products[full].astype(np.int64), size[full]), "the Hamiltonian")
 
 
-def _sets(
+def sets_of(
     term: QuadraticTerm, commutation: Commutation, separate: bool
 ) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """Label the connected sets of coupled coordinates, -1 if a coordinate is unused.
