@@ -65,13 +65,18 @@ def build_action(
     if not tables:
         return _empty_action(matrices.size, len(parts), number)
     blocks = joined_tables(tables)
+    groups, selection = arranged_blocks(blocks, parts)
+    in_order = bool(np.all(selection[1:] > selection[:-1]))
+    return arranged_runs(matrices.size, blocks if in_order else blocks.take(selection), groups, parts)
+
+
+def arranged_blocks(blocks: BlockTable, parts: Parts) -> tuple[Groups, Integers]:
+    """Return the groups of blocks, and the order of the blocks in them."""
     part_of_angle = parts.part_of_angle
-    level = _angle_levels(blocks, part_of_angle)
-    groups, blocks = _group_blocks(blocks, part_of_angle, level)
-    return _arrange_runs(matrices.size, blocks, groups, parts)
+    return _group_blocks(blocks, part_of_angle, _angle_levels(blocks, part_of_angle))
 
 
-class _Groups(NamedTuple):
+class Groups(NamedTuple):
     """Blocks of one kind that share an angle (and constants, except for shears), in table order.
 
     Group g has the blocks block[g] to block[g + 1]; `begins` marks the groups that start a new run.
@@ -112,7 +117,7 @@ def _sharing_labels(blocks: BlockTable) -> Integers:
     return label
 
 
-def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[_Groups, BlockTable]:
+def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[Groups, Integers]:
     """Group the blocks, and order the groups so that equal shapes with consecutive angles form one run.
 
     Blocks of one level have no coordinate in common, so their order is free.
@@ -132,8 +137,7 @@ def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) 
     begins_run[1:] |= angle[1:] != angle[:-1] + 1
     begins_run |= (kind == Kind.CUBIC) | (kind == Kind.SERIES)
     selection = member[expand(begins, begins + count)[1]]
-    in_order = bool(np.all(selection[1:] > selection[:-1]))
-    return _Groups(part, angle, starts_of(count), begins_run), blocks if in_order else blocks.take(selection)
+    return Groups(part, angle, starts_of(count), begins_run), selection
 
 
 def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
@@ -146,7 +150,8 @@ def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, lead
     return rank
 
 
-def _arrange_runs(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Action:
+def arranged_runs(size: int, blocks: BlockTable, groups: Groups, parts: Parts) -> Action:
+    """Return the action of blocks in the order of their groups."""
     first = np.flatnonzero(groups.begins)
     leader = groups.block[first]
     kind = blocks.kind

@@ -137,15 +137,19 @@ class Bounded:
         return self.high, (ends[0] == self.high) & (ends[1] == self.high)
 
 
-def sum_of(terms: list[Floats]) -> Bounded:
-    """Return the sum of floats, in about twice the precision of a pair before it is rounded to one."""
+def distilled(terms: list[Floats]) -> list[Floats]:
+    """Return floats with the same sum, of which each is little more than the rounding of those behind it."""
     parts = list(terms)
     for _ in range(3):
-        total = parts[0]
         for k in range(1, len(parts)):
-            total, parts[k - 1] = two_sum(total, parts[k])
-        parts[-1] = total
-    result, exact = Bounded.of(parts[-1]), np.zeros_like(parts[-1])
-    for part in parts[-2::-1]:
-        result = result + Bounded(part, exact, exact)
+            parts[k], parts[k - 1] = two_sum(parts[k - 1], parts[k])
+    return parts
+
+
+def sum_of(terms: list[Floats]) -> Bounded:
+    """Return the sum of floats, of which no more is rounded than the result."""
+    *others, last = distilled(terms)
+    result = Bounded.of(last)
+    for part in others[::-1]:
+        result = result + Bounded.of(part)
     return result

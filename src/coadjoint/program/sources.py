@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
+from coadjoint.program.joint_actions import JointAction
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.parts.squares import ExactSums, ReductionSteps, offsets_of_squares
 from coadjoint.program.term_table import LINEAR, POLYNOMIAL, Terms
 from coadjoint.systems.hamiltonians.terms import Term
-from coadjoint.systems.system_stacks import counts_of
+from coadjoint.systems.system_stacks import SQUARES, counts_of
 
 Floats = NDArray[np.float64]
 
@@ -84,12 +85,15 @@ class Sums(NamedTuple):
 class Sources(NamedTuple):
     """Constants of tables by the paths of their fields; all others do not depend on any source.
 
-    `computed` are the sources that a field depends on in another way, or that decide its structure.
+    `computed` are the sources that a field depends on in another way, or that decide its structure. `squares` are
+    multiples of the numbers of the parts of a splitting, or a `JointAction` by the forms; they take the place of the
+    others if these numbers are given, see `with_squares`.
     """
 
     multiples: Mapping[str, Multiples] = {}
     sums: Mapping[str, Sums] = {}
     computed: Mapping[str, Integers] = {}
+    squares: Mapping[str, Multiples | JointAction] = {}
 
     def within(self, path: str) -> Sources:
         """Return the sources of a nested table as those of the table that contains it."""
@@ -105,7 +109,37 @@ class Sources(NamedTuple):
         """Return the sources with other numbers."""
         multiples = {name: one._replace(number=numbers[one.number]) for name, one in self.multiples.items()}
         sums = {name: one._replace(number=numbers[one.number]) for name, one in self.sums.items()}
-        return Sources(multiples, sums, {name: numbers[one] for name, one in self.computed.items()})
+        return Sources(multiples, sums, {name: numbers[one] for name, one in self.computed.items()}, self.squares)
+
+    def with_squares(self, numbers: Integers, values: Floats) -> tuple[Sources, Integers, Floats, NDArray[np.bool_]]:
+        """Return sources by the numbers of parts, from values (members, m) of the sources `numbers`.
+
+        Constants of actions become further sources, which are returned with their values, and with the members whose
+        actions have the same blocks as that of the first one.
+        """
+        found, alike = dict[str, Multiples](), np.ones(len(values), dtype=bool)
+        first, more_numbers, more_values = 2 * SQUARES, [numbers], [values]
+        for path, one in self.squares.items():
+            if isinstance(one, Multiples):
+                found[path] = one
+                continue
+            given = np.asarray(one.parts.forms.value, dtype=np.float64)
+            forms = np.repeat(given[:, None], len(values), axis=1)
+            varying = np.flatnonzero((numbers <= SQUARES) & (numbers > SQUARES - len(given)))
+            forms[SQUARES - numbers[varying]] = values[:, varying].T
+            constants, same = one.of(forms)
+            alike &= same
+            found[path] = Multiples(
+                np.arange(len(constants)), first - np.arange(len(constants)), np.ones(len(constants))
+            )
+            differ = np.flatnonzero(np.any(constants != constants[:, :1], axis=1))
+            more_numbers.append(found[path].number[differ])
+            more_values.append(constants[differ].T)
+            first -= len(constants)
+        others: Any = self[:3]
+        multiples, *rest = ({name: one for name, one in kind.items() if name not in found} for kind in others)
+        numbers, values = np.concatenate(more_numbers), np.concatenate(more_values, axis=1)
+        return Sources({**multiples, **found}, *rest), numbers, values, alike
 
 
 class Coefficients(NamedTuple):
@@ -273,3 +307,12 @@ def products_of(table: Terms, rows: Integers, coordinate: Integers) -> tuple[Int
     """Return the weights of rows, with the coordinates of the product in the energy that each is a derivative of."""
     owner, entries = expand(table.entry[rows].astype(np.int64), table.entry[rows + 1].astype(np.int64))
     return entries, coordinate[owner], table.column[entries].astype(np.int64)
+
+
+def numbers_of_parts(parts: Parts) -> dict[str, Multiples]:
+    """Return the fields of a table that are the numbers of parts, as sources from `SQUARES` on."""
+    sizes = len(parts.forms.value), len(parts.offset), len(parts.weights.value)
+    return {
+        name: Multiples(np.arange(size), SQUARES - first - np.arange(size), np.ones(size))
+        for name, first, size in zip(("offset", "weight"), (sizes[0], sum(sizes[:2])), sizes[1:], strict=True)
+    }

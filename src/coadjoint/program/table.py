@@ -17,14 +17,15 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action
 from coadjoint.program.copied_actions import copied_action
 from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
+from coadjoint.program.joint_actions import JointAction
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import ChosenParts, decompose
-from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import COMPUTED, FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.sources import Coefficients, Sources, sources_of_parts
+from coadjoint.program.sources import Coefficients, Sources, numbers_of_parts, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
@@ -87,6 +88,8 @@ class Program:
         Casimirs and factors subtracted from the Hamiltonian; `group` excludes their action on the group element.
     choice : ChosenParts
         The order of the parts, and the shift by the names of Casimirs.
+    representation : ndarray, shape (n, d, d), "coadjoint" or None
+        That of the group element.
     """
 
     system: LiePoissonSystem
@@ -103,6 +106,7 @@ class Program:
     omitted: NDArray[np.int64]
     shift: tuple[tuple[Polynomial, float], ...]
     choice: ChosenParts
+    representation: NDArray[Any] | str | None = None
 
     @property
     def compact_terms(self) -> Terms:
@@ -179,6 +183,7 @@ def build_program(
         omitted=omitted,
         shift=decomposition.shift or (),
         choice=decomposition.choice,
+        representation=group,
     )
 
 
@@ -210,15 +215,15 @@ def term_table(parts: Parts) -> TermTable:
 
 
 def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
-    """Return a function for the sources of a program with these terms, by the paths of `Terms`.
+    """Return a function for the sources of a program with these terms, by the paths in a table of flows.
 
     The program is not kept.
     """
-    fixed = program.system, program.parts, program.choice.shift
+    fixed = program.system, program.parts, program.choice.shift, program.representation
     plain = not len(program.omitted) and not np.any(program.frequency)
 
     def sources() -> Sources:
-        system, parts, shift = fixed
+        system, parts, shift, representation = fixed
         of_energy = system.hamiltonian.terms()
         shifted = shifted_terms(of_energy, quadratic_casimirs(system), shift)
         energy, split_energy = Coefficients.of(of_energy), Coefficients.of(shifted)
@@ -229,7 +234,16 @@ def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
             numbers[first : first + unchanged] = start + np.arange(unchanged)
             numbers[first + unchanged : last] = -1 - np.arange(first + unchanged, last)
         found = sources_of_parts(terms, parts, shifted).renumbered(numbers)
-        return found if plain else found._replace(computed={**found.computed, "kind": energy.others})
+        if not plain:
+            return found._replace(computed={**found.computed, "kind": energy.others}).within("terms.")
+        if not np.any(parts.source == COMPUTED):
+            return found.within("terms.")
+        actions = {"state.constants": BasisMatrices.coadjoint(system.algebra)}
+        if representation is not None:
+            actions["group.constants"] = _group_matrices(system, representation)
+        found = found._replace(squares=numbers_of_parts(parts)).within("terms.")
+        squares = {**found.squares, **{path: JointAction(one, parts) for path, one in actions.items()}}
+        return found._replace(squares=squares)
 
     return sources
 
@@ -273,5 +287,8 @@ def _built_action(algebra: LieAlgebra, parts: Parts, omitted: NDArray[np.int64],
 def _group_action(system: LiePoissonSystem, group: Any, parts: Parts, number: Number) -> Action | None:
     if group is None:
         return None
-    representation = None if isinstance(group, str) else group
-    return build_action(BasisMatrices.on_group(system.algebra, representation), parts, number)
+    return build_action(_group_matrices(system, group), parts, number)
+
+
+def _group_matrices(system: LiePoissonSystem, group: Any) -> BasisMatrices:
+    return BasisMatrices.on_group(system.algebra, None if isinstance(group, str) else group)

@@ -18,6 +18,7 @@ from coadjoint.systems.vanishing_products import without_cancelling
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+SQUARES = -(1 << 40)  # the first number of completed squares as a source, see `varying`
 MAX_DIMENSION = 1024  # of larger systems, tables of which each takes long, no structures are compared
 
 
@@ -28,7 +29,8 @@ class SystemStack(NamedTuple):
     term the linear part and the entries of M, of a polynomial those of its monomials, and at the end the constant. The
     same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those of
     the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `torques` are
-    the numbers of constant torques, of as many as coordinates for each force; all other forces are equal.
+    the numbers of constant torques, of as many as coordinates for each force; all other forces are equal. `squares`
+    are the numbers of the parts of a splitting with completed squares, which take the place of `split`.
     """
 
     systems: Sequence[Any]
@@ -37,6 +39,7 @@ class SystemStack(NamedTuple):
     split: Floats
     factors: Floats
     torques: Floats
+    squares: Floats
 
     @property
     def first(self) -> Any:
@@ -62,8 +65,9 @@ class SystemStack(NamedTuple):
     def varying(self) -> tuple[Integers, Floats]:
         """Return the sources that differ between systems, numbered as in `program/sources.py`, with values (k, m)."""
         own = np.concatenate([self.coefficients, self.torques])
-        sources = np.concatenate([own, self.split])
-        numbers = np.concatenate([np.arange(len(own)), -1 - np.arange(len(self.split))])
+        split, first = (self.squares, SQUARES) if len(self.squares) else (self.split, -1)
+        sources = np.concatenate([own, split])
+        numbers = np.concatenate([np.arange(len(own)), first - np.arange(len(split))])
         differ = np.any(sources.view(np.int64) != sources[:, :1].view(np.int64), axis=1)
         return numbers[differ], np.ascontiguousarray(sources[differ].T)
 
@@ -134,7 +138,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
             np.concatenate([np.array(column, dtype=np.float64).T for column in columns])
         )
         none = np.zeros((0, len(chosen)))
-        stack = SystemStack(systems, np.array(chosen), coefficients, coefficients, none, none)
+        stack = SystemStack(systems, np.array(chosen), coefficients, coefficients, none, none, none)
         groups = grouped(_presence(stack))
         pieces = [stack] if len(groups) == 1 else [stack.take(columns) for _, columns in groups]
         for piece in pieces:

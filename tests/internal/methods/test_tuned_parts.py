@@ -48,7 +48,7 @@ def test_brackets_with_weights_are_the_second_order_term(name):
     system = systems()[name]
     parts = decompose(system, "auto").parts if name != "body" else split(system, "coordinates")
     points = np.random.default_rng(1).standard_normal((4, system.dim))
-    brackets, samples = NestedBrackets(system.algebra, parts), Samples(system.algebra, [parts], points)
+    brackets, samples = NestedBrackets(system.algebra, parts), Samples.of(system.algebra, [parts], points)
     values = brackets.values(points)
     for order in list(permutations(range(len(parts))))[:24]:
         term = samples.second_order_terms([order])[0, 0]

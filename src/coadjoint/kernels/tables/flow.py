@@ -99,8 +99,7 @@ def flow_tables(program: Program, h: float, compensated: bool, compact: bool = F
         *body_tables(program),
         h,
     )
-    recorded = recorded_sources(program, terms)
-    return CompiledTables(with_properties(tables), keepalive, lambda: recorded().within("terms."))
+    return CompiledTables(with_properties(tables), keepalive, recorded_sources(program, terms))
 
 
 def with_properties(tables: FlowTables) -> FlowTables:

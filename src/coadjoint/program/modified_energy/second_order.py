@@ -34,17 +34,31 @@ def part_derivatives(parts: Parts, points: Floats, t: float = 0.0) -> tuple[Floa
     The gradients sum_a l_a theta_a have shape (parts, k, n), the Hessians (parts, k, n, n), or (parts, 1, n, n) if all
     are constant.
     """
-    count, n = points.shape
-    constant, quadratic = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
-    forms, weights, part = parts.forms, parts.weights, parts.part_of_angle
-    angle, value = forms.owner, forms.value.astype(np.float64)
-    index: Any = (part[angle], 0, forms.coordinate)
-    np.add.at(constant, index, value * parts.offset[angle].astype(np.float64))
-    entry, weight_entry = expand(weights.start[angle], weights.start[angle + 1])
-    index = (part[angle[entry]], 0, forms.coordinate[entry], weights.coordinate[weight_entry])
-    np.add.at(quadratic, index, value[entry] * weights.value[weight_entry].astype(np.float64))
+    numbers = (parts.forms.value, parts.offset, parts.weights.value)
+    gradient, hessian = derivatives_of_members(
+        parts, *(np.asarray(one, dtype=np.float64)[:, None] for one in numbers), points, t
+    )
+    return gradient[0], hessian[0]
+
+
+def derivatives_of_members(
+    parts: Parts, forms: Floats, offset: Floats, weights: Floats, points: Floats, t: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return `part_derivatives` of parts with other numbers of the linear shares, with a first axis of members.
+
+    The numbers have a last axis of members.
+    """
+    (count, n), members = points.shape, forms.shape[1]
+    constant, quadratic = np.zeros((len(parts), 1, n, members)), np.zeros((len(parts), 1, n, n, members))
+    part, angle, columns = parts.part_of_angle, parts.forms.owner, parts.weights
+    index: Any = (part[angle], 0, parts.forms.coordinate)
+    np.add.at(constant, index, forms * offset[angle])
+    entry, weight_entry = expand(columns.start[angle], columns.start[angle + 1])
+    index = (part[angle[entry]], 0, parts.forms.coordinate[entry], columns.coordinate[weight_entry])
+    np.add.at(quadratic, index, forms[entry] * weights[weight_entry])
+    constant, quadratic = (np.ascontiguousarray(np.moveaxis(one, -1, 0)) for one in (constant, quadratic))
     gradient = constant + _matrix_vector(quadratic, points)
-    hessian = np.repeat(quadratic, count, axis=1) if parts.nonlinear_shares else quadratic
+    hessian = np.repeat(quadratic, count, axis=2) if parts.nonlinear_shares else quadratic
     for s, share in parts.nonlinear_shares.items():
         if isinstance(share, BodyShare):
             continue
@@ -52,8 +66,8 @@ def part_derivatives(parts: Parts, points: Floats, t: float = 0.0) -> tuple[Floa
         p = part[parts.row[s]]
         for k, x in enumerate(points):
             share_gradient, share_hessian = _share_derivatives(share, coordinates, x, t)
-            gradient[p, k, coordinates] += share_gradient
-            hessian[p, k][np.ix_(coordinates, coordinates)] += share_hessian
+            gradient[:, p, k, coordinates] += share_gradient
+            hessian[:, p, k][:, coordinates[:, None], coordinates] += share_hessian
     return gradient, hessian
 
 
@@ -83,16 +97,14 @@ def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:
 
 
 class Samples:
-    """Gradients and Hessians of several sets of parts at points (k, n), computed once to compare many orders.
+    """Gradients and Hessians of several sets of parts at points (k, n), to compare many orders.
 
-    The bracket is {F, G} = (grad F)^T J(x) grad G. All sets must have the same number of parts. Raises TypeError if a
-    user function has no second derivatives.
+    The bracket is {F, G} = (grad F)^T J(x) grad G. `derivatives` are those of `part_derivatives`, with a first axis of
+    sets. The terms of a set do not depend on the other sets.
     """
 
-    def __init__(self, algebra: LieAlgebra, sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
-        derivatives = part_derivatives(Parts.concatenate(sets), points, t)
-        shape = (len(sets), len(sets[0]))
-        self._gradients, self._hessians = (array.reshape(*shape, *array.shape[1:]) for array in derivatives)
+    def __init__(self, algebra: LieAlgebra, derivatives: tuple[Floats, Floats], points: Floats) -> None:
+        self._gradients, self._hessians = derivatives
         count, n = points.shape
         self._i, self._j, self._k, self._c = algebra.triples
         flat = np.zeros((n * n, count))
@@ -100,6 +112,16 @@ class Samples:
         np.add.at(flat, self._i * n + self._j, products)
         np.subtract.at(flat, self._j * n + self._i, products)
         self._structure = flat.T.reshape(count, n, n)
+
+    @classmethod
+    def of(cls, algebra: LieAlgebra, sets: Sequence[Parts], points: Floats, t: float = 0.0) -> Samples:
+        """Return the samples of sets with the same number of parts.
+
+        Raises TypeError if a user function has no second derivatives.
+        """
+        derivatives = part_derivatives(Parts.concatenate(sets), points, t)
+        gradients, hessians = (one.reshape(len(sets), len(sets[0]), *one.shape[1:]) for one in derivatives)
+        return cls(algebra, (gradients, hessians), points)
 
     def second_order_terms(self, orders: Sequence[Sequence[int]]) -> Floats:
         """Return H2, shape (sets, orders, k), for orders of parts in a forward sweep.
@@ -160,7 +182,7 @@ class Samples:
 
 def second_order_term(algebra: LieAlgebra, parts: Parts, points: Floats, t: float = 0.0) -> Floats:
     """Return H2 of parts in the order of a forward sweep at points (k, n), shape (k,); see `Samples`."""
-    return Samples(algebra, [parts], points, t).second_order_terms([range(len(parts))])[0, 0]
+    return Samples.of(algebra, [parts], points, t).second_order_terms([range(len(parts))])[0, 0]
 
 
 class NestedBrackets:
@@ -172,7 +194,7 @@ class NestedBrackets:
 
     def values(self, points: Floats, t: float = 0.0) -> Floats:
         """Return the brackets at points (k, n), shape (parts, pairs, k)."""
-        samples = Samples(self.algebra, [self.parts], points, t)
+        samples = Samples.of(self.algebra, [self.parts], points, t)
         j, k = np.array(self.pairs).T
         return samples.nested_brackets(j, k)
 
@@ -228,7 +250,7 @@ def best_orders(
         return [(natural, 0.0) for _ in sets]
     if len(natural) > MAX_PERMUTED and len(sets) > 1:
         return [best_order(system, parts, points, t) for parts in sets]
-    samples = Samples(system.algebra, sets, points, t)
+    samples = Samples.of(system.algebra, sets, points, t)
     if len(natural) > MAX_ORDERED:
         return [(natural, float(samples.sizes([natural])[0, 0]))]
     if len(natural) > MAX_PERMUTED:
@@ -249,7 +271,7 @@ def smallest_order(
         return _first_clearly_smallest(orders, sizes(orders))
     best = natural
     while True:
-        orders = [best, *_neighbours(best)]
+        orders = [best, *neighbouring_orders(best)]
         order, size = _first_clearly_smallest(orders, sizes(orders))
         if order == best:
             return best, size
@@ -264,7 +286,7 @@ def _first_clearly_smallest(orders: Sequence[tuple[int, ...]], sizes: Sequence[f
     return best, least
 
 
-def _neighbours(order: tuple[int, ...]) -> list[tuple[int, ...]]:
+def neighbouring_orders(order: tuple[int, ...]) -> list[tuple[int, ...]]:
     neighbours = []
     for source in range(len(order)):
         rest = order[:source] + order[source + 1 :]

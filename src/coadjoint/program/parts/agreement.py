@@ -38,10 +38,10 @@ class Agreement:
         return self.decide(signs != 0.0, certain)
 
     def rounded(self, numbers: Bounded) -> NDArray[np.float64]:
-        """Return the nearest floats."""
+        """Return the nearest floats, without negative zeros."""
         values, certain = numbers.rounded()
         self.require(certain)
-        return values
+        return values + 0.0
 
     def largest(self, numbers: Bounded) -> int:
         """Return the first one of the largest numbers (count, members)."""

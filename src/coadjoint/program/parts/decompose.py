@@ -194,13 +194,24 @@ def _angles_of(parts: Parts) -> set[Any]:
 
 def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
     """Return the shifts that leave the fewest parts, with these parts; only one if `comparing` is False."""
+    return fewest_parts(tried_candidates(system, comparing), comparing)
+
+
+def fewest_parts(tried: Sequence[Candidate], comparing: bool = True) -> list[Candidate]:
+    """Return the candidates with the fewest parts; only the first one if `comparing` is False."""
+    fewest = min(len(candidate.parts) for candidate in tried)
+    return [candidate for candidate in tried if len(candidate.parts) == fewest][: None if comparing else 1]
+
+
+def tried_candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
+    """Return all shifts for which the parts are built, with these parts; the first one is no shift."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    best = [Candidate((), split(system, "auto", terms))]
-    fewest = len(best[0].parts)
-    shifts = list(candidate_shifts(system, best[0].parts, casimirs)) if fewest > 1 else []
+    tried = [Candidate((), split(system, "auto", terms))]
+    fewest = len(tried[0].parts)
+    shifts = list(candidate_shifts(system, tried[0].parts, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the parts are counted without being built.
     counts = [0] * len(shifts) if comparing else count_parts(system, casimirs, shifts)
-    work, spent = _shift_work(system, best[0].parts), 0
+    work, spent = _shift_work(system, tried[0].parts), 0
     for number, (shift, count) in enumerate(zip(shifts, counts, strict=True)):
         if count >= fewest:
             continue
@@ -208,12 +219,9 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
         spent += work
         if spent > max(MAX_WORK, MIN_SHIFTS * work) and not comparing:
             break
-        parts = split(system, "auto", shifted_terms(terms, casimirs, shift))
-        if len(parts) < fewest:
-            best, fewest = [], len(parts)
-        if not best or (comparing and len(parts) == fewest):
-            best.append(Candidate(shift, parts))
-    return best
+        tried.append(Candidate(shift, split(system, "auto", shifted_terms(terms, casimirs, shift))))
+        fewest = min(fewest, len(tried[-1].parts))
+    return tried
 
 
 def _shift_work(system: LiePoissonSystem, parts: Parts) -> int:

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.modified_energy.joint_orders import JointOrders, smallest
 from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
 from coadjoint.program.parts.decompose import (
@@ -17,14 +16,16 @@ from coadjoint.program.parts.decompose import (
     Candidate,
     ChosenParts,
     candidates,
+    decompose,
     remember,
     sample_points,
 )
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.parts.split import split
+from coadjoint.program.parts.squared_choices import squared_choices
+from coadjoint.program.shifts.joint_shifts import ShiftedEnergies, factors_of, shifted_term
 from coadjoint.program.shifts.shift import (
     MAX_SINGULAR_DIMENSION,
-    ROUNDING,
     QuadraticCasimir,
     Rule,
     Shift,
@@ -35,8 +36,7 @@ from coadjoint.program.shifts.shift import (
 from coadjoint.program.sources import Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE
 from coadjoint.program.table import term_table
-from coadjoint.systems.hamiltonians.terms import Term
-from coadjoint.systems.system_stacks import SystemStack, counts_of, grouped
+from coadjoint.systems.system_stacks import SystemStack, grouped
 from coadjoint.systems.vanishing_products import without_cancelling
 
 Floats = NDArray[np.float64]
@@ -56,7 +56,9 @@ def joint_choices(stack: SystemStack, choice: Any) -> list[SystemStack]:
         chunk = stack.take(np.arange(first, min(first + MAX_STACKED, stack.size)))
         for decision, chosen in _decisions(chunk, choice):
             found.setdefault(decision, []).append(chosen)
-    return [SystemStack.joined(pieces) for pieces in found.values()]
+    stacks = [SystemStack.joined(pieces) for pieces in found.values()]
+    left = np.setdiff1d(stack.numbers, np.concatenate([stack.numbers[:0], *(one.numbers for one in stacks)]))
+    return stacks + squared_choices(stack.take(np.searchsorted(stack.numbers, left)), choice)
 
 
 def _decisions(stack: SystemStack, choice: Any) -> list[tuple[tuple[Any, ...], SystemStack]]:
@@ -64,14 +66,16 @@ def _decisions(stack: SystemStack, choice: Any) -> list[tuple[tuple[Any, ...], S
     if isinstance(choice, ChosenParts):
         factors = {name: np.full(stack.size, factor) for name, factor in choice.shift}
         casimirs = quadratic_casimirs(stack.first)
-        if not factors.keys() <= casimirs.keys() or (factors and _shifted_term(stack.terms) is None):
+        if not factors.keys() <= casimirs.keys() or (factors and shifted_term(stack.terms) is None):
             return []  # refused, with the name of the member
-        shifted = _Shifted(stack, casimirs, factors)
+        shifted = ShiftedEnergies(stack, casimirs, factors)
+        if np.any(decompose(stack.first, choice).parts.source == COMPUTED):
+            return []
         found = [(key, shifted.chosen(members)) for key, members in grouped(shifted.present)]
         return [((key,), kept) for key, one in found for kept in _plain(one, casimirs, choice.shift)]
     if choice == "auto":
         return _automatic(stack)
-    return [((), stack)]
+    return [] if np.any(split(stack.first, choice).source == COMPUTED) else [((), stack)]
 
 
 def _plain(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], shift: Shift) -> list[SystemStack]:
@@ -81,53 +85,6 @@ def _plain(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], shift: Shi
     return [stack.take(kept)] if len(kept) else []
 
 
-class _Shifted:
-    """Coefficients of energies after multiples of Casimirs, `factors` (members,) by name, were subtracted.
-
-    They are those of `shifted_terms`, bit for bit. `present` (cells, members) are the entries of M that remain.
-    """
-
-    def __init__(
-        self, stack: SystemStack, casimirs: dict[str, QuadraticCasimir], factors: dict[str, NDArray[Any]]
-    ) -> None:
-        self._stack = stack
-        self._factors = np.array(list(factors.values()), dtype=np.float64).reshape(-1, stack.size)
-        number = _shifted_term(stack.terms) if factors else None
-        if number is None:
-            self.present: Masks = np.zeros((0, stack.size), dtype=bool)
-            self._totals = None
-            return
-        counts, form = counts_of(stack.terms), stack.terms[number].form
-        assert form is not None
-        n, begin = len(form.linear), sum(counts[:number])
-        self._first, self._last = begin + n, begin + n + len(form.values)
-        own = form.rows * n + form.indices
-        codes = {name: casimirs[name].rows * n + casimirs[name].columns for name in factors}
-        cells = np.unique(np.concatenate([own, *codes.values()]))
-        total = np.zeros((len(cells), stack.size))
-        total[np.searchsorted(cells, own)] = stack.coefficients[self._first : self._last]
-        size = np.abs(total)
-        for name, factor in factors.items():
-            at, subtracted = np.searchsorted(cells, codes[name]), -factor * casimirs[name].values[:, None]
-            total[at] += subtracted
-            size[at] += np.abs(subtracted)
-        self.present, self._totals = np.abs(total) > ROUNDING * size, total
-
-    def chosen(self, members: Integers) -> SystemStack:
-        """Return members with equal `present`."""
-        chosen = self._stack.take(members)._replace(factors=self._factors[:, members])
-        if self._totals is None:
-            return chosen
-        entries = self._totals[np.ix_(np.flatnonzero(self.present[:, members[0]]), members)]
-        before, after = chosen.coefficients[: self._first], chosen.coefficients[self._last :]
-        return chosen._replace(split=np.concatenate([before, entries, after]))
-
-
-def _shifted_term(terms: Sequence[Term]) -> int | None:
-    """Return the number of the term from which Casimirs are subtracted."""
-    return next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-
-
 def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
     """Make the choices of `best_decomposition` by the same comparisons, for members with the same presence."""
     system, count = stack.first, stack.size
@@ -135,12 +92,12 @@ def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
     parts = split(system, "auto")
     if np.any(parts.source == COMPUTED):
         return []
-    number = _shifted_term(stack.terms)
+    number = shifted_term(stack.terms)
     rules: list[Rule] = list(shift_rules(parts, casimirs)) if number is not None and len(parts) > 1 else []
     if len(rules) * max(len(casimirs), 1) > MAX_RULES or _may_be_singular(stack, casimirs, rules):
         return []
-    factors = [_factors(stack, rule, number) for rule in rules]
-    shifts = [_Shifted(stack, casimirs, by_name) for by_name in factors]
+    factors = [factors_of(stack, rule, number) for rule in rules]
+    shifts = [ShiftedEnergies(stack, casimirs, by_name) for by_name in factors]
     # Everything that `candidates` compares: factors that are zero or equal, and entries that remain.
     table = np.zeros((len(rules), len(casimirs), count))
     for row, by_name in zip(table, factors, strict=True):
@@ -166,18 +123,8 @@ def _may_be_singular(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], 
     """Return whether `candidate_shifts` may seek factors for which a completed square vanishes."""
     if len(casimirs) != 1 or stack.first.dim > MAX_SINGULAR_DIMENSION or not rules:
         return False
-    form = stack.terms[_shifted_term(stack.terms) or 0].form
+    form = stack.terms[shifted_term(stack.terms) or 0].form
     return form is not None and bool(np.any(form.rows != form.indices))
-
-
-def _factors(stack: SystemStack, rule: Rule, number: int | None) -> dict[str, NDArray[Any]]:
-    assert number is not None
-    form = stack.terms[number].form
-    assert form is not None
-    begin = sum(counts_of(stack.terms)[:number]) + len(form.linear)
-    diagonal = {int(i): begin + k for k, i in enumerate(form.indices) if form.rows[k] == i}
-    zeros = np.zeros(stack.size)
-    return {name: (stack.coefficients[diagonal[i]] if i in diagonal else zeros) / entry for name, i, entry in rule}
 
 
 class _Alternative(NamedTuple):
@@ -210,7 +157,7 @@ def _ordered(
         terms = shifted_terms(stack.terms, casimirs, shift)
         if np.any(split(system, "auto", terms).source == COMPUTED):
             return []
-        coefficients = _Shifted(stack, casimirs, {name: by_name[name] for name, _ in shift}).chosen(every).split
+        coefficients = ShiftedEnergies(stack, casimirs, {name: by_name[name] for name, _ in shift}).chosen(every).split
         plain &= without_cancelling(system.algebra, terms, coefficients)
     if not plain.all():
         kept = np.flatnonzero(plain)
@@ -274,7 +221,7 @@ def _alternative(
                 break
         else:
             return None
-    chosen = _Shifted(stack, casimirs, by_name).chosen(np.arange(stack.size))
+    chosen = ShiftedEnergies(stack, casimirs, by_name).chosen(np.arange(stack.size))
     terms = shifted_terms(stack.terms, casimirs, candidate.shift)
     sources = sources_of_parts(term_table(candidate.parts).table(), candidate.parts, terms)
     return None if sources.computed else _Alternative(candidate, chosen, sources)

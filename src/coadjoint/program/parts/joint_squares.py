@@ -58,7 +58,8 @@ class _Generic:
         values = np.triu(drawn[:, :-1]) + np.triu(drawn[:, :-1], 1).T
         used = np.any(matrix != 0.0, axis=-1), np.any(linear != 0.0, axis=-1)
         self.matrix, self.linear = (
-            np.where(mask, numbers, 0).astype(object) for mask, numbers in zip(used, (values, drawn[:, -1]), strict=True)
+            np.where(mask, numbers, 0).astype(object)
+            for mask, numbers in zip(used, (values, drawn[:, -1]), strict=True)
         )
 
     def completed(self, pivots: Sequence[int], sign: int) -> list[tuple[NDArray[Any], NDArray[Any], Any]]:
@@ -233,7 +234,9 @@ def numbers_of_parts(
         of_form, of_weights = (slice(int(rows.start[a]), int(rows.start[a + 1])) for rows in (forms, weights))
         coordinates, columns = forms.coordinate[of_form].astype(np.int64), weights.coordinate[of_weights]
         if parts.source[s] == COMPUTED:
-            square = next((one for one in squares if _is_angle(one, numbers, coordinates, of_form, a, of_weights)), None)
+            square = next(
+                (one for one in squares if _is_angle(one, numbers, coordinates, of_form, a, of_weights)), None
+            )
             if square is None:
                 raise Undecided
             numbers.forms[of_form], numbers.offset[a] = square.form, square.linear

@@ -147,7 +147,7 @@ def candidate_shifts(
         ((name, casimir),) = casimirs.items()
         term = quadratic[0]
         matrices = (term.rows, term.indices, term.values), casimir[1:]
-        for factor in singular_factors(*(_dense_matrix(system.dim, *entries) for entries in matrices)):
+        for factor in singular_factors(*(dense_matrix(system.dim, *entries) for entries in matrices)):
             if ((name, factor),) not in seen:
                 yield ((name, factor),)
 
@@ -181,9 +181,7 @@ def _casimirs_by_square(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, l
     return holders
 
 
-def _dense_matrix(
-    n: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def dense_matrix(n: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> NDArray[np.float64]:
     matrix = np.zeros((n, n))
     matrix[rows, columns] = values
     return matrix
@@ -230,7 +228,7 @@ def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) 
     if not np.any(matrix - np.diag(np.diag(matrix))):
         return ()
     size = len(matrix)
-    sign, smallest = _definiteness(casimir.tobytes(), size)
+    sign, smallest = definiteness(casimir.tobytes(), size)
     if sign == 0:
         return ()
     bound = 2.0 * size**2 * float(np.max(np.abs(matrix))) / smallest
@@ -249,7 +247,7 @@ def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) 
 
 
 @lru_cache(maxsize=64)
-def _definiteness(entries: bytes, size: int) -> tuple[int, float]:
+def definiteness(entries: bytes, size: int) -> tuple[int, float]:
     """Return +1 or -1 for a definite matrix and 0 for any other, and the smallest absolute pivot."""
     matrix = np.frombuffer(entries).reshape(size, size)
     lift = np.vectorize(Fraction, otypes=[object])

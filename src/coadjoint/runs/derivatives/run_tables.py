@@ -82,7 +82,8 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
 def differ_in_columns(prepared: Preparation) -> bool:
     """Return whether the members of a batch differ in coefficients of one set of tables, also those of derivatives."""
     loops: Any = prepared.loops(prepared.step)
-    if loops.columns_of_members is None or loops.order is not None:
+    columns = loops.columns_of_members
+    if columns is None or not columns.of_coefficients or loops.order is not None:
         return False
     each = [[one.energy().monomials for one in parameters_of(member).values()] for member in prepared.system.distinct]
     return all(one == each[0] for one in each)

@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import MemberBatch
+from coadjoint.systems.system_stacks import SQUARES
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.kernels.tables.writable import WritableTables
     from coadjoint.program.sources import Sources
+    from coadjoint.systems.system_stacks import SystemStack
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -144,6 +146,21 @@ class Columns:
     def __init__(self, numbers: Integers, values: Floats, first: Floats, recorded: Sequence[Sources] = ()) -> None:
         self.numbers, self.values, self._first, self._recorded = numbers, values, first, recorded
         self._writable: tuple[Any, WritableTables] | None = None
+
+    @classmethod
+    def of(cls, stack: SystemStack, loop: CompiledLoop, watch: CompiledTables) -> tuple[Columns, Integers]:
+        """Return the columns of systems in a stack, from the loop and watch of the first one, and which these are."""
+        varying, values = stack.varying()
+        if not len(stack.squares):
+            return cls(varying, values, values[0]), np.arange(stack.size)
+        sources, varying, values, alike = loop.sources().with_squares(varying, values)
+        members = np.flatnonzero(alike)
+        return cls(varying, values[members], values[0], (sources, watch.sources())), members
+
+    @property
+    def of_coefficients(self) -> bool:
+        """Whether the sources are coefficients of the energy, and not numbers that follow from them."""
+        return bool(np.all(self.numbers > SQUARES))
 
     def take(self, columns: Integers) -> Columns:
         """Select systems by their numbers."""

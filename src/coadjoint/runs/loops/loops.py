@@ -17,6 +17,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method
+from coadjoint.program.parts.agreement import Undecided
 from coadjoint.runs.loops.groups import Columns, Group, batches_of_groups, groups_of, individual_groups, split_members
 from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, corrected_groups_each, uncorrected_groups
 from coadjoint.runs.start import Representation, Start, unit_groups
@@ -421,14 +422,14 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
         owner[k], corrections[k] = len(built) - 1, _correction_of(system, loop, representation)
         if stack is None:
             return
-        varying, values = stack.varying()
-        found = Columns(varying, values, values[0])
-        with suppress(NotWritable):
+        with suppress(NotWritable, Undecided):
+            found, members = Columns.of(stack, loop, watch)
             found.tables(loop, watch)
             columns[-1] = found
-            owner[stack.numbers], number[stack.numbers] = owner[k], np.arange(stack.size)
+            own = stack.take(members)
+            owner[own.numbers], number[own.numbers] = owner[k], np.arange(own.size)
             if (first := corrections[k]) is not None:
-                for m, factors in zip(stack.numbers.tolist(), stack.factors.T.tolist(), strict=True):
+                for m, factors in zip(own.numbers.tolist(), own.factors.T.tolist(), strict=True):
                     corrections[m] = first.of_system(distinct[m], factors)
 
     for stack in method.split_jointly(distinct):
