@@ -6,6 +6,7 @@ All operations are elementwise, so that a result does not depend on the other en
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,7 @@ Masks = NDArray[np.bool_]
 
 SPLITTER = 2.0**27 + 1.0
 SMALLEST_PRODUCT = 2.0**-960  # of smaller products the low part is not exact
+SMALLEST_FACTOR = 2.0**-300  # of products of three that are exact
 UNDERFLOW = 2.0**-1060
 SLACK = 1.0 + 2.0**-30  # for the rounding of bounds
 LARGEST_RELATIVE_ERROR = 2.0**-20  # of divisors
@@ -81,6 +83,10 @@ class Bounded:
         """Return the product with powers of two, of either sign."""
         return Bounded(self.high * factor, self.low * factor, self.error * np.abs(factor))
 
+    def _scales(self) -> Masks:
+        """Return which numbers are powers of two, products with which are exact."""
+        return np.asarray((np.abs(np.frexp(self.high)[0]) == 0.5) & (self.low == 0.0))
+
     def __add__(self, other: Bounded) -> Bounded:
         total, first = two_sum(self.high, other.high)
         lows, second = two_sum(self.low, other.low)
@@ -98,6 +104,8 @@ class Bounded:
         low = rest + (first + second)
         error = self.error * np.abs(other.high) + other.error * np.abs(self.high) + self.error * other.error
         plain = (self.low == 0.0) & (other.low == 0.0)
+        if not plain.all():
+            plain = plain | self._scales() | other._scales()
         rounding = 4.0 * UNIT_ROUNDOFF * (np.abs(first) + np.abs(second) + np.abs(low))
         error = error * SLACK + np.where(plain, 0.0, rounding)
         small = (np.abs(product) < SMALLEST_PRODUCT) & (self.high != 0.0) & (other.high != 0.0)
@@ -153,3 +161,14 @@ def sum_of(terms: list[Floats]) -> Bounded:
     for part in others[::-1]:
         result = result + Bounded.of(part)
     return result
+
+
+def determinant_terms(entries: Sequence[Sequence[list[Floats]]]) -> list[Floats]:
+    """Return floats whose sum is the determinant of up to three rows, whose entries are sums of floats, none small."""
+    if len(entries) == 1:
+        return entries[0][0]
+    terms = []
+    for k, parts in enumerate(entries[0]):
+        minor = determinant_terms([[*row[:k], *row[k + 1 :]] for row in entries[1:]])
+        terms += [p for part in parts for one in minor for p in two_product(part * (-1.0) ** k, one)]
+    return terms

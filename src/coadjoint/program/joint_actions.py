@@ -23,7 +23,9 @@ Floats = NDArray[np.float64]
 
 SHARED = (Kind.SCALE, Kind.ROTATE, Kind.PLANE)
 """Kinds of blocks that share constants if these are equal."""
+MAX_STACKED = 1024  # members at once
 KEPT = 4  # floats of an exact sum, of which the rest is bounded
+SHORT = 2.0**-20  # of multiples of this, the squares have fewer than fifty digits
 DECIMAL_ROUNDING = 2.0**-160  # of roots in decimals
 
 
@@ -38,6 +40,16 @@ class JointAction(NamedTuple):
 
         The first member has the forms of the parts.
         """
+        found, alike = list[Floats](), [np.ones(1, dtype=bool)]
+        for first in range(1, max(forms.shape[1], 2), MAX_STACKED):
+            # The first member is always there, to compare with.
+            own = np.concatenate([forms[:, :1], forms[:, first : first + MAX_STACKED]], axis=1)
+            constants, same = self._of(own)
+            found.append(constants[:, int(first > 1) :])
+            alike.append(same[1:])
+        return np.concatenate(found, axis=1), np.concatenate(alike)
+
+    def _of(self, forms: Floats) -> tuple[Floats, NDArray[np.bool_]]:
         agreement = Agreement(forms.shape[1])
         with np.errstate(all="ignore"):  # overflow, after which nothing is certain
             generators, values = self._generators(forms, agreement)
@@ -126,9 +138,10 @@ def _cyclic(kind: Kind, width: int, sets: Components, entries: slice, own: Float
     entry, cube = matrix.reshape(width**2, -1)[largest], power.reshape(width**2, -1)[largest]
     lam = cube / entry
     rest, size = power - lam * matrix, bound + np.abs(lam) * np.abs(matrix)
-    clear = np.abs(cube) > 8 * width * 3 * UNIT_ROUNDOFF * bound.reshape(width**2, -1)[largest]
-    agreement.require(clear)
-    cubic = _vanishes(rest, 8 * width * 3 * UNIT_ROUNDOFF * size, agreement)
+    absolute = bound.reshape(width**2, -1)[largest]
+    clear = (np.abs(cube) > 8 * width * 3 * UNIT_ROUNDOFF * absolute) | (absolute == 0.0)
+    cubic = bool(agreement.decide(lam != 0.0, clear))
+    cubic = cubic and _vanishes(rest, 8 * width * 3 * UNIT_ROUNDOFF * size, agreement)
     if cubic != (kind == Kind.CUBIC):
         raise Undecided
     return _cubic(matrix, largest, agreement) if cubic else _series(matrix, own)
@@ -187,7 +200,9 @@ def _cubic(matrix: Floats, largest: int, agreement: Agreement) -> Floats:
     sign = np.where(lam.high < 0, -1.0, 1.0)
     left = _residual(entry, [sign * part for part in cube], [*two_product(inverse_root, inverse_root)])
     rest = left.scaled(0.5) + left * left * Bounded.of(0.375) + left * left * left * Bounded.of(0.3125)
-    error = np.abs(left.high) ** 4 + DECIMAL_ROUNDING
+    # Roots of short squares are exact in decimals too.
+    short = (left.high == 0.0) & (left.error == 0.0) & (np.rint(root.high / SHORT) * SHORT == root.high)
+    error = np.where(short & (root.high < 1.0 / SHORT), 0.0, np.abs(left.high) ** 4 + DECIMAL_ROUNDING)
     low_of_root = Bounded.of(inverse_root) * Bounded(rest.high, rest.low, rest.error + error)
     header = [
         agreement.rounded(lam),

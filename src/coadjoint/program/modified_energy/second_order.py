@@ -36,18 +36,19 @@ def part_derivatives(parts: Parts, points: Floats, t: float = 0.0) -> tuple[Floa
     """
     numbers = (parts.forms.value, parts.offset, parts.weights.value)
     gradient, hessian = derivatives_of_members(
-        parts, *(np.asarray(one, dtype=np.float64)[:, None] for one in numbers), points, t
+        parts, [np.asarray(one, dtype=np.float64)[:, None] for one in numbers], points, t
     )
     return gradient[0], hessian[0]
 
 
 def derivatives_of_members(
-    parts: Parts, forms: Floats, offset: Floats, weights: Floats, points: Floats, t: float = 0.0
+    parts: Parts, numbers: Sequence[Floats], points: Floats, t: float = 0.0
 ) -> tuple[Floats, Floats]:
     """Return `part_derivatives` of parts with other numbers of the linear shares, with a first axis of members.
 
-    The numbers have a last axis of members.
+    The numbers of forms, offsets and weights have a last axis of members.
     """
+    forms, offset, weights = numbers
     (count, n), members = points.shape, forms.shape[1]
     constant, quadratic = np.zeros((len(parts), 1, n, members)), np.zeros((len(parts), 1, n, n, members))
     part, angle, columns = parts.part_of_angle, parts.forms.owner, parts.weights
@@ -287,6 +288,7 @@ def _first_clearly_smallest(orders: Sequence[tuple[int, ...]], sizes: Sequence[f
 
 
 def neighbouring_orders(order: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Return the orders in which one part is moved."""
     neighbours = []
     for source in range(len(order)):
         rest = order[:source] + order[source + 1 :]

@@ -22,7 +22,7 @@ class Agreement:
 
     def require(self, held: NDArray[Any]) -> None:
         """Keep the systems for which all of (..., members) hold; raise `Undecided` unless they do for the first."""
-        every = held.reshape(-1, len(self.alike)).all(axis=0)
+        every: NDArray[np.bool_] = np.all(held.reshape(-1, len(self.alike)), axis=0)
         if not every[0]:
             raise Undecided
         self.alike &= every

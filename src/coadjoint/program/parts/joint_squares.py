@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.bounded import Bounded
+from coadjoint.program.bounded import SMALLEST_FACTOR, Bounded, determinant_terms, sum_of
 from coadjoint.program.commutation import BRACKET_ROUNDOFF, Commutation
 from coadjoint.program.parts.agreement import Agreement, Undecided
 from coadjoint.program.parts.part import COMPUTED, Parts
@@ -23,6 +23,7 @@ from coadjoint.systems.system_stacks import counts_of
 Floats = NDArray[np.float64]
 
 PRIME = 2**61 - 1
+MAX_ERROR = 2.0**-80  # relative error of entries after which they are computed anew
 
 
 class Square(NamedTuple):
@@ -95,8 +96,9 @@ def _inverse(number: Any) -> int:
 def squares_of_members(matrix: Floats, linear: Floats, agreement: Agreement) -> list[Square]:
     """Complete the squares of b.x + x.M.x/2 for all M (n, n, members), b (n, members), in exact pivots."""
     M, b, generic = Bounded.of(matrix).copy(), Bounded.of(linear).copy(), _Generic(matrix, linear)
-    remaining, squares = list(range(len(linear))), list[Square]()
+    remaining, pivoted, squares = list(range(len(linear))), list[int](), list[Square]()
     zero, one = (Bounded.of(np.full(linear.shape[1], value)) for value in (0.0, 1.0))
+    sharp = bool(np.all((matrix == 0.0) | (np.abs(matrix) > SMALLEST_FACTOR)))
     ratio = [Bounded.of(float(part)) for part in (MIN_PIVOT_RATIO.denominator, MIN_PIVOT_RATIO.numerator)]
     while remaining:
         rest = np.array(remaining)
@@ -130,7 +132,25 @@ def squares_of_members(matrix: Floats, linear: Floats, agreement: Agreement) -> 
         generic.eliminate(pivots, model)
         M[generic.matrix == 0] = zero
         b[generic.linear == 0] = zero
+        pivoted += pivots
+        if sharp and len(pivoted) <= 2:
+            _sharpen(M, matrix, pivoted, remaining)
     return squares + [Square(np.array([k]), one[None], None, b[k], zero) for k in remaining if agreement.present(b[k])]
+
+
+def _sharpen(M: Bounded, matrix: Floats, pivoted: Sequence[int], remaining: Sequence[int]) -> None:
+    """Replace entries that have cancelled by quotients of determinants, which are exact sums."""
+    rows = np.array(remaining, dtype=np.int64)
+    first, second = (rows[index] for index in np.triu_indices(len(rows)))
+    for i, j in zip(first.tolist(), second.tolist(), strict=True):
+        entry = M[i, j]
+        if np.any(entry.error > MAX_ERROR * np.abs(entry.high)):
+            minors = (
+                [[[matrix[row, column]] for column in columns] for row in rows_of_minor]
+                for rows_of_minor, columns in (([*pivoted, i], [*pivoted, j]), (pivoted, pivoted))
+            )
+            largest, smallest = (sum_of(determinant_terms(entries)) for entries in minors)
+            M[i, j] = M[j, i] = largest / smallest
 
 
 def _pair(

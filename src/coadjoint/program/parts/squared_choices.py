@@ -88,6 +88,7 @@ def squared_choices(stack: SystemStack, choice: Any) -> list[SystemStack]:
 def _like_first(stack: SystemStack, choice: Any) -> tuple[list[SystemStack], Integers]:
     """Return systems that are decomposed like the first one, and which others are left."""
     model = _Model(stack.first, choice)
+    check_available_memory(8 * stack.size * model.kept, f"the completed squares of {stack.size} systems")
     found: dict[Any, list[SystemStack]] = {}
     left = [np.zeros(0, dtype=np.int64)]
     step = max(1, min(MAX_STACKED, MAX_NUMBERS // model.numbers))
@@ -102,7 +103,6 @@ def _like_first(stack: SystemStack, choice: Any) -> tuple[list[SystemStack], Int
             if keep.any():
                 found.setdefault(key, []).append(chosen.take(np.flatnonzero(keep)))
         left.append(members[~agreement.alike])
-    check_available_memory(8 * stack.size * model.kept, f"the completed squares of {stack.size} systems")
     return [SystemStack.joined(pieces) for pieces in found.values()], np.concatenate(left)
 
 
@@ -226,6 +226,7 @@ class _Model:
             if len(forms) != 1 or terms[forms[0]].piece is not None:
                 raise Undecided
             term, first = terms[forms[0]].form, sum(counts_of(terms)[: forms[0]])
+            assert term is not None
             n, separate = self._system.dim, self._choice == "coordinates"
             linear, values = np.split(chosen.split[first : first + n + len(term.values)], [n])
             squares = squares_of_term(term, values, linear, self._algebra, separate, agreement)
@@ -283,8 +284,8 @@ class _Model:
             step = max(1, MAX_SAMPLED // (count * n * max(len(orders), n if parts.nonlinear_shares else 1)))
             found = []
             for first in range(0, members, step):
-                own = (np.ascontiguousarray(one[:, first : first + step]) for one in numbers)
-                derivatives = derivatives_of_members(parts, *own, self._points)
+                own = [np.ascontiguousarray(one[:, first : first + step]) for one in numbers]
+                derivatives = derivatives_of_members(parts, own, self._points)
                 found.append(Samples(self._algebra, derivatives, self._points).sizes(orders))
             return np.concatenate(found)
 

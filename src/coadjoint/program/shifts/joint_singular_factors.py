@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.bounded import Bounded
+from coadjoint.algebra.exact.components import connected
+from coadjoint.program.bounded import (
+    SMALLEST_FACTOR,
+    SMALLEST_PRODUCT,
+    Bounded,
+    determinant_terms,
+    sum_of,
+    two_product,
+    two_sum,
+)
 from coadjoint.program.parts.agreement import Agreement, Undecided
 from coadjoint.program.shifts.shift import BISECTIONS, definiteness
 
 Floats = NDArray[np.float64]
+Masks = NDArray[np.bool_]
 
 SWEEPS = 6  # of rotations; the error is squared in each, and more would follow from a poor estimate
 OFFSET = 2.0**-46  # of the points between which a zero is interpolated, relative to M
@@ -27,21 +40,67 @@ def joint_singular_factors(matrix: Floats, casimir: Floats, agreement: Agreement
         return np.zeros((0, members))
     definite, largest = sign * casimir, np.max(np.abs(matrix), axis=(0, 1))
     bound, scale = 2.0 * size**2 * largest / smallest, largest / smallest
+    used = np.any(matrix != 0.0, axis=-1) | (casimir != 0.0)
+    label = connected(size, *np.nonzero(used))
     factors = []
-    estimates = _eigenvalues(matrix, definite)
-    for k in range(size):
-        zero = _zero(matrix, definite, estimates[k], scale, k, agreement)
-        low, high, certain = -bound, bound.copy(), np.ones(members, dtype=bool)
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (low + high)
-            # Exact where the sign is not obvious.
-            beyond = (middle - zero.high) - zero.low
-            certain &= np.abs(beyond) > zero.error
-            above = beyond > 0.0
-            low, high = np.where(above, low, middle), np.where(above, middle, high)
-        agreement.require(certain)
-        factors.append(sign * high)
-    return np.sort(np.array(factors), axis=0)
+    for number in np.unique(label):
+        own = np.flatnonzero(label == number)
+        block, of_block = matrix[np.ix_(own, own)], definite[np.ix_(own, own)]
+        if len(own) == 1:
+            factors.append(_beyond(bound, partial(_sign_of_quotient, block[0, 0], of_block[0, 0]), agreement))
+            continue
+        estimates = _eigenvalues(block, of_block)
+        for k in range(len(own)):
+            zero = _zero(block, of_block, estimates[k], scale, k, agreement)
+            factors.append(_beyond(bound, partial(_sign, zero, block, of_block), agreement))
+    return np.sort(sign * np.array(factors), axis=0)
+
+
+def _beyond(bound: Floats, sign_at: Callable[[Floats], tuple[Floats, Masks]], agreement: Agreement) -> Floats:
+    """Return the float beyond a zero, between -bound and bound, by the bisections of `singular_factors`.
+
+    `sign_at` is that of a point minus the zero, and whether it is certain.
+    """
+    low, high, every = -bound, bound.copy(), np.ones(len(bound), dtype=bool)
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (low + high)
+        sign, certain = sign_at(middle)
+        every &= certain
+        above = sign > 0.0
+        low, high = np.where(above, low, middle), np.where(above, middle, high)
+    agreement.require(every)
+    return high
+
+
+def _sign(zero: Bounded, matrix: Floats, casimir: Floats, point: Floats) -> tuple[Floats, Masks]:
+    # Exact where the sign is not obvious.
+    beyond = (point - zero.high) - zero.low
+    certain = np.abs(beyond) > zero.error
+    near = np.flatnonzero(~certain)
+    if len(near) and len(matrix) <= 3:
+        singular = _is_singular(matrix[..., near], casimir, point[near])
+        beyond[near[singular]], certain[near[singular]] = 0.0, True
+    return beyond, certain
+
+
+def _is_singular(matrix: Floats, casimir: Floats, point: Floats) -> Masks:
+    """Return for which matrices M - c C of up to three rows is exactly singular."""
+    entries: list[list[list[Floats]]] = [[[] for _ in matrix] for _ in matrix]
+    large = np.ones(len(point), dtype=bool)
+    for i, j in np.ndindex(*casimir.shape):
+        product, rest = two_product(point, np.full_like(point, -casimir[i, j]))
+        entries[i][j] = [*two_sum(matrix[i, j], product), rest]
+        for part in (*entries[i][j], matrix[i, j]):
+            large &= (part == 0.0) | (np.abs(part) > SMALLEST_FACTOR)
+    determinant = sum_of(determinant_terms(entries))
+    return large & (determinant.high == 0.0) & (determinant.error == 0.0)
+
+
+def _sign_of_quotient(entry: Floats, casimir: float, point: Floats) -> tuple[Floats, Masks]:
+    """Return the sign of point - entry / casimir for a positive entry of the Casimir."""
+    product, rest = two_product(point, np.full_like(point, casimir))
+    beyond = (product - entry) + rest
+    return beyond, (np.abs(product) > SMALLEST_PRODUCT) | (point == 0.0)
 
 
 def _zero(

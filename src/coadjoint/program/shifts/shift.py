@@ -182,6 +182,7 @@ def _casimirs_by_square(casimirs: Mapping[str, QuadraticCasimir]) -> dict[int, l
 
 
 def dense_matrix(n: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return entries as a matrix."""
     matrix = np.zeros((n, n))
     matrix[rows, columns] = values
     return matrix
