@@ -1,6 +1,6 @@
 """Batches beside ensembles: systems that differ in one parameter, and as many states of one of them.
 
-python benchmarks/batches.py [--members M ...] [--rounds R] [--steps N]
+python benchmarks/batches.py [--members M ...] [--rounds R] [--steps N] [--case NAME]
 
 Each time is that of the processor, for `prepare` and the first run together, and for a later gradient by the initial
 states and all parameters, if there is one; the median of the rounds counts.
@@ -34,17 +34,35 @@ def polynomials(first: float, count: int) -> list[co.LiePoissonSystem]:
     return [co.LiePoissonSystem(co.algebras.so(3), co.Polynomial(energy)) for energy in energies]
 
 
+def full(first: float, count: int) -> list[co.LiePoissonSystem]:
+    """Return systems on so(3) with a full matrix in the energy, whose first entry differs: completed squares."""
+    M = np.array([[0.0, 0.2, 0.1], [0.2, 0.7, 0.15], [0.1, 0.15, 0.4]])
+    unit = np.diag([1.0, 0.0, 0.0])
+    return [
+        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M + c * unit))
+        for c in np.linspace(first, first + 0.25, count)
+    ]
+
+
 CASES: dict[str, tuple[Callable[[float, int], list[co.LiePoissonSystem]], Any]] = {
     "heavy top, Splitting(4)": (tops, co.Splitting(order=4)),
     "heavy top, GaussLegendre(2)": (tops, co.GaussLegendre(2)),
     "degree four, Splitting(4)": (polynomials, co.Splitting(order=4)),
+    "full matrix, Splitting(4)": (full, co.Splitting(order=4)),
     "heavy top, Taylor(12)": (tops, co.Taylor(12)),
     "degree four, Taylor(12)": (polynomials, co.Taylor(12)),
     "heavy top, own steps": (tops, co.Taylor(tolerance=1e-9)),
 }
 
 
-def seconds(system: Any, method: Any, states: np.ndarray, span: tuple[float, float]) -> tuple[float, float, float]:
+ALONE = ("full matrix, Splitting(4)",)
+"""Cases of which the gradient of each member has tables of its own."""
+MOST_ALONE = 400  # members of which these gradients are measured
+
+
+def seconds(
+    system: Any, method: Any, states: np.ndarray, span: tuple[float, float], gradients: bool
+) -> tuple[float, float, float]:
     """Return the processor times of `prepare`, of the first run and of the second gradient."""
     gc.collect()
     began = time.process_time()
@@ -53,7 +71,7 @@ def seconds(system: Any, method: Any, states: np.ndarray, span: tuple[float, flo
     prepared.run(states, span)
     ran = time.process_time()
     again = time.process_time()
-    for _ in range(2 if method.differentiable else 0):
+    for _ in range(2 if gradients else 0):
         again = time.process_time()
         solution, pullback = prepared.vjp(states, span)
         pullback(solution.x)
@@ -73,6 +91,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--members", type=int, nargs="+", default=[10, 400, 10_000])
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--case", default="", help="part of the names of cases")
     parser.add_argument("--steps", type=int, default=100)
     options = parser.parse_args()
     span = (0.0, options.steps * STEP)
@@ -81,17 +100,20 @@ def main() -> None:
     print(f"| {' | '.join([*columns, 'gradients: batch, ensemble, ratio', 'bytes for each member'])} |")
     print("|---|---|---|---|---|---|---|")
     for name, (systems_of, method) in CASES.items():
+        if options.case not in name:
+            continue
         for members in options.members:
+            differentiated = method.differentiable and (name not in ALONE or members <= MOST_ALONE)
             found = []
             for k in range(options.rounds + 1):
                 first = 1.5 + 1e-6 * k  # new systems, of which nothing is cached
                 batch = co.batch(systems_of(first, members))
                 states = 0.5 * np.random.default_rng(k).standard_normal((members, batch.dim))
                 one = systems_of(first + 1e-7, 1)[0]
-                found.append((seconds(one, method, states, span), seconds(batch, method, states, span)))
+                found.append(tuple(seconds(system, method, states, span, differentiated) for system in (one, batch)))
             found = found[1:]  # the first calls import, and touch the memory
             ratio = statistics.median(sum(own[:2]) / sum(whole[:2]) for whole, own in found)
-            of_gradient = statistics.median(own[2] / whole[2] for whole, own in found)
+            of_gradient = statistics.median(own[2] / whole[2] for whole, own in found) if differentiated else 0.0
             prepare, run, whole, gradient, of_ensemble = (
                 statistics.median(times) / members * 1e6
                 for times in (
@@ -103,7 +125,7 @@ def main() -> None:
                 )
             )
             held = bytes_for_each(co.batch(systems_of(2.0, members)), method)
-            gradients = f"{gradient:.1f}, {of_ensemble:.1f}, {of_gradient:.2f}" if method.differentiable else "-"
+            gradients = f"{gradient:.1f}, {of_ensemble:.1f}, {of_gradient:.2f}" if differentiated else "-"
             print(
                 f"| {name} | {members} | {prepare:.1f}, {run:.1f} | {whole:.1f} | {ratio:.2f} "
                 f"| {gradients} | {held:.0f} |",

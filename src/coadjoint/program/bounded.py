@@ -138,6 +138,13 @@ class Bounded:
         certain = (np.abs(self.high + self.low) > SLACK * self.error) | ((self.high == 0.0) & (self.error == 0.0))
         return np.sign(self.high), certain
 
+    def signs_of_difference(self, other: Bounded) -> tuple[NDArray[Any], Masks]:
+        """Return the signs of self - other, and whether they are certain; mostly by their high parts."""
+        difference = self.high - other.high
+        bound = 4.0 * UNIT_ROUNDOFF * (np.abs(self.high) + np.abs(other.high)) + SLACK * (self.error + other.error)
+        certain = np.abs(difference) > bound
+        return (np.sign(difference), certain) if certain.all() else (self - other).signs()
+
     def rounded(self) -> tuple[Floats, Masks]:
         """Return the nearest floats, and whether they are certain."""
         bound = np.where(self.error == 0.0, 0.0, SLACK * self.error + 4.0 * UNIT_ROUNDOFF * np.abs(self.low))

@@ -86,14 +86,15 @@ class Sources(NamedTuple):
     """Constants of tables by the paths of their fields; all others do not depend on any source.
 
     `computed` are the sources that a field depends on in another way, or that decide its structure. `squares` are
-    multiples of the numbers of the parts of a splitting, or a `JointAction` by the forms; they take the place of the
-    others if these numbers are given, see `with_squares`.
+    multiples of the numbers of the parts of a splitting, and `actions` functions of their forms; they take the place of
+    the others if these numbers are given, see `with_squares`.
     """
 
     multiples: Mapping[str, Multiples] = {}
     sums: Mapping[str, Sums] = {}
     computed: Mapping[str, Integers] = {}
-    squares: Mapping[str, Multiples | JointAction] = {}
+    squares: Mapping[str, Multiples] = {}
+    actions: Mapping[str, JointAction] = {}
 
     def within(self, path: str) -> Sources:
         """Return the sources of a nested table as those of the table that contains it."""
@@ -109,7 +110,7 @@ class Sources(NamedTuple):
         """Return the sources with other numbers."""
         multiples = {name: one._replace(number=numbers[one.number]) for name, one in self.multiples.items()}
         sums = {name: one._replace(number=numbers[one.number]) for name, one in self.sums.items()}
-        return Sources(multiples, sums, {name: numbers[one] for name, one in self.computed.items()}, self.squares)
+        return Sources(multiples, sums, {name: numbers[one] for name, one in self.computed.items()}, *self[3:])
 
     def with_squares(self, numbers: Integers, values: Floats) -> tuple[Sources, Integers, Floats, NDArray[np.bool_]]:
         """Return sources by the numbers of parts, from values (members, m) of the sources `numbers`.
@@ -117,25 +118,21 @@ class Sources(NamedTuple):
         Constants of actions become further sources, which are returned with their values, and with the members whose
         actions have the same blocks as that of the first one.
         """
-        found, alike = dict[str, Multiples](), np.ones(len(values), dtype=bool)
+        found, alike = dict(self.squares), np.ones(len(values), dtype=bool)
         first, more_numbers, more_values = 2 * SQUARES, [numbers], [values]
-        for path, one in self.squares.items():
-            if isinstance(one, Multiples):
-                found[path] = one
-                continue
+        for path, one in self.actions.items():
             given = np.asarray(one.parts.forms.value, dtype=np.float64)
             forms = np.repeat(given[:, None], len(values), axis=1)
             varying = np.flatnonzero((numbers <= SQUARES) & (numbers > SQUARES - len(given)))
             forms[SQUARES - numbers[varying]] = values[:, varying].T
             constants, same = one.of(forms)
             alike &= same
-            found[path] = Multiples(
-                np.arange(len(constants)), first - np.arange(len(constants)), np.ones(len(constants))
-            )
+            count = len(constants)
+            found[path] = Multiples(np.arange(count), first - np.arange(count), np.ones(count))
             differ = np.flatnonzero(np.any(constants != constants[:, :1], axis=1))
             more_numbers.append(found[path].number[differ])
             more_values.append(constants[differ].T)
-            first -= len(constants)
+            first -= count
         others: Any = self[:3]
         multiples, *rest = ({name: one for name, one in kind.items() if name not in found} for kind in others)
         numbers, values = np.concatenate(more_numbers), np.concatenate(more_values, axis=1)

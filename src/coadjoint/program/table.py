@@ -238,12 +238,11 @@ def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
             return found._replace(computed={**found.computed, "kind": energy.others}).within("terms.")
         if not np.any(parts.source == COMPUTED):
             return found.within("terms.")
-        actions = {"state.constants": BasisMatrices.coadjoint(system.algebra)}
+        matrices = {"state.constants": BasisMatrices.coadjoint(system.algebra)}
         if representation is not None:
-            actions["group.constants"] = _group_matrices(system, representation)
+            matrices["group.constants"] = _group_matrices(system, representation)
         found = found._replace(squares=numbers_of_parts(parts)).within("terms.")
-        squares = {**found.squares, **{path: JointAction(one, parts) for path, one in actions.items()}}
-        return found._replace(squares=squares)
+        return found._replace(actions={path: JointAction(one, parts) for path, one in matrices.items()})
 
     return sources
 

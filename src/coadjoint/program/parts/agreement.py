@@ -46,7 +46,8 @@ class Agreement:
     def largest(self, numbers: Bounded) -> int:
         """Return the first one of the largest numbers (count, members)."""
         chosen = int(np.argmax(numbers.high[:, 0]))
-        signs, certain = (numbers[chosen : chosen + 1] - numbers).signs()
-        signs[chosen], certain[chosen] = 0.0, True
-        self.require(certain & (signs >= np.where(np.arange(len(signs)) < chosen, 1.0, 0.0)[:, None]))
+        for others, least in ((numbers[:chosen], 1.0), (numbers[chosen + 1 :], 0.0)):
+            if len(others.high):
+                signs, certain = numbers[chosen].signs_of_difference(others)
+                self.require(certain & (signs >= least))
         return chosen

@@ -99,7 +99,6 @@ def squares_of_members(matrix: Floats, linear: Floats, agreement: Agreement) -> 
     remaining, pivoted, squares = list(range(len(linear))), list[int](), list[Square]()
     zero, one = (Bounded.of(np.full(linear.shape[1], value)) for value in (0.0, 1.0))
     sharp = bool(np.all((matrix == 0.0) | (np.abs(matrix) > SMALLEST_FACTOR)))
-    ratio = [Bounded.of(float(part)) for part in (MIN_PIVOT_RATIO.denominator, MIN_PIVOT_RATIO.numerator)]
     while remaining:
         rest = np.array(remaining)
         first, second = (rest[index] for index in np.triu_indices(len(rest)))
@@ -107,7 +106,7 @@ def squares_of_members(matrix: Floats, linear: Floats, agreement: Agreement) -> 
         if not agreement.present(sizes).any():
             break
         largest, best = agreement.largest(sizes), agreement.largest(abs(M[rest, rest]))
-        signs, certain = (abs(M[rest[best], rest[best]]) * ratio[0] - sizes[largest] * ratio[1]).signs()
+        signs, certain = _signs_of_single(abs(M[rest[best], rest[best]]), sizes[largest])
         sign = 1
         if agreement.decide(signs >= 0.0, certain):
             pivots = [int(rest[best])]
@@ -136,6 +135,17 @@ def squares_of_members(matrix: Floats, linear: Floats, agreement: Agreement) -> 
         if sharp and len(pivoted) <= 2:
             _sharpen(M, matrix, pivoted, remaining)
     return squares + [Square(np.array([k]), one[None], None, b[k], zero) for k in remaining if agreement.present(b[k])]
+
+
+def _signs_of_single(diagonal: Bounded, largest: Bounded) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the signs of what decides for a single pivot, and whether they are certain."""
+    first, second = (float(part) for part in (MIN_PIVOT_RATIO.denominator, MIN_PIVOT_RATIO.numerator))
+    difference = diagonal.high * first - largest.high * second
+    size = diagonal.high * first + largest.high * second
+    certain = np.abs(difference) > 16.0 * UNIT_ROUNDOFF * size + 2.0 * first * (diagonal.error + largest.error)
+    if certain.all():
+        return np.sign(difference), certain
+    return (diagonal * Bounded.of(first) - largest * Bounded.of(second)).signs()
 
 
 def _sharpen(M: Bounded, matrix: Floats, pivoted: Sequence[int], remaining: Sequence[int]) -> None:

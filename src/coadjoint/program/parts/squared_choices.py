@@ -27,7 +27,6 @@ from coadjoint.program.modified_energy.second_order import (
 from coadjoint.program.parts.agreement import Agreement, Undecided
 from coadjoint.program.parts.decompose import (
     Candidate,
-    ChosenParts,
     decompose,
     fewest_parts,
     remember,
@@ -129,14 +128,14 @@ class _Model:
         self._system, self._choice, self._algebra = system, choice, system.algebra
         self._terms, self._casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
         self._number = shifted_term(self._terms)
-        self._joins = choice == "auto" or isinstance(choice, ChosenParts)
         self._points = sample_points(system.dim)
         if choice == "auto":
             if not len(self._points):
                 raise Undecided
-            self._tried = tried_candidates(system)
+            self._tried, self._joins = tried_candidates(system), True
         else:
             decomposition = decompose(system, choice)
+            self._joins = decomposition.choice is choice
             self._tried = [Candidate(decomposition.choice.shift, decomposition.parts)]
         if not any(np.any(candidate.parts.source == COMPUTED) for candidate in self._tried):
             raise Undecided

@@ -47,21 +47,22 @@ def joint_singular_factors(matrix: Floats, casimir: Floats, agreement: Agreement
         own = np.flatnonzero(label == number)
         block, of_block = matrix[np.ix_(own, own)], definite[np.ix_(own, own)]
         if len(own) == 1:
-            factors.append(_beyond(bound, partial(_sign_of_quotient, block[0, 0], of_block[0, 0]), agreement))
+            factors += [*_beyond(bound, partial(_sign_of_quotient, block[0, 0], of_block[0, 0]), agreement, 1)]
             continue
-        estimates = _eigenvalues(block, of_block)
-        for k in range(len(own)):
-            zero = _zero(block, of_block, estimates[k], scale, k, agreement)
-            factors.append(_beyond(bound, partial(_sign, zero, block, of_block), agreement))
+        zeros = _zeros(block, of_block, _eigenvalues(block, of_block), scale, agreement)
+        factors += [*_beyond(bound, partial(_sign, zeros, block, of_block), agreement, len(own))]
     return np.sort(sign * np.array(factors), axis=0)
 
 
-def _beyond(bound: Floats, sign_at: Callable[[Floats], tuple[Floats, Masks]], agreement: Agreement) -> Floats:
-    """Return the float beyond a zero, between -bound and bound, by the bisections of `singular_factors`.
+def _beyond(
+    bound: Floats, sign_at: Callable[[Floats], tuple[Floats, Masks]], agreement: Agreement, count: int
+) -> Floats:
+    """Return the floats beyond zeros (count, members), between -bound and bound, by the bisections of alone matrices.
 
-    `sign_at` is that of a point minus the zero, and whether it is certain.
+    `sign_at` is that of points minus the zeros, and whether it is certain.
     """
-    low, high, every = -bound, bound.copy(), np.ones(len(bound), dtype=bool)
+    low, high = (np.repeat(end[None], count, axis=0) for end in (-bound, bound))
+    every = np.ones(low.shape, dtype=bool)
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
         sign, certain = sign_at(middle)
@@ -72,14 +73,14 @@ def _beyond(bound: Floats, sign_at: Callable[[Floats], tuple[Floats, Masks]], ag
     return high
 
 
-def _sign(zero: Bounded, matrix: Floats, casimir: Floats, point: Floats) -> tuple[Floats, Masks]:
+def _sign(zeros: Bounded, matrix: Floats, casimir: Floats, points: Floats) -> tuple[Floats, Masks]:
     # Exact where the sign is not obvious.
-    beyond = (point - zero.high) - zero.low
-    certain = np.abs(beyond) > zero.error
-    near = np.flatnonzero(~certain)
-    if len(near) and len(matrix) <= 3:
-        singular = _is_singular(matrix[..., near], casimir, point[near])
-        beyond[near[singular]], certain[near[singular]] = 0.0, True
+    beyond = (points - zeros.high) - zeros.low
+    certain = np.abs(beyond) > zeros.error
+    if len(matrix) <= 3 and not certain.all():
+        rows, near = np.nonzero(~certain)
+        singular = _is_singular(matrix[..., near], casimir, points[rows, near])
+        beyond[rows[singular], near[singular]], certain[rows[singular], near[singular]] = 0.0, True
     return beyond, certain
 
 
@@ -103,20 +104,18 @@ def _sign_of_quotient(entry: Floats, casimir: float, point: Floats) -> tuple[Flo
     return beyond, (np.abs(product) > SMALLEST_PRODUCT) | (point == 0.0)
 
 
-def _zero(
-    matrix: Floats, casimir: Floats, estimate: Floats, scale: Floats, below: int, agreement: Agreement
-) -> Bounded:
-    """Return the zero of det(M - c C) above `below` others, known to within `RADIUS`."""
-    order = _pivot_order(matrix[..., 0] - estimate[0] * casimir)
-    ends = [Bounded.of(estimate + end * OFFSET * scale) for end in (-1.0, 1.0)]
+def _zeros(matrix: Floats, casimir: Floats, estimates: Floats, scale: Floats, agreement: Agreement) -> Bounded:
+    """Return the zeros of det(M - c C), ascending, (n, members), each known to within `RADIUS`."""
+    order = np.array([_pivot_order(matrix[..., 0] - estimate[0] * casimir) for estimate in estimates])
+    ends = [Bounded.of(estimates + end * OFFSET * scale) for end in (-1.0, 1.0)]
     pivots = [_elimination(matrix, casimir, one, order)[1] for one in ends]
-    zero = ends[0] + (ends[1] - ends[0]) * (pivots[0] / (pivots[0] - pivots[1]))
-    center = Bounded(zero.high, zero.low, np.zeros_like(scale))
+    zeros = ends[0] + (ends[1] - ends[0]) * (pivots[0] / (pivots[0] - pivots[1]))
+    centers = Bounded(zeros.high, zeros.low, np.zeros_like(estimates))
     for end in (0, 1):
-        shift = Bounded.of((2.0 * end - 1.0) * RADIUS * scale)
-        negative, _, certain = _elimination(matrix, casimir, center + shift, order)
-        agreement.require(certain & (negative == below + end))
-    return Bounded(zero.high, zero.low, RADIUS * scale * (1.0 + 2.0**-20))
+        shift = Bounded.of(np.broadcast_to((2.0 * end - 1.0) * RADIUS * scale, estimates.shape))
+        negative, _, certain = _elimination(matrix, casimir, centers + shift, order)
+        agreement.require(certain & (negative == np.arange(end, len(matrix) + end)[:, None]))
+    return Bounded(zeros.high, zeros.low, np.broadcast_to(RADIUS * scale * (1.0 + 2.0**-20), estimates.shape))
 
 
 def _pivot_order(matrix: Floats) -> list[int]:
@@ -133,19 +132,20 @@ def _pivot_order(matrix: Floats) -> list[int]:
 
 
 def _elimination(
-    matrix: Floats, casimir: Floats, factor: Bounded, order: list[int]
+    matrix: Floats, casimir: Floats, factors: Bounded, order: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], Bounded, NDArray[np.bool_]]:
     """Return how many zeros of det(M - c C) are below c, the last pivot of M - c C, and whether the number is certain.
 
-    By Sylvester's law of inertia, as many pivots are negative.
+    There are several c (k, members), each with an order of the pivots (k, n). By Sylvester's law of inertia, as many
+    pivots are negative.
     """
     first, second = np.triu_indices(len(matrix))
-    rows = np.array(order)
-    given = matrix[rows[first], rows[second]]
-    upper = Bounded.of(given) - factor * Bounded.of(casimir[rows[first], rows[second]][:, None])
+    rows, columns = order[:, first].T, order[:, second].T
+    of_casimir = np.broadcast_to(casimir[rows, columns][..., None], (*rows.shape, matrix.shape[-1]))
+    upper = Bounded.of(matrix[rows, columns]) - factors * Bounded.of(of_casimir)
     at = np.zeros((len(matrix), len(matrix)), dtype=np.int64)
     at[first, second] = at[second, first] = np.arange(len(first))
-    negative, certain = np.zeros(matrix.shape[-1], dtype=np.int64), np.ones(matrix.shape[-1], dtype=bool)
+    negative, certain = np.zeros(factors.high.shape, dtype=np.int64), np.ones(factors.high.shape, dtype=bool)
     for p in range(len(matrix)):
         pivot = upper[at[p, p]].copy()
         signs, sure = pivot.signs()
