@@ -360,6 +360,31 @@ def test_a_member_that_fails_leaves_the_others(method):
     assert_as_alone(systems, METHODS[method], states, whole, [0, 1, 3, 7])
 
 
+def test_a_member_with_large_squares_fails_alone():
+    systems = [
+        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((1e200 if k == 2 else 1 + 0.01 * k) * FULL))
+        for k in range(6)
+    ]
+    states = np.full((6, 3), 0.5)
+    states[2] *= 1e120
+    with pytest.raises(co.IntegrationError, match="member 2") as failed:
+        co.prepare(co.batch(systems), METHODS["auto"], STEP).run(states, SPAN, save_every=4)
+    whole = failed.value.partial
+    assert np.flatnonzero(whole.failed).tolist() == [2]
+    assert_as_alone(systems, METHODS["auto"], states, whole, [0, 1, 3, 5])
+
+
+def test_gradients_of_members_with_squares():
+    systems = squares(9)
+    states = np.random.default_rng(4).standard_normal((9, 3))
+    solution, pullback = co.prepare(co.batch(systems), METHODS["auto"], STEP).vjp(states, SPAN)
+    gradient = pullback(solution.x)
+    for m, one in enumerate(systems):
+        alone, pullback = co.prepare(one, METHODS["auto"], STEP).vjp(states[m], SPAN)
+        for name, value in pullback(alone.x).items():
+            assert np.array_equal(gradient[name][m], value), (m, name)
+
+
 def test_members_with_noise_keep_their_numbers():
     noise = co.forces.HeatBath(alpha=0.1, temperature=0.1, seed=3)
     systems = [one.with_forces(noise) for one in bodies(5)]
