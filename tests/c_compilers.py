@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 STRICT = {
-    "c": ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow"),
+    "c": ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wshadow", "-Wdouble-promotion"),
     "c++": ("-std=c++11", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wshadow"),
 }
 

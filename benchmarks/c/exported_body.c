@@ -70,6 +70,50 @@ static void runge_kutta(const double *m, double h, double *w, double *q) {
     normalize(q);
 }
 
+/* q exp(u/2), a rotation by the vector u, and the vector x in the turned axes. */
+static void rotate(const double *u, double *x, double *q) {
+    const double angle = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2]), c = cos(angle / 2);
+    const double s = angle > 0 ? sin(angle / 2) / angle : 0.5, v[3] = {s * u[0], s * u[1], s * u[2]};
+    const double p[4] = {q[0], q[1], q[2], q[3]};
+    double t[3];
+    q[0] = p[0] * c - p[1] * v[0] - p[2] * v[1] - p[3] * v[2];
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        q[1 + i] = p[0] * v[i] + c * p[1 + i] + p[1 + j] * v[k] - p[1 + k] * v[j];
+        t[i] = 2 * (x[j] * v[k] - x[k] * v[j]);
+    }
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        x[i] += c * t[i] + t[j] * v[k] - t[k] * v[j];
+    }
+}
+
+/* Buss (2000): a rotation by the mean velocity to second order, with its commutator; the momentum in space is kept. */
+static void buss(const double *m, double h, double *x, double *q) {
+    double w[3], dw[3], u[3];
+    for (int i = 0; i < 3; i++) w[i] = m[i] * x[i];
+    torque_free(m, w, dw);
+    for (int i = 0; i < 3; i++) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        u[i] = h * (w[i] + h / 2 * dw[i] + h * h / 12 * (dw[j] * w[k] - dw[k] * w[j]));
+    }
+    rotate(u, x, q);
+    normalize(q);
+}
+
+/* NO_SQUISH of Miller et al. (2002): rotations about the axes, with the momentum about each. */
+static void no_squish(const double *m, double h, double *x, double *q) {
+    static const int axes[] = {2, 1, 0, 1, 2};
+    for (int part = 0; part < 5; part++) {
+        const int i = axes[part], j = (i + 1) % 3, k = (i + 2) % 3;
+        const double angle = (part == 2 ? h : h / 2) * m[i] * x[i], c = cos(angle / 2), s = sin(angle / 2);
+        const double C = c * c - s * s, S = 2 * s * c, y = x[j], p = q[0], r = q[1 + j];
+        x[j] = C * y + S * x[k], x[k] = C * x[k] - S * y;
+        q[0] = c * p - s * q[1 + i], q[1 + i] = c * q[1 + i] + s * p;
+        q[1 + j] = c * r + s * q[1 + k], q[1 + k] = c * q[1 + k] - s * r;
+    }
+}
+
 int main(int argc, char **argv) {
     const int method = (int)number(argc, argv, 1);
     const long steps = (long)number(argc, argv, 2);
@@ -78,7 +122,8 @@ int main(int argc, char **argv) {
     float mf[3], xf[7] = {0, 0, 0, 1};
     for (int i = 0; i < 3; i++) mf[i] = (float)(m[i] = number(argc, argv, 4 + i));
     for (int i = 0; i < 3; i++) xf[i] = (float)(x[i] = number(argc, argv, 7 + i));
-    if (method >= 5)
+    const int of_velocities = method >= 5 && method <= 7;
+    if (of_velocities)
         for (int i = 0; i < 3; i++) x[i] *= m[i];
     begun = seconds();
     for (long n = 0; n < steps; n++) {
@@ -90,10 +135,12 @@ int main(int argc, char **argv) {
         case 5: euler(m, h, x, x + 3); break;
         case 6: implicit_euler(m, h, x, x + 3); break;
         case 7: runge_kutta(m, h, x, x + 3); break;
+        case 8: buss(m, h, x, x + 3); break;
+        case 9: no_squish(m, h, x, x + 3); break;
         }
     }
     begun = seconds() - begun;
-    if (method >= 5)
+    if (of_velocities)
         for (int i = 0; i < 3; i++) x[i] /= m[i];
     if (method == 1)
         for (int i = 0; i < 7; i++) x[i] = xf[i];

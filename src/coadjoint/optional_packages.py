@@ -24,6 +24,7 @@ EXTRAS = {
     "ducc0": "fluids",
     "distributed": "cluster",
     "cryptography": "cluster",
+    "fsspec": "remote",
     "jax": "jax",
     "torch": "torch",
 }

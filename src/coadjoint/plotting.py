@@ -7,9 +7,9 @@ registers a kind of your own; `gallery` draws the ready-made systems.
 from __future__ import annotations
 
 from coadjoint.errors import unknown_attribute
+from coadjoint.pictures.analysis_figures import draw_modified_energy
 from coadjoint.pictures.gallery import gallery
 from coadjoint.pictures.level_surface import level_surface
-from coadjoint.pictures.modified_energy import draw_modified_energy
 from coadjoint.pictures.register import CannotShow, kind, kinds
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 

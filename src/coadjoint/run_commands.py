@@ -1,17 +1,18 @@
-"""Commands that run, check, resume and certify: each reads a configuration file or an archive."""
+"""Commands that run, check, resume and certify a configuration file or an archive; failed and interrupted runs."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from coadjoint.errors import in_one_line
-from coadjoint.interrupted_runs import reporting_write_errors, saving_partial_run
+from coadjoint import interruption
+from coadjoint.errors import IntegrationError, in_one_line
 
 if TYPE_CHECKING:
     import xarray
@@ -203,13 +204,14 @@ def resume_archive(
     A finished run is left unchanged, unless a later end is given. At the end the results are written that the
     configuration file of the run declares: file, figure and movie, relative to the current directory.
     """
+    from coadjoint.files.archives.archive import read_archive_path
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
     from coadjoint.files.configuration.configuration import CONFIGURATION
     from coadjoint.files.configuration.loading import outputs_of_text, system_of_text
     from coadjoint.files.records.required_functions import requires_argument
 
-    archive, system = Path(path), None
+    archive, system = read_archive_path(path), None
     attributes = open_archive(archive).attributes
     if CONFIGURATION in attributes and requires_argument(attributes, "system"):
         # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
@@ -274,3 +276,99 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
 
 
 COMMANDS = (run_file, check_file, resume_archive, certify_file)
+
+
+class RunFailed(click.ClickException):
+    """A run failed, or its result could not be written: exit status 1."""
+
+    exit_code = 1
+
+
+class RunStopped(click.ClickException):
+    """A run was interrupted: exit status 128 + number of the signal."""
+
+    def __init__(self, message: str, number: int) -> None:
+        super().__init__(message)
+        self.__dict__["exit_code"] = 128 + number
+
+
+@contextmanager
+def saving_partial_run(
+    name: str, archive: Path | None, target: Path | None, dataset: Callable[[Any], xarray.Dataset] | None
+) -> Iterator[None]:
+    """Context that saves the solution so far of a run that fails or is interrupted, and reports it in one line.
+
+    `archive` is written during the run, `target` from the result converted by `dataset`.
+    """
+    try:
+        with interruption.raise_on_interrupt():
+            yield
+    except IntegrationError as error:
+        raise _failure_error(name, error, archive, target, dataset) from error
+    except interruption.Interrupted as interrupt:
+        raise _interruption_error(name, interrupt, archive, target, dataset) from interrupt
+
+
+@contextmanager
+def reporting_write_errors(name: str, target: Path) -> Iterator[None]:
+    """Context that reports in one line if the result of a run cannot be written."""
+    from coadjoint.files.output.output_files import OutputError
+
+    try:
+        yield
+    except (OSError, OutputError, MemoryError) as reason:
+        raise RunFailed(f"{name}: {_write_error(target, reason)}") from reason
+
+
+def _write_error(target: Path, reason: BaseException) -> str:
+    detail = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
+    return f"{target} could not be written ({detail}); nothing was replaced"
+
+
+def _failure_error(
+    name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any
+) -> RunFailed:
+    """Write the solution so far and return the error to raise."""
+    from coadjoint.files.datasets.export import failure_attributes
+
+    written = "" if archive is None else f"; the archive {archive} holds the solution so far"
+    if target is not None and error.partial is not None:
+        written = _write(dataset(error.partial).assign_attrs(failure_attributes(error)), target)
+    return RunFailed(f"{name}: the run failed: {error}{written}")
+
+
+def _interruption_error(
+    name: str, interrupt: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
+) -> RunStopped:
+    from coadjoint.files.datasets.export import incomplete_attributes
+
+    partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
+    written = ""
+    if archive is not None and partial is not None:
+        written = f"; {archive} holds {partial.progress_text}: coadjoint resume {archive} continues it"
+    elif target is not None and partial is not None and len(partial.t):
+        time = float(partial.t[-1])
+        reason = incomplete_attributes(interrupt.description, time)
+        written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
+    message = f"{name}: {interrupt.description}{written}" if written else f"coadjoint: {interrupt.description}"
+    return RunStopped(message, interrupt.number)
+
+
+def _open_partial_run(archive: Path) -> Any:
+    """Open the partial run in an archive; None if the archive was not created yet."""
+    from coadjoint.files.archives.archived_solution import open_archive
+
+    try:
+        return open_archive(archive)
+    except ValueError:
+        return None
+
+
+def _write(dataset: xarray.Dataset, target: Path, marked: str = "") -> str:
+    from coadjoint.files.output.output_files import OutputError, write_dataset
+
+    try:
+        write_dataset(dataset, target)
+    except (OSError, OutputError, MemoryError) as reason:
+        return f"; the solution so far is lost: {_write_error(target, reason)}"
+    return f"; the solution so far is in {target}{marked}"

@@ -41,7 +41,7 @@ def schemes() -> dict[str, co.methods.Method]:
     found |= {f"Taylor {p}": co.Taylor(p) for p in (1, 2, 3, 5, 6)}
     found |= {f"Taylor {p} alone": co.Taylor(p, projected=False) for p in (2, 5)}
     for name in co.methods.names():
-        scheme = getattr(co, name)
+        scheme = co.methods.registry.scheme(name)
         if not any(type(method) is scheme for method in found.values()):
             found |= {str(method): method for method in scheme.examples() if not method.own_steps}
     return found

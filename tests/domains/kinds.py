@@ -64,12 +64,36 @@ class Case:
 
 
 def case_of(function: Callable[..., Any], known: Mapping[str, Domain], /, **own: Any) -> Case:
-    """Return the case of a function: each parameter of its signature has a domain of its own, or a known one."""
-    named = inspect.signature(function).parameters.items()
-    names = [name for name, one in named if one.kind is not one.VAR_KEYWORD]
+    """Return the case of a function: each parameter has a domain of its own, a known one, or that of its default."""
+    named = inspect.signature(function).parameters
+    names = [name for name, one in named.items() if one.kind is not one.VAR_KEYWORD]
     more = {key: own.pop(key) for key in ("then", "usual") if key in own}
     assert set(own) <= set(names), f"{function} has no parameter {set(own) - set(names)}"
-    return Case(function, {name: own[name] if name in own else known[name] for name in names}, **more)
+    domains = {name: known[name] for name in names if name in known and fits(known[name], named[name].default)} | own
+    domains |= {name: of_default(function, named[name]) for name in names if name not in domains}
+    return Case(function, {name: domains[name] for name in names}, **more)
+
+
+def fits(domain: Domain, default: Any) -> bool:
+    """Return whether a known domain is one of values like this default: of a number, or of as many numbers."""
+    return not is_numeric(default) or np.shape(default) == np.shape(domain.inside[0])
+
+
+def is_numeric(value: Any) -> bool:
+    """Return whether a default is a number, or a tuple of numbers, by which other shapes can be told."""
+    return isinstance(value, int | float) or (isinstance(value, tuple) and np.asarray(value).dtype.kind in "iuf")
+
+
+def of_default(function: Callable[..., Any], parameter: inspect.Parameter) -> Domain:
+    """Return the domain of a parameter of which only the default is known: numbers or a truth value."""
+    if isinstance(parameter.default, bool):
+        return flag(usual=parameter.default)
+    assert is_numeric(parameter.default), (
+        f"{function.__name__} has the parameter {parameter.name}; list what it accepts and refuses in tests/domains"
+    )
+    if isinstance(parameter.default, tuple):
+        return vector(parameter.default, Domain((), NOT_FINITE), any_length=True)
+    return Domain((parameter.default,), (*NOT_FINITE, *NO_NUMBER))
 
 
 def structured(inside: tuple[Any, ...], outside: tuple[Any, ...], called: str | None = None, keep: Any = ()) -> Domain:

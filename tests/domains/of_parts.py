@@ -305,10 +305,6 @@ OF_SCHEMES = {
     },
     "Splitting": {
         "order": ORDERS.plus(1, without=(1,)),
-        "parts": structured(("auto", "coordinates", "free_body", "bonds", ((0,), (1,), (2,)), [[0, 1], [2]]),
-            ("autox", "Auto", [[-1], [0]], [[0, 0]], [[0.5]], [["a"]], [[True]], [0, 1]), keep=([],)),
-        "compensated": optional(flag()),
-        "rotation": choice("exact", "rational"),
         "scheme": optional(choice("strang", "yoshida4", "suzuki4")),
         "adjoint": flag().first(False),
         "usual": {"scheme": None},
@@ -319,9 +315,20 @@ OF_SCHEMES = {
         "tolerance": optional(positive(1e-6, least=1e-18, most=0.1)),
     },
 }  # fmt: skip
-STAGES = {"stages": whole(1, usual=2), "iterations": optional(whole(1))}
+STAGES = {
+    "stages": whole(1, usual=2),
+    "iterations": optional(whole(1)),
+    "parts": structured(
+        ("auto", "coordinates", "free_body", "bonds", ((0,), (1,), (2,)), [[0, 1], [2]]),
+        ("autox", "Auto", [[-1], [0]], [[0, 0]], [[0.5]], [["a"]], [[True]], [0, 1]),
+        keep=([],),
+    ),
+    "compensated": optional(flag()),
+    "rotation": choice("exact", "rational"),
+}
+CLASSES = {name: co.methods.registry.scheme(name) for name in co.methods.names()}
 SCHEMES = {
-    **{name: case_of(getattr(co, name), STAGES, **OF_SCHEMES.get(name, {})) for name in co.methods.names()},
+    **{name: case_of(scheme, STAGES, **OF_SCHEMES.get(name, {})) for name, scheme in CLASSES.items()},
     "Splitting.tuned": Case(co.Splitting.tuned, {
         "system": instance(BODY).plus(outside=(co.batch([BODY]), co.systems.toda_ring(3).with_forces)),
         "x0": vector((0.5, 1.0, -0.25), real()).first((0.5, 1.0, -0.25), np.ones((2, 3))),

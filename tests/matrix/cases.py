@@ -105,10 +105,23 @@ def start_text(system: Any, rng: np.random.Generator, members: int) -> str:
     basis = list(getattr(system.algebra, "basis", ()))
     if "z" in basis:
         states[..., basis.index("z")] = 1.0  # that of the canonical brackets
-    if hasattr(system, "positions"):  # of bodies so far apart that they do not collide
-        far = 4.0 * np.arange(len(system.masses))
-        states[..., -1 - 3 * len(far) : -1 : 3] += far
+    if hasattr(system, "positions"):
+        for state in states if members else [states]:
+            put_on_orbit(system, state)
     return numbers_of(states)
+
+
+def put_on_orbit(system: Any, state: np.ndarray) -> None:
+    """Move bodies apart, and turn them about each other so that they do not collide, forward nor backward in time."""
+    count, masses = len(system.masses), np.array(system.masses)
+    apart = np.arange(count) - (count - 1) / 2.0
+    positions, momenta = (state[-1 - k * 3 * count : -1 - (k - 1) * 3 * count].reshape(count, 3) for k in (1, 2))
+    positions[:] = 0.2 * positions + np.outer(4.0 * apart, [1.0, 0.0, 0.0])
+    accelerations = system.vector_field(state)[-1 - 6 * count : -1 - 3 * count].reshape(count, 3) / masses[:, None]
+    # On a circle of this radius, the attraction is the centripetal force.
+    speed = np.sqrt(np.maximum(0.0, -accelerations[:, 0] * positions[:, 0])) * np.sign(apart)
+    momenta[:] = 0.05 * momenta + np.outer(masses * speed, [0.0, 1.0, 0.0])
+    state[:] = np.round(state, 3)
 
 
 def step_for(system: Any, states: np.ndarray) -> float:
@@ -144,11 +157,12 @@ def declared(method: str, system: str, forces: list[str]) -> co.methods.Properti
     return co.methods.Forced(value_of(method)).properties(forced)
 
 
-def excluded(options: Options, system: Any, attitude: str) -> list[str]:
+def excluded(options: Options, system: Any, attitude: str, without_forces: bool) -> list[str]:
     """Return options that are refused with others, in the order in which they are dropped."""
-    noise, batch = options["forces"] == "noise", options["members"] == "batch"
+    noise, batch = options["forces"] == "noise" and not without_forces, options["members"] == "batch"
     own = options["attitude"] == "own" and getattr(system, "representation", None) is None
     refused = {
+        "forces": without_forces,
         "direction": noise and options["direction"] == "backward",
         "saved": noise and options["saved"] == "times",
         "events": noise and options["events"] != "none",
@@ -234,7 +248,11 @@ def accepted(method: str, system: str, options: Options, seed: int) -> tuple[Cas
     if options["attitude"] == "turned" and getattr(plain, "representation", None) is None:
         options = options | {"attitude": "own"}
     forces = forces_of(plain, options, np.random.default_rng(seed))
-    for name in excluded(options, plain, declared(method, system, forces).attitude):
+    try:
+        attitude, without_forces = declared(method, system, forces).attitude, False
+    except REFUSALS:  # of order above two, with a force that acts forward only, or in flows of order one
+        attitude, without_forces = declared(method, system, []).attitude, True
+    for name in excluded(options, plain, attitude, without_forces):
         try:
             return *case_of(method, system, options, seed), refusals
         except Refused as refused:

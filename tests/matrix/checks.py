@@ -80,7 +80,7 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     )
     if chosen["inputs"] == "none":
         yield same(f"numbers(ready.run(x0, span{passed}))")
-        yield same(f"numbers(ready.run(x0, span{passed}))", lines="ready.run(fixed(system, 0.5 * x0, 1.0), span)\n")
+        yield same(f"numbers(ready.run(x0, span{passed}))", lines="ready.run(fixed(system, 0.95 * x0, 1.0), span)\n")
         yield same("ready.end(x0, span)", "ready.run(x0, span).x[-1]")
         return
     name = {"linear": "linear", "torque": "pushed"}[chosen["inputs"]]
@@ -307,7 +307,10 @@ def corrected(case: Case, space: dict[str, Any]) -> Iterator[str]:
         yield refusal(call, "LiePoissonSystem")
         return
     kernel = re.sub(r"co\.(Composition|methods\.even_order)\((base=)?", "", case.method)
-    if not kernel.startswith(("co.Splitting", "user.Flows")):
+    innermost = method
+    while isinstance(innermost, co.Composition):
+        innermost = innermost.base
+    if not isinstance(innermost, co.methods.FlowMethod):
         yield refusal(call, "order" if "tolerance" in kernel else "Splitting")
         return
     if not isinstance(plain.hamiltonian, co.Quadratic | co.Polynomial) or method.order * plain.dim > 24:

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import inspect
+from contextlib import suppress
 from typing import Any
 
+import numpy as np
+
 import coadjoint as co
+
+from . import functions
 
 VALUES = {
     "rate": "0.2",
@@ -48,3 +53,18 @@ def force_text(name: str, system: Any) -> str:
 def is_noise(name: str) -> bool:
     """Return whether a force draws random numbers."""
     return "seed" in inspect.signature(getattr(co.forces, name)).parameters
+
+
+def forces_on(system: Any) -> list[co.forces.Force]:
+    """Return the registered forces that act on a system of vectors, dampers in place of springs without an attitude."""
+    space = {"np": np, "co": co, "f": functions}
+    names = [name for name in co.forces.names() if not issubclass(getattr(co.forces, name), co.forces.Sampled)]
+    texts = [force_text(name, system) for name in names]
+    laws = [text.replace("stiffness=0.1", "stiffness=0.0") for text in texts if "stiffness" in text]
+    found = []
+    for text in (*texts, *laws, *(f"co.forces.Sampled({text}, 0.25)" for text in laws)):
+        with suppress(TypeError, ValueError, AttributeError):
+            force = eval(text, space)
+            system.with_forces(force)
+            found.append(force)
+    return found

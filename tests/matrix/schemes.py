@@ -47,13 +47,17 @@ DEFAULTS = (
 
 def text_of(method: co.methods.Method) -> str:
     """Return a scheme as an expression; of named coefficients the order is not given."""
+
+    def qualified(found: re.Match[str]) -> str:
+        return f"co.{found[1]}(" if found[1] in dir(co) else f'co.methods.registry.scheme("{found[1]}")('
+
     shown = re.sub(DEFAULTS, "", repr(method))
     shown = re.sub(r"order=\d+, (scheme=)", r"\1", shown)
-    return re.sub(r"\b([A-Z]\w*\()", r"co.\1", shown)
+    return re.sub(r"\b([A-Z]\w*)\(", qualified, shown)
 
 
 @cache
 def schemes() -> tuple[str, ...]:
     """Return every example of every registered scheme, and the others."""
-    examples = [text_of(each) for name in co.methods.names() for each in getattr(co, name).examples()]
+    examples = [text_of(each) for name in co.methods.names() for each in co.methods.registry.scheme(name).examples()]
     return (*examples, *OTHERS)

@@ -98,7 +98,7 @@ def some_method(rng: np.random.Generator) -> Any:
 @cache
 def other_schemes() -> Sequence[Any]:
     """Return the examples of the registered schemes that are not in DRAWN."""
-    classes = (getattr(co, name) for name in co.methods.names())
+    classes = (co.methods.registry.scheme(name) for name in co.methods.names())
     return [method for scheme in classes if scheme not in DRAWN for method in scheme.examples()]
 
 

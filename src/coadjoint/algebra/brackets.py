@@ -121,9 +121,10 @@ def _parse_sum(line: str, position: int, names: _Names, basis: Sequence[str]) ->
     while first or position < len(line):
         term = names.parse_term(line, position)
         if term is None or not (first or term[0]["sign"]):
-            rest = short(line[position:].strip() or "its end", MAX_QUOTED)
+            rest = line[position:].strip()
+            where = f"from {short(rest, MAX_QUOTED)} on" if rest else "at its end"
             raise ValueError(
-                f"{short(line, MAX_QUOTED)} cannot be parsed from {rest} on; write a sum of {_format_names(basis)}, "
+                f"{short(line, MAX_QUOTED)} cannot be parsed {where}; write a sum of {_format_names(basis)}, "
                 f"each with a number before it, such as 2 {basis[0][:MAX_QUOTED]}"
             )
         factor, k, position = term

@@ -168,6 +168,11 @@ def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) 
     numbers = [entry for row in rows for entry in row[:3] if isinstance(entry, int)]
     if numbers and min(numbers) == 1 and max(numbers) == dim:
         raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; subtract 1 from each")
+    for row in rows:
+        for name, entry in zip("ijk", row[:3], strict=True):
+            if isinstance(entry, int) and not 0 <= entry < dim:
+                pair, wrong = f"({row[0]}, {row[1]})", f"{name} = {short(entry)}"
+                raise ValueError(f"bracket {pair} has the index {wrong}; give indices from 0 to {dim - 1}")
     return rows
 
 

@@ -57,29 +57,49 @@ def matrices_of_quaternions(quaternions: Floats, what: str, scalar_first: bool =
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def group_elements(attitude: Any, size: int, affine: bool = False) -> Floats:
+def rotation_block(representation: Any) -> int | None:
+    """Return the index at which the block of rotations in space begins in the matrices of a representation, or None.
+
+    The block is the whole of 3 x 3 matrices, the first in SE(3), and the second of three beside positions and momenta.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> [rotation_block(one.representation) for one in (co.algebras.so(3), co.algebras.e(3), co.algebras.sl(2))]
+    [0, 0, None]
+    """
+    rho = np.asarray(representation)
+    if rho.ndim != 3:  # none, or the name of one
+        return None
+    size = rho.shape[-1]
+    if size == 3 or (size == 4 and not rho[:, 3].any()):
+        return 0
+    if size == 5 and not rho[:, 1:, 0].any() and not rho[:, 4].any() and rho[:, 1:4, 1:4].any():
+        return 1
+    return None
+
+
+def group_elements(attitude: Any, size: int, block: int | None) -> Floats:
     """Return group elements (size, size), or with an axis of members before, also of rotations and quaternions.
 
-    `affine`: the matrices have a rotation and a translation, which is zero if a rotation is given.
+    `block` is the `rotation_block` of the representation; other entries of a given rotation are those of the identity.
     """
     if isinstance(attitude, list | tuple) and any(map(is_rotation, attitude)):
-        attitude = np.stack([group_elements(one, size, affine) for one in attitude])
+        attitude = np.stack([group_elements(one, size, block) for one in attitude])
     array = read_numbers(attitude.as_matrix() if is_rotation(attitude) else attitude, "attitude")
-    rotates = size == 3 or affine
-    # Four numbers are a quaternion: rows of 3 x 3 matrices have three. Four rows of four are one affine matrix.
-    if rotates and array.shape[-1:] == (4,) and array.ndim <= (2 if size == 3 else 1):
+    # Four numbers are a quaternion: rows of other matrices have three or five. Four rows of four are one affine matrix.
+    if block is not None and array.shape[-1:] == (4,) and array.ndim <= (1 if size == 4 else 2):
         array = matrices_of_quaternions(array, "attitude")
-    if not affine or array.shape[-2:] != (3, 3):
+    if block is None or size == 3 or array.shape[-2:] != (3, 3):
         return array
-    elements = np.zeros((*array.shape[:-2], size, size))
-    elements[..., :3, :3] = array
-    elements[..., 3, 3] = 1.0
+    elements = np.tile(np.eye(size), (*array.shape[:-2], 1, 1))
+    elements[..., block : block + 3, block : block + 3] = array
     return elements
 
 
-def expected_elements(size: int, affine: bool = False) -> str:
+def expected_elements(size: int, block: int | None) -> str:
     """Return the shapes of group elements, for messages."""
-    rotation = ", a quaternion (4,) or a SciPy Rotation" if size == 3 or affine else ""
+    rotation = ", a quaternion (4,) or a SciPy Rotation" if block is not None else ""
     return f"({size}, {size}){rotation}"
 
 

@@ -165,7 +165,7 @@ class LieAlgebra(Structure, metaclass=Constructors):
     @classmethod
     def from_brackets(
         cls,
-        dim: int | Sequence[str],
+        dim: int | str | Sequence[str],
         brackets: Mapping[tuple[Any, Any], Mapping[Any, float]] | Sequence[str] | None = None,
         *,
         basis: Sequence[str] | None = None,
@@ -177,9 +177,9 @@ class LieAlgebra(Structure, metaclass=Constructors):
 
         Parameters
         ----------
-        dim : int, or sequence of str
-            The dimension; or only the brackets as lines, such as ``"[h, e] = 2 e"``: the basis then consists of the
-            names in them, in order of first appearance.
+        dim : int, str, or sequence of str
+            The dimension; or only the brackets as lines, such as ``"[h, e] = 2 e"``, or a text of such lines: the basis
+            then consists of the names in them, in order of first appearance.
         brackets : mapping, or sequence of str
             ``{(i, j): {k: c}}`` stands for [e_i, e_j] = sum_k c e_k; indices from 0, or names of the basis. One order
             of each pair is enough. Or lines, as above.
@@ -203,11 +203,15 @@ class LieAlgebra(Structure, metaclass=Constructors):
         array([ 2., -1.,  0.])
         >>> LieAlgebra.from_brackets(["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"])
         LieAlgebra(dim=3: [h, e] = 2 e, [h, f] = -2 f, [e, f] = h)
+        >>> LieAlgebra.from_brackets("[n, a] = b; [n, b] = -a; [a, b] = z").basis
+        ('n', 'a', 'b', 'z')
         """
         if brackets is None:
             rule = (
                 "give lines such as '[h, e] = 2 e', or first the dimension, as in from_brackets(3, {(0, 1): {2: 1.0}})"
             )
+            if isinstance(dim, str):
+                dim = [line for line in dim.replace(";", "\n").splitlines() if line.strip()]
             lines = read_list(dim, "brackets", rule)
             basis = names_in(lines) if basis is None else read_list(basis, "basis", "give names, one for each element")
             dim, brackets = len(basis), lines

@@ -2,10 +2,8 @@
 
 from .frequencies import Combinations as Combinations
 from .line_drift import line_drift as line_drift
-from .periods import Period as Period
-from .periods import period as period
-from .phase import phase_error as phase_error
 from .phase_drift import drift_of_series as drift_of_series
+from .phase_drift import phase_error as phase_error
 from .poisson_defect import PoissonDefect as PoissonDefect
 from .poisson_defect import defect_of_tangent as defect_of_tangent
 from .poisson_defect import poisson_defect as poisson_defect
@@ -13,7 +11,9 @@ from .powers import Growth as Growth
 from .powers import OrderFit as OrderFit
 from .powers import fit_order as fit_order
 from .powers import growth as growth
+from .predicted_drift import Period as Period
 from .predicted_drift import PredictedDrift as PredictedDrift
+from .predicted_drift import period as period
 from .rotations import attitude_angle as attitude_angle
 from .rotations import precession_error as precession_error
 from .rotations import twist as twist

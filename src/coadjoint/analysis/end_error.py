@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.analysis.step_error import loses_digits
+from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation, trial_run
@@ -71,11 +72,12 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     roundoff = UNIT_ROUNDOFF * math.sqrt(steps) if solution.choice is None else solution.choice.roundoff
     squares, counts = np.zeros((1 + groups.count, len(starts))), np.zeros(len(starts), dtype=int)
     pending = np.flatnonzero(~lost)
+    order = effective_scheme(system, solution.method).order
     for refinement in REFINEMENTS:
         if not len(pending):
             break
         members = np.arange(len(starts)) if system.is_batch else pending
-        finer = finer_run(solution.method, steps, refinement)
+        finer = finer_run(solution.method, steps, refinement, order)
         distances = _distances(solution, groups, starts[members], ends[members], time, finer)
         distances = distances[:, pending] if system.is_batch else distances
         valid = np.isfinite(distances[0])
@@ -94,17 +96,17 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     return np.maximum(errors, UNIT_ROUNDOFF)
 
 
-def finer_run(method: Method, steps: int, times: float) -> FinerRun:
+def finer_run(method: Method, steps: int, times: float, order: int) -> FinerRun:
     """Return the scheme and number of steps of a more accurate run than one of `steps` >= 1 steps.
 
     The number of steps grows by the factor `times`; if the scheme chooses its own steps, they shrink by it. Its `left`
-    is the remaining fraction of the error according to the order.
+    is the remaining fraction of the error according to the order, that of steps with forces if there are any.
     """
     by_own_steps = method.finer(steps, times)
     if by_own_steps is not None:
         return by_own_steps
     count = math.ceil(times * (steps + FEW_STEPS))
-    return FinerRun(method, count, (steps / count) ** method.order)
+    return FinerRun(method, count, (steps / count) ** order)
 
 
 def _distances(

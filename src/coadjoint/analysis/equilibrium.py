@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +25,9 @@ Floats = NDArray[np.float64]
 DIRECTIONS = {"down": 1.0, "up": -1.0, "none": 0.0}
 MAX_DESCENTS, MAX_NEWTON = 500, 200
 NEWTON_FROM = 1e-3  # residual, relative to its terms, below which Newton's method takes over
+EIGENVALUES_BELOW = 600  # coordinates; of more, the eigenvalues of a second variation take longer than descents
+MORE_DESCENTS = 50  # descents after a second variation that is not definite, and twice as many each time
+MEMORY = 10  # descents from which the curvature of the energy is known
 MAX_ANGLE = 1.0  # largest norm of the exponent of a Newton step
 ARMIJO = 0.25  # share of the decrease predicted by the gradient that a step must have
 ROUNDS = 64.0  # residual, in units of the round-off of its terms, at which a state is an equilibrium
@@ -181,9 +185,10 @@ def _check_regular(system: Any, x: Floats) -> None:
 
 def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
-    length, last, reference, scale = 0.0, np.inf, _sizes(orbit, x), _field_scale(system, orbit, x)
+    last, reference, scale = np.inf, _sizes(orbit, x), _field_scale(system, orbit, x)
+    descents_before = _Curvature()
     # Descents take time in proportion to the nonzero structure constants, Newton's method to the third power of n.
-    descents = max(MAX_DESCENTS, len(x))
+    descents, more, until = max(MAX_DESCENTS, len(x)), MORE_DESCENTS, 0
     for count in range(descents + MAX_NEWTON):
         gradient = np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64)
         field = orbit.product(x, gradient)
@@ -192,10 +197,20 @@ def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> F
         if residual <= ROUNDS * UNIT_ROUNDOFF * scale or stagnant:
             return x
         note_progress(f"a state, now with the residual {residual:.1e}")
-        if direction and count < descents and residual > NEWTON_FROM * scale:
-            length = min(2.0 * length or np.inf, MAX_ANGLE / orbit.norm(field))
-            slope = float(field @ field)
-            x, length = _searched(system, orbit, x, direction * field, length, slope, direction)
+        near = residual <= NEWTON_FROM * scale and count >= until
+        if direction and near and len(x) > EIGENVALUES_BELOW and count < descents - more:
+            # Far from definite, a Newton step takes the time of many descents, which end nearer to an equilibrium.
+            near = _is_semidefinite(system, x, direction)
+            until, more = (until, more) if near else (count + more, 2 * more)
+        if direction and count < descents and not near:
+            v = direction * descents_before.direction(field)
+            slope = float(direction * (field @ v))
+            if not slope > 0.0:
+                v, slope = direction * field, float(field @ field)
+            longest = MAX_ANGLE / orbit.norm(v)
+            length = min(1.0 if descents_before.pairs else np.inf, longest)
+            x, length = _searched(system, orbit, x, v, length, slope, direction)
+            descents_before.add(direction * length * v, field)
         else:
             last = residual
             x = _newton_step(system, orbit, x, field, direction)
@@ -204,6 +219,40 @@ def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> F
         f"no equilibrium of {system.name} was found from x0: the residual is {residual:.1e} after "
         f"{descents + MAX_NEWTON} iterations; start nearer to one"
     )
+
+
+class _Curvature:
+    """The inverse of a second variation by the last descents, as in the method of Broyden et al. with little memory.
+
+    Directions are elements of the algebra, which move x by exponentials, so that those of different x are compared.
+    """
+
+    def __init__(self) -> None:
+        self.pairs: deque[tuple[Floats, Floats]] = deque(maxlen=MEMORY)
+        self._last: tuple[Floats, Floats] | None = None
+
+    def add(self, moved: Floats, field: Floats) -> None:
+        """Add the way of a descent from a state with this field."""
+        self._last = moved, field
+
+    def direction(self, field: Floats) -> Floats:
+        """Return the direction of the next descent from the field at its start, in which the first ones are that."""
+        if self._last is not None:
+            moved, before = self._last
+            change = before - field
+            if moved @ change > UNIT_ROUNDOFF * np.linalg.norm(moved) * np.linalg.norm(change):
+                self.pairs.append((moved, change))
+            self._last = None
+        q, parts = field.copy(), []
+        for s, y in reversed(self.pairs):
+            parts.append(float(s @ q) / float(s @ y))
+            q -= parts[-1] * y
+        if self.pairs:
+            s, y = self.pairs[-1]
+            q *= float(s @ y) / float(y @ y)
+        for (s, y), part in zip(self.pairs, reversed(parts), strict=True):
+            q += (part - float(y @ q) / float(s @ y)) * s
+        return q
 
 
 def _field_scale(system: Any, orbit: Orbit, x: Floats) -> float:
@@ -252,6 +301,16 @@ def _newton_step(system: Any, orbit: Orbit, x: Floats, field: Floats, direction:
     if not direction:
         return orbit.moved(x, length * v)
     return _searched(system, orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
+
+
+def _is_semidefinite(system: Any, x: Floats, direction: float) -> bool:
+    """Return whether no eigenvalue of the second variation has the sign against the direction, but for zero ones."""
+    matrix = direction * second_variation(system, x, system.hamiltonian, tangents_of(system, x))
+    try:
+        np.linalg.cholesky(matrix + ZERO * np.linalg.norm(matrix, 1) * np.eye(len(matrix)))
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem
 from coadjoint.analysis.measured_quantities import Quantities
-from coadjoint.analysis.undetermined import check_determined
-from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.errors import MAX_LISTED_NAMES, IntegrationError, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
@@ -24,6 +23,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
+from coadjoint.systems.parameters import Parameter, parameters_at, parameters_of
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
@@ -32,6 +32,13 @@ MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momen
 FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
+
+# Half the distance of the states between which the derivative of the energy is differentiated; exact for quadratics.
+DISTANCE = 2.0**-10
+# Singular values, relative to the largest, of unknowns that Jacobians with central differences do not determine.
+BY_DIFFERENCES = 2.0**-26
+# Largest field of a Casimir, relative to the field of other directions of H.
+CASIMIR = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -376,8 +383,14 @@ def _weights(
         if name not in outputs:
             raise unknown_name("measured value of this run", name, (*outputs, *quantities))
         array, shape = read_numbers(value, f"measured {name}"), outputs[name].shape
-        if array.shape != shape or not are_finite(array):
-            raise ValueError(f"measured {name} has the shape {array.shape}; it must be {shape}, of finite numbers")
+        if array.shape != shape:
+            raise ValueError(f"measured {name} has the shape {array.shape}; it must be {shape}")
+        if not are_finite(array):
+            place = short(tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0]))
+            raise ValueError(
+                f"measured {name} is NaN or infinite at {place}; give finite numbers, and for those that are missing a "
+                "large sigma, of the shape of the measurements"
+            )
         if name not in sigma:
             raise ValueError(f"sigma has no standard deviation of {name}; give one")
         deviation = read_numbers(sigma[name], f"sigma of {name}")
@@ -388,3 +401,56 @@ def _weights(
         except ValueError:
             raise ValueError(f"sigma of {name} has the shape {deviation.shape}; it must broadcast to {shape}") from None
     return weights
+
+
+def check_determined(J: Floats, problem: Any) -> None:
+    """Raise ValueError if the Jacobian has directions without influence on the measurements."""
+    from scipy.linalg import qr
+
+    unknowns = problem.unknowns
+    if len(J) < len(unknowns):
+        raise ValueError(f"{len(J)} numbers were measured for {len(unknowns)} unknowns; measure more")
+    scale = np.linalg.norm(J, axis=0)
+    scaled = J / np.where(scale > 0, scale, 1.0)
+    _, values, vectors = np.linalg.svd(scaled, full_matrices=False)
+    exact = problem.quantities is None
+    free = values <= (16 * max(J.shape) * UNIT_ROUNDOFF if exact else BY_DIFFERENCES) * values[0]
+    if free.any():
+        directions = np.abs(vectors[free] / np.where(scale > 0, scale, 1.0))
+        involved = np.flatnonzero((directions > 1e-3 * directions.max(axis=1, keepdims=True)).any(axis=0))
+        names = " and ".join(dict.fromkeys(unknowns[k][0] for k in involved))
+        # Without the last columns of a pivoted factorization, the others are independent.
+        order = qr(scaled, mode="r", pivoting=True)[1]
+        omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
+        reason = _casimirs_among(vectors[free] / np.where(scale > 0, scale, 1.0), problem)
+        raise ValueError(
+            f"the measurements do not determine all unknown entries of {names}{reason}; omit, for instance, {omitted}"
+        )
+
+
+def _casimirs_among(directions: Floats, problem: Any) -> str:
+    """Return the number of directions without influence that change H by a Casimir, in words for a message."""
+    system = problem.system.unforced
+    x = np.random.default_rng(1).standard_normal((4, system.dim))
+    of_energy = parameters_of(system)
+    named = {name: problem.values[name] for name in problem.chosen if name in of_energy}
+    parameters, rows = parameters_at(system, named), []
+    for z in directions:
+        moved, rest = problem.split(z, named)
+        gradients = _energy_gradients(parameters, moved, x)
+        fields = [system.structure_matrix(point) @ gradient for point, gradient in zip(x, gradients, strict=True)]
+        rows.append(np.concatenate([np.ravel(fields), rest]) / np.abs(z).max())
+    count = len(rows) - int(np.linalg.matrix_rank(np.array(rows), CASIMIR))
+    if not count:
+        return ""
+    return f" (in {count} of {len(rows)} free directions H changes by a Casimir, which moves nothing)"
+
+
+def _energy_gradients(parameters: Mapping[str, Parameter], directions: Mapping[str, Floats], x: Floats) -> Floats:
+    """Return the gradients at states (points, n) of the derivative of the energy along directions of parameters."""
+    n = x.shape[-1]
+    shifted = x[:, None, None] + DISTANCE * np.array([np.eye(n), -np.eye(n)])
+    along = np.zeros(shifted.shape[:-1])
+    for name, direction in directions.items():
+        along += parameters[name].energy().at(shifted) @ direction.ravel()
+    return (along[:, 0] - along[:, 1]) / (2 * DISTANCE)

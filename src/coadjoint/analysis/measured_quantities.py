@@ -28,6 +28,8 @@ MOTIONS = {
 }
 DISTANCE = 2.0**-17  # relative step of central differences, whose errors h^2 and u/h are both near 1e-11
 
+SMALLEST = 2.0**-10  # size of an entry of a parameter for these differences, at least, relative to the largest entry
+
 
 class Quantities:
     """Functions of the states by name, with derivatives: exact tangents of states, and differences of the functions."""
@@ -97,15 +99,26 @@ class Quantities:
         moving = {name: one for name, one in direction.items() if name in parameters_of(self._system) and one.any()}
         if not self._motions or not moving:
             return {}
-        length = DISTANCE * min(
-            float(np.abs(parameters[name]).max() / np.abs(one).max()) for name, one in moving.items()
-        )
-        length = length or DISTANCE
+        length = DISTANCE * min(_relative_size(parameters[name], one) for name, one in moving.items())
         changed = (
             {name: parameters[name] + side * length * one for name, one in moving.items()} for side in (1.0, -1.0)
         )
         ahead, behind = (self.values(x, {**parameters, **values}) for values in changed)
         return {name: (ahead[name] - behind[name]) / (2.0 * length) for name in self._motions}
+
+
+def _relative_size(value: Floats, direction: Floats) -> float:
+    """Return the smallest size of the entries of a parameter that a direction moves, in units of their motions.
+
+    The size of an entry of a square matrix is that of the diagonal, such as principal moments beside products; small
+    entries have a part of the largest one.
+    """
+    sizes = np.abs(value)
+    if value.ndim == 2 and len(value) == value.shape[1] and np.diagonal(sizes).all():
+        sizes = np.sqrt(np.multiply.outer(np.diagonal(sizes), np.diagonal(sizes)))
+    moved = direction != 0.0
+    sizes = np.maximum(sizes, SMALLEST * sizes.max())
+    return float((sizes[moved] / np.abs(direction[moved])).min()) or 1.0
 
 
 def _has(ready: PreparedRun, name: str) -> bool:

@@ -11,12 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.powers import error_by_comparison
-from coadjoint.analysis.sampled_states import (
-    NUMBERS,
-    sampled_members,
-    sampled_points,
-    states_at,
-)
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -24,6 +18,7 @@ from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
 from coadjoint.runs.run import Run, advance_in_turns, advance_up
+from coadjoint.runs.start import any_momenta_of, vector_size
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -58,6 +53,11 @@ OF_ZERO = 1.0 / 64.0
 ROUNDED = 0.01
 # Saved points of the run that is repeated to measure rounding.
 ROUNDED_POINTS = 16
+
+# Largest number of points, and of members, at which the step is repeated.
+POINTS, MEMBERS = 5, 64
+# Largest number of entries of the states that are repeated; at least one state.
+NUMBERS = 2**20
 
 
 def step_error(solution: Solution) -> float:
@@ -164,7 +164,7 @@ class _Measured:
         whole = Times(t, h, 1, 1).with_saved_steps([1])
         (full,) = _run(prepared, states, whole)
         # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-        errors = error_by_comparison(groups.norms(full - halved), 0.5**self.method.order)
+        errors = error_by_comparison(groups.norms(full - halved), 0.5**self.prepared.scheme.order)
         changes = np.maximum(groups.norms(full - states), change)
         if known_rounding is None:
             halved, full = None, full.copy()
@@ -428,7 +428,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
     member = member if rounded is None else rounded.member
     motion = "this motion" if solution.failed is None else f"the motion of member {member}"
     if too_large and rounded is None:
-        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.method.order)
+        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.scheme.order)
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
             f"{truncation:.2g} of the change of the state, though invariants may be kept; take a step of about "
@@ -449,3 +449,41 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
             f"its size, {reason}",
             RoundingWarning,
         )
+
+
+def states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
+    """Return the momenta of the members at a saved point; of members that have ended or failed, those at the start."""
+    states = np.where(np.isfinite(solution.x[k]), solution.x[k], solution.x0)
+    return any_momenta_of(solution.system, states)[0][members]
+
+
+def sampled_members(solution: Solution, system: Any) -> NDArray[np.int64]:
+    """Return the members whose steps are repeated: the first few of each system, or of systems at equal distances."""
+    if not system.is_batch:
+        return np.arange(min(member_count(solution), MEMBERS))
+    order = np.argsort(system.owners, kind="stable")
+    owners = system.owners[order]
+    count = int(owners[-1]) + 1
+    chosen = np.isin(owners, np.linspace(0, count - 1, min(count, MEMBERS)).astype(np.int64))
+    first = np.arange(len(order)) - np.searchsorted(owners, owners) < max(1, MEMBERS // count)
+    return np.sort(order[chosen & first])
+
+
+def sampled_points(
+    solution: Solution, system: Any, members: NDArray[np.int64]
+) -> list[tuple[float, Floats, NDArray[np.bool_]]]:
+    """Return a few times of a run, the start included, the states (members, n) of some members, and who has one."""
+    size = vector_size(system)
+    start = any_momenta_of(system, solution.x0)[0] if size is None else np.asarray(solution.x0).reshape(-1, size)
+    start = start if len(start) == 1 else start[members]
+    count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
+    points = [(solution.t_span[0], start, np.ones(len(start), dtype=bool))]
+    if not solution._in_memory:
+        return points  # archives are not read to check steps
+    for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
+        # Members that have ended or failed need some state; their steps are left out.
+        finite = np.isfinite(solution.x[k])
+        states, _ = any_momenta_of(system, np.where(finite, solution.x[k], solution.x0))
+        held = finite.reshape(member_count(solution), -1).all(axis=1)
+        points.append((float(solution.t[k]), states[members], held[members]))
+    return points

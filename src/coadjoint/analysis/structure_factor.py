@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.reciprocal_path import reciprocal_path
 from coadjoint.analysis.signals import sampled
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
@@ -16,8 +16,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates
-from coadjoint.validation import read_number
+from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates, reciprocal_edges, sizes_of
+from coadjoint.validation import read_finite, read_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +27,10 @@ Floats = NDArray[np.float64]
 MIN_TIMES = 8  # of a transform with a window
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
 BYTES_PER_VALUE = 500  # peak, of a wave vector at a time
+
+COMMENSURATE = 1e-9  # distance from a whole number of waves, in waves
+MAX_WAVES = 2**40  # whole numbers of waves up to here are exact in float64
+BYTES_PER_POINT = 100  # of a path: coordinates, distance, and those of the result
 
 
 @suggest_keywords
@@ -225,3 +229,46 @@ def _amplitudes(rows: Floats, phase: Floats) -> NDArray[np.complex128]:
             sums = np.ascontiguousarray(rows[part, axis::3]) @ waves
             result[axis, :, part] = (sums[:, :k] + 1j * sums[:, k:]).T
     return result
+
+
+class ReciprocalPath(NamedTuple):
+    """Wave vectors (k, axes) in units of the reciprocal edges, their distances along the path (k,), and corners."""
+
+    q: Floats
+    distance: Floats
+    corners: NDArray[np.int64]
+
+
+def reciprocal_path(lattice: str, shape: Any, path: Any) -> ReciprocalPath:
+    """Return the wave vectors that fit the lattice on straight lines between corners; None is the usual path."""
+    sizes = np.array(sizes_of(shape))
+    given = CELL_GEOMETRY[lattice].path if path is None else path
+    corners = read_finite(given, "path")
+    if len(sizes) == 1 and corners.ndim == 1:
+        corners = corners[:, None]
+    if corners.ndim != 2 or corners.shape[1] != len(sizes) or not len(corners):
+        raise ValueError(
+            f"path has shape {corners.shape}; give corners (corners, {len(sizes)}) in units of the reciprocal edges"
+        )
+    with np.errstate(over="ignore", invalid="ignore"):
+        waves = corners * sizes
+    whole = np.rint(waves)
+    with np.errstate(over="ignore", invalid="ignore"):
+        fits = np.abs(waves - whole) <= COMMENSURATE * np.maximum(1.0, np.abs(waves))
+    off = np.argwhere(~(fits & (np.abs(waves) < MAX_WAVES)))
+    if off.size:
+        corner = corners[off[0, 0]].tolist()
+        subject = "the usual path" if path is None else "path"
+        raise ValueError(
+            f"{subject} has the corner {short(tuple(corner))}, which does not fit {short(shape)} cells: q times the "
+            "cells of an axis must be a whole number; give path=, or take another shape"
+        )
+    points = [whole[:1].astype(np.int64)]
+    for start, end in zip(whole[:-1].astype(np.int64), whole[1:].astype(np.int64), strict=True):
+        count = math.gcd(*(end - start).tolist())
+        check_available_memory(BYTES_PER_POINT * count, f"a path of {count} wave vectors", "give a shorter path")
+        points.append(start + np.arange(1, count + 1)[:, None] * ((end - start) // max(count, 1)))
+    q = np.concatenate(points) / sizes
+    steps = np.linalg.norm(np.diff(q, axis=0) @ reciprocal_edges(lattice), axis=1)
+    ends = np.cumsum([len(part) for part in points]) - 1
+    return ReciprocalPath(q, np.concatenate([[0.0], np.cumsum(steps)]), np.unique(ends))

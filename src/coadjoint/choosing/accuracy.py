@@ -23,18 +23,18 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.choosing.candidates import Candidate, supported_candidates
+from coadjoint.choosing.candidates import Candidate, supported_candidates, with_measured_work
 from coadjoint.choosing.fitting import (
+    ROUNDING_SHARE,
     Fit,
     confirmed_fit,
     extrapolated_fit,
     first_tolerance_trial,
     fit,
     fit_of_tolerance,
+    least_roundoff,
 )
-from coadjoint.choosing.measured_work import with_measured_work
 from coadjoint.choosing.pilot import Pilot, sample_of
-from coadjoint.choosing.roundoff import ROUNDING_SHARE, least_roundoff
 from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Hashable
+from functools import lru_cache
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.choosing.system_cache import loops_of
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_without_groups
@@ -67,6 +69,13 @@ SCREENING_SCHEME = reference_scheme(4)
 # Steps in the time in which the fastest member moves by its own size, and their total number.
 STEPS_PER_SIZE = 8
 SCREENING_STEPS = 128
+
+ResultT = TypeVar("ResultT")
+# Largest dimension that is cached: larger tables take much memory, and building them is cheap relative to the steps.
+MAX_CACHED_DIMENSION = 64
+# Entries per system, after which its cache is cleared, and number of systems (least recently used first out).
+MAX_ENTRIES = 256
+MAX_SYSTEMS = 16
 
 
 class Growth(NamedTuple):
@@ -351,3 +360,48 @@ def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: flo
     errors = np.where(failed | ~np.isfinite(rates), np.inf, differences / np.where(sizes > 0.0, sizes, 1.0))
     worst = screened[np.argsort(-errors, kind="stable")[: SAMPLE_SIZE - 1]]
     return momenta[np.unique(np.concatenate([[0], worst]))]
+
+
+@lru_cache(maxsize=MAX_SYSTEMS)
+def _cache_of(system: System) -> dict[Hashable, Any]:
+    return {}
+
+
+def cached_for_system(system: System, key: Hashable, compute: Callable[[], ResultT]) -> ResultT:
+    """Return the cached result of `make` for an immutable system and a key, computing it on first use.
+
+    Unhashable keys are not cached, nor are exceptions. Callers must not modify the result.
+    """
+    if system.dim > MAX_CACHED_DIMENSION:
+        return compute()
+    try:
+        cache = _cache_of(system)
+        result: ResultT = cache[key]
+    except KeyError:
+        result = compute()
+        if len(cache) >= MAX_ENTRIES:
+            cache.clear()
+        cache[key] = result
+    except TypeError:
+        return compute()
+    return result
+
+
+def loops_of(system: System, method: Method, h: float) -> Loops:
+    """Return the loops of a scheme that record the energy alone.
+
+    They are cached if they depend neither on the step nor on user functions, which may have state.
+    """
+
+    def build() -> Loops:
+        return loops_of_system(system, method, h, casimirs={})
+
+    return (
+        cached_for_system(system, ("loops", method), build)
+        if method.tables_of_any_step and not _has_functions(system)
+        else build()
+    )
+
+
+def _has_functions(system: System) -> bool:
+    return system.algebra is None or any(term.called for term in system.hamiltonian.terms())

@@ -16,21 +16,22 @@ from jax.scipy.special import ndtri
 from coadjoint.jax.numpy_arrays import on_jax
 from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, Field
 from coadjoint.jax.table_steps import product
+from coadjoint.methods.forced import Forced, substeps_of
 from coadjoint.systems.forces.base import Noise
-from coadjoint.systems.forces.state_torque import NODES, WEIGHTS
+from coadjoint.systems.forces.state_torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
 
 Flow = Callable[[Any, Any, Any, Any, Any], Any]
 """The flow of a force: of constants, state, time, duration and member."""
 
 
 class ForcedSteps:
-    """Steps of another scheme between half flows of forces, as of `methods.Forced`."""
+    """Steps of another scheme between half flows of forces, at fractions of the step, as of `methods.Forced`."""
 
-    def __init__(self, inner: Any, system: Any, field: Field) -> None:
-        self.inner = inner
+    def __init__(self, inner: Any, system: Any, field: Field, scheme: Forced) -> None:
+        self.inner, self.fractions = inner, scheme.fractions
         plain = system.unforced
         self.flows: list[Flow] = [
-            force.describe_to(ForceFlows(plain, field, f"a function of {label}"), plain)
+            force.describe_to(ForceFlows(plain, field, f"a function of {label}", scheme.order), plain)
             for label, force in system.labelled_forces
         ]
 
@@ -44,13 +45,22 @@ class ForcedSteps:
 
     def step(self, constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         """Take a step."""
-        (own, energy), (x, attitude), half = constants, state, 0.5 * h
-        for flow in self.flows:
-            x = flow(energy, x, t, half, member)
-        x, attitude = self.inner.whole(own, (x, attitude), t, h, member)
-        for flow in reversed(self.flows):
-            x = flow(energy, x, t + half, half, member)
-        return x, attitude
+        own, energy = constants
+
+        def substep(state: Any, at: Any) -> Any:
+            (x, attitude), (begin, length) = state, at
+            half = 0.5 * length
+            for flow in self.flows:
+                x = flow(energy, x, begin, half, member)
+            x, attitude = self.inner.whole(own, (x, attitude), begin, length, member)
+            for flow in reversed(self.flows):
+                x = flow(energy, x, begin + half, half, member)
+            return (x, attitude), None
+
+        each = substeps_of(self.fractions, t, h)
+        if len(each) == 1:
+            return substep(state, each[0])[0]
+        return lax.scan(substep, state, tuple(map(jnp.array, zip(*each, strict=True))))[0]
 
     def finish(self, constants: Any, state: Any, t: Any, h: Any, start: Any, elapsed: Any) -> Any:
         """Return the state."""
@@ -60,10 +70,10 @@ class ForcedSteps:
 
 
 class ForceFlows:
-    """A reader of a force that makes its flow; `what` names its functions in messages."""
+    """A reader of a force that makes its flow in schemes of an order; `what` names its functions in messages."""
 
-    def __init__(self, system: Any, field: Field, what: str) -> None:
-        self.system, self.field, self.what = system, field, what
+    def __init__(self, system: Any, field: Field, what: str, order: int) -> None:
+        self.system, self.field, self.what, self.order = system, field, what, order
 
     def damping(self, rate: Any, toward: Any) -> Flow:
         """Return the flow of x' = -rate (x - toward), exact."""
@@ -84,7 +94,7 @@ class ForceFlows:
         return lambda _, x, t, tau, member: x + tau * torque
 
     def function(self, torque: Any, arguments: str) -> Flow:
-        """Return the integral of a torque of the time by Gauss quadrature, or a step of Runge and Kutta."""
+        """Return the integral of a torque of the time by Gauss quadrature, or a step of an explicit method."""
         function = on_jax(torque, self.what)
 
         def of_time(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
@@ -105,7 +115,24 @@ class ForceFlows:
             zero = jnp.zeros_like(x)
             return x + tau * lax.scan(stage, (zero, zero), nodes)[0][1]
 
-        return of_time if arguments == "t" else of_state
+        columns = extrapolation_columns(self.order)
+
+        def extrapolated(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
+            first, change = field(x, t), jnp.zeros_like(x)
+            for k, weight in enumerate(extrapolation_weights(columns), 1):
+
+                def midpoint(states: Any, node: Any, length: Any = tau / (2 * k)) -> Any:
+                    before, now = states
+                    return (now, before + 2.0 * length * field(x + now, t + node * tau)), None
+
+                nodes = jnp.arange(1, 2 * k) / (2 * k)
+                start = jnp.zeros_like(x), tau / (2 * k) * first
+                change = change + weight * lax.scan(midpoint, start, nodes)[0][1]
+            return x + change
+
+        if arguments == "t":
+            return of_time
+        return extrapolated if columns else of_state
 
     def flow(self, function: Any) -> Flow:
         """Return a flow that is given."""

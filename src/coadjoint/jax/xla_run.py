@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -14,8 +14,9 @@ from jax import lax
 from coadjoint.jax.forces import ForcedSteps
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import Field, StageSteps
-from coadjoint.jax.table_steps import TableSteps
+from coadjoint.jax.table_steps import DEPENDENT, TableSteps
 from coadjoint.memory import check_available_memory
+from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.provenance import monomials_of
@@ -38,13 +39,32 @@ LONGEST = 8
 ZERO_CHANGE = 256 * UNIT_ROUNDOFF
 
 
+class Described(NamedTuple):
+    """Steps of a scheme for a system without forces, and the table: at least the energy and the parameters."""
+
+    steps: Any
+    table: Mapping[str, Any]
+    field: Field
+
+
 class XlaRun:
-    """A prepared run over a time span as operations of JAX, for values by name: x0 and parameters."""
+    """A prepared run over a time span as operations of JAX, for values by name: x0, inputs and parameters."""
 
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
-        self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER)
-        self._system = prepared.system
-        self._table = self._describe(prepared.method.expanded, prepared.representation)
+        self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, takes_inputs=True)
+        self._inputs = prepared.inputs
+        self._system = prepared.system if self._inputs is None else self._inputs.system_at(self._inputs.generic)
+        self._constants: Any = None
+        method, group = prepared.method, prepared.representation
+        if self._system.is_batch:
+            self._steps, self._table = self._describe_members(method, group)
+        elif self._system.forces:
+            forced = cast(Forced, prepared.scheme)
+            steps, self._table, field = _described(self._system.unforced, forced.inner, group)
+            self._steps = ForcedSteps(steps, self._system, field, forced)
+        else:
+            self._steps, self._table, _ = _described(self._system.unforced, method, group)
+        self._linear = self._number_linear_terms()
         self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
         self._t0, self._h = times.t0, times.h
@@ -67,32 +87,38 @@ class XlaRun:
         check_available_memory(8 * states, f"the {self._intervals + 2} states of the run, with {CALLER},")
         return self.solve(values)
 
-    def _describe(self, scheme: Any, group: Any) -> Mapping[str, Any]:
-        """Return the coefficients of the energy and the parameters; set the steps of the scheme."""
-        system = self._system.unforced
-        if not system.has_structure_constants:
-            raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
-        table = {"fixed": [], **energy_and_parameters(system)}
-        self._steps: Any
-        if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
-            if group is not None:
-                raise TypeError(
-                    f'{CALLER} computes attitudes by splittings only, not by {scheme}; take backend="compiled"'
-                )
-            self._steps = StageSteps(Field(system, table["energy"]["monomials"]), scheme.coefficients())
-        elif not isinstance(scheme, FlowMethod):
+    def _describe_members(self, method: Any, group: Any) -> tuple[Any, Mapping[str, Any]]:
+        """Return the steps and the table of the first member of a batch; set the constants of all members."""
+        batch = self._system
+        each = [_described(system, method, group) for system in batch.distinct]
+        first = each[0]
+        constants = [one.steps.constants(one.table["energy"]["coefficients"]) for one in each]
+        shapes = [jax.tree.map(jnp.shape, one) for one in constants]
+        if any(
+            shape != shapes[0] or _structure_differs(system, one, batch.distinct[0], first)
+            for system, one, shape in zip(batch.distinct, each, shapes, strict=True)
+        ):
             raise TypeError(
-                f'{CALLER} takes splittings and implicit Runge-Kutta methods, not {scheme}; take backend="compiled"'
+                f"{CALLER} takes batches whose members have the same parts and structure constants, and no functions, "
+                f'not {batch.name}; take parts="coordinates", or backend="compiled"'
             )
-        elif scheme.compensates:
-            raise TypeError(f"{CALLER} has no compensated sums, as {scheme} wants; take compensated=False")
-        else:
-            program = scheme.program(system, group=group)
-            table = program.to_mapping()
-            self._steps = TableSteps(table, program.functions, *_of_group(program, group))
-        if self._system.forces:
-            self._steps = ForcedSteps(self._steps, self._system, Field(system, table["energy"]["monomials"]))
-        return table
+        self._constants = jax.tree.map(lambda *own: jnp.stack(own)[batch.owners], *constants)
+        return first.steps, first.table
+
+    def _number_linear_terms(self) -> Mapping[int, int]:
+        """Return the number of the monomial of each coordinate that is an input."""
+        if self._inputs is None:
+            return {}
+        if len(self._inputs.in_energy) < len(self._inputs.changing):
+            raise TypeError(f"{CALLER} has inputs of the energy only, not torques; write them as a function of time")
+        number = {tuple(key): k for k, key in enumerate(self._table["energy"]["monomials"])}
+        found = {k: number[k,] for k in self._inputs.in_energy.tolist()}
+        if set(found.values()) & {*self._table["fixed"]}:
+            raise TypeError(
+                f"inputs of {self._system.name} change the parts of the splitting, and not only numbers of its table; "
+                f'take parts="coordinates" with {CALLER}'
+            )
+        return found
 
     def _initial_attitude(self, prepared: PreparedRun) -> Any:
         """Return the initial attitude unless another one is given; None for runs without."""
@@ -110,6 +136,13 @@ class XlaRun:
     def _energy(self, values: Mapping[str, Any]) -> Any:
         """Return the coefficients of the energy at values of parameters."""
         known, energy = self._table["parameters"], self._table["energy"]["coefficients"]
+        if self._inputs is not None:
+            return self._energy_of_inputs(energy, values)
+        if values and self._system.is_batch:
+            raise ValueError(
+                f'{next(iter(values))} has the values of the members of the batch with backend="xla"; take '
+                'backend="compiled"'
+            )
         for name in values:
             if self._system.forces and name in force_numbers(self._system):
                 raise ValueError(
@@ -125,6 +158,21 @@ class XlaRun:
             one = known[name]
             change = one["derivative"] * (value.ravel() - one["value"])[one["entry"]]
             energy = jnp.asarray(energy).at[one["monomial"]].add(change)
+        return energy
+
+    def _energy_of_inputs(self, energy: Any, values: Mapping[str, Any]) -> Any:
+        """Return the coefficients of the energy at values of inputs, others as prepared."""
+        inputs: Any = self._inputs
+        energy = jnp.asarray(energy)
+        for k, number in self._linear.items():
+            energy = energy.at[number].set(inputs.values[k])
+        for name, value in values.items():
+            if name not in inputs.indices:
+                raise ValueError(
+                    f'{name} has the value of the prepared run with inputs and backend="xla"; prepare without inputs='
+                )
+            numbers = [self._linear[k] for k in inputs.indices[name].ravel().tolist()]
+            energy = energy.at[np.array(numbers)].set(value.ravel())
         return energy
 
     def _check_provenance(self, name: str) -> None:
@@ -192,13 +240,15 @@ class XlaRun:
     def _solve(self, values: Mapping[str, Any]) -> Any:
         x0, attitude = values["x0"], values.get("attitude0", self._attitude)
         parameters = {name: value for name, value in values.items() if name not in ("x0", "attitude0")}
-        constants = self._steps.constants(self._energy(parameters))
+        energy, of_batch = self._energy(parameters), self._constants is not None
+        constants = self._constants if of_batch else self._steps.constants(energy)
+        members = member_numbers(*map(lax.stop_gradient, (x0, *parameters.values()))) if self._system.has_noise else 0
         if x0.ndim == 1:
-            x, A = self._trajectory(constants, x0, attitude, 0)
+            x, A = self._trajectory(constants, x0, attitude, members)
         else:
             of_members = None if attitude is None or attitude.ndim == 2 else 0
-            axes = (None, 0, of_members, 0)
-            x, A = jax.vmap(self._trajectory, axes, 1)(constants, x0, attitude, np.arange(len(x0)))
+            axes = (0 if of_batch else None, 0, of_members, 0 if self._system.has_noise else None)
+            x, A = jax.vmap(self._trajectory, axes, 1)(constants, x0, attitude, members)
         return x if attitude is None else (x, A)
 
     def _time(self, k: Any) -> Any:
@@ -241,6 +291,53 @@ class XlaRun:
         before = jax.tree.map(lambda one: one[partial], states)
         ends = jax.vmap(self._steps.whole, (None, 0, 0, 0, None))(constants, before, times, lengths, member)
         return jax.tree.map(lambda one, end: one.at[partial].set(end), states, ends)
+
+
+@jax.custom_batching.custom_vmap
+def member_numbers(x0: Any, *parameters: Any) -> Any:
+    """Return the numbers of the members of x0, from which their noise follows; `vmap` over x0 makes one ensemble."""
+    return jnp.arange(len(x0)) if x0.ndim > 1 else jnp.asarray(0)
+
+
+@member_numbers.def_vmap
+def _member_numbers_of_batch(size: int, batched: Any, x0: Any, *parameters: Any) -> tuple[Any, bool]:
+    if batched[0] and not any(batched[1:]):
+        return member_numbers(x0.reshape(-1, x0.shape[-1]), *parameters).reshape(x0.shape[:-1]), True
+    # Other parameters are other ensembles, as in the compiled runs.
+    firsts = [one[0] if has_axis else one for one, has_axis in zip((x0, *parameters), batched, strict=True)]
+    return member_numbers(*firsts), False
+
+
+def _described(system: Any, method: Any, group: Any) -> Described:
+    """Return the steps of a scheme for a system without forces."""
+    scheme = method.expanded
+    if not system.has_structure_constants:
+        raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
+    table: Mapping[str, Any] = {"fixed": [], **energy_and_parameters(system)}
+    field = Field(system, table["energy"]["monomials"])
+    if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
+        if group is not None:
+            raise TypeError(f'{CALLER} computes attitudes by splittings only, not by {method}; take backend="compiled"')
+        return Described(StageSteps(field, scheme.coefficients()), table, field)
+    if not isinstance(scheme, FlowMethod):
+        raise TypeError(
+            f'{CALLER} takes splittings and implicit Runge-Kutta methods, not {method}; take backend="compiled"'
+        )
+    if scheme.compensates:
+        raise TypeError(f"{CALLER} has no compensated sums, as {method} wants; take compensated=False")
+    program = scheme.program(system, group=group)
+    table = program.to_mapping()
+    return Described(TableSteps(table, program.functions, *_of_group(program, group)), table, field)
+
+
+def _structure_differs(system: Any, one: Described, first_system: Any, first: Described) -> bool:
+    """Return whether a member of a batch has more than other numbers than the first one, or functions."""
+    keys = [key for key in first.table if key not in (*DEPENDENT, "energy", "parameters", "provenance", "fixed")]
+    pairs = [(one.table[key], first.table[key]) for key in keys if key != "shift"]
+    pairs += zip(system.algebra.triples, first_system.algebra.triples, strict=True)
+    pairs.append((one.table["energy"]["monomials"], first.table["energy"]["monomials"]))
+    casimirs = [[shift["exponents"] for shift in each.table.get("shift", ())] for each in (one, first)]
+    return bool(one.field.functions) or casimirs[0] != casimirs[1] or not all(np.array_equal(*pair) for pair in pairs)
 
 
 def _of_group(program: Any, group: Any) -> tuple[int | None, list[Any]]:

@@ -95,6 +95,11 @@ class Composition(Composed):
         """Return the composition of this composition."""
         return self.expanded.composed(coefficients)
 
+    def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
+        """Return the base and the fractions, with those of the base multiplied out."""
+        base, fractions = self.base.steps_between_forces()
+        return base, tuple(c * f for c in self.coefficients for f in fractions)
+
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop of the base, composed."""
         return self.expanded.compiled(system, h, representation)

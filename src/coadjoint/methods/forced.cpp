@@ -1,5 +1,6 @@
-// Symmetric splitting of forces and a step of another loop: half flows, the step, half flows in reversed order; with
-// the account of each force.
+// Symmetric splitting of forces and a step of another loop: half flows, the step, half flows in reversed order; at
+// fractions of the step for higher orders; with the account of each force.
+#include <cstring>
 #include <memory>
 
 #include "forces/force.hpp"
@@ -12,35 +13,71 @@ namespace coadjoint {
 
 namespace {
 
+struct Substep {
+    double begin, length;  // in units of the step
+    int64_t loop;
+};
+
 struct Forced final : StepScheme {
     const StepTables& tables;
     const MemberConstants constants;
     const std::unique_ptr<MatrixInvariants> matrices;
     const int64_t n, tracked;
-    InnerStep inner;
+    std::vector<std::unique_ptr<InnerStep>> inner;  // one for each length
+    std::vector<Substep> substeps;
     std::vector<std::unique_ptr<Force>> forces;
     std::vector<double> values, before, arguments, workspace;
     bool measured = true;  // whether all forces compute the changes of the energy themselves
 
-    // `whole`: the addresses of the inner loop, the number of forces, the addresses of their tables, and what
+    // `whole`: the addresses of the first inner loop, the number of forces, the addresses of their tables, the number of
+    // other inner loops and their addresses, the number of substeps, the bits of their lengths and their loops, and what
     // `matrix_invariants` reads; for a matrix these invariants replace those of the tables.
     Forced(const StepTables& tables, const MemberConstants& constants)
         : tables(tables), constants(constants),
-          matrices(matrix_invariants(tables.whole + 6 + tables.whole[5], tables.coefficients)), n(tables.field.size),
+          matrices(matrix_invariants(after_substeps(tables.whole), tables.coefficients)), n(tables.field.size),
           tracked(matrices ? matrices->count() : tables.restored.size),
-          inner(tables.whole, n, tables.group.size * tables.group.size), values(tracked), before(tracked),
-          arguments(tables.restored.longest + 1), workspace(2 * tables.restored.longest + 2) {
+          values(tracked), before(tracked), arguments(tables.restored.longest + 1),
+          workspace(2 * tables.restored.longest + 2) {
+        const int64_t *other = other_loops(tables.whole), *one = other + 1 + ADDRESSES * other[0];
+        for (int64_t k = 0; k <= other[0]; ++k)
+            inner.emplace_back(new InnerStep(k ? other + 1 + ADDRESSES * (k - 1) : tables.whole, n,
+                                             tables.group.size * tables.group.size));
+        double elapsed = 0.0;
+        for (int64_t k = 0; k < one[0]; ++k) {
+            Substep substep{elapsed, 0.0, one[2 + 2 * k]};
+            std::memcpy(&substep.length, one + 1 + 2 * k, sizeof(double));
+            substeps.push_back(substep);
+            elapsed += substep.length;
+        }
         for (int64_t k = 0; k < tables.whole[5]; ++k)
             forces.emplace_back(new Force(*reinterpret_cast<const ForceTable*>(tables.whole[6 + k]), tables.field, constants));
         for (const auto& force : forces) measured = measured && force->measures() && force->table.accounts <= 1;
-        // The memory of schemes of matrices consists of initial guesses, which remain useful after forces.
-        memory_size = matrices ? tables.whole[3] : 0;
+        // The memory of schemes of matrices consists of initial guesses, which remain useful after forces, but not for
+        // substeps of other lengths.
+        memory_size = matrices && substeps.size() == 1 ? tables.whole[3] : 0;
         work = 16 * work_of(tables.field) +
-               (2 * tables.whole[5] + 2) *
+               int64_t(substeps.size()) * (2 * tables.whole[5] + 2) *
                    (matrices ? matrices->work() : work_of_terms(tables.restored.terms, 0, tables.restored.terms.size));
     }
 
+    static constexpr int64_t ADDRESSES = 5;  // of an inner loop
+
+    static const int64_t* other_loops(const int64_t* whole) { return whole + ADDRESSES + 1 + whole[ADDRESSES]; }
+
+    static const int64_t* after_substeps(const int64_t* whole) {
+        const int64_t* other = other_loops(whole);
+        const int64_t* one = other + 1 + ADDRESSES * other[0];
+        return one + 1 + 2 * one[0];
+    }
+
     int64_t step(double* x, double* dx, double* group, double*, double t, double h) override {
+        for (const Substep& one : substeps)
+            if (const int64_t status = take(*inner[one.loop], x, dx, group, t + one.begin * h, one.length * h))
+                return status;
+        return DONE;
+    }
+
+    int64_t take(InnerStep& inner, double* x, double* dx, double* group, double t, double h) {
         const double half = 0.5 * h;
         if (!evaluate(x, t)) return UNDEFINED;
         for (auto force = forces.begin(); force != forces.end(); ++force)

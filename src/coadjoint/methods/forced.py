@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import accumulate
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper, check_base
+from coadjoint.methods.protocol.wrapper import Wrapper, check_base, composition_order
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
 
@@ -20,17 +22,23 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.systems.system_stacks import SystemStack
 
+ORDER_OF_FLOWS = 10  # of quadrature with five points
 TANGENT_METHODS = ("formula", "complex step", "differences")
 
 
 def effective_scheme(system: Any, method: Method) -> Method:
     """Return the scheme of a run: `Forced` around the given scheme if the system has forces.
 
-    TypeError: the given scheme is already `Forced`.
+    TypeError: the given scheme is already `Forced`. ValueError: it takes steps backward in time, and a force does not.
     """
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
-    return Forced(method) if system.forces else method
+    if not system.forces:
+        return method
+    forced = Forced(method)
+    for one in system.distinct:
+        forced.check_backward(one)
+    return forced
 
 
 def check_supports(system: Any, method: Method) -> None:
@@ -53,6 +61,18 @@ def check_steps(system: Any, t0: float, h: float) -> None:
             force.check_steps(t0, h)
 
 
+def substeps_of(fractions: Sequence[float], t: Any, h: Any) -> list[tuple[Any, Any]]:
+    """Return the times at which substeps of these fractions begin, and their lengths, as the kernels compute them."""
+    begins = [0.0, *accumulate(fractions)]
+    return [(t + begin * h, c * h) for begin, c in zip(begins, fractions, strict=False)]
+
+
+@cache
+def _order_of_composition(fractions: tuple[float, ...]) -> int:
+    """Return the order of a composition of the symmetric splitting, up to that to which flows of forces are known."""
+    return 2 if len(fractions) == 1 else min(composition_order(fractions, 2), ORDER_OF_FLOWS)
+
+
 class FlowOfForce(NamedTuple):
     """The flow of a force with its derivative: a number, a diagonal (n,), or a matrix (n, n); `by` says how."""
 
@@ -69,8 +89,8 @@ class FlowOfForce(NamedTuple):
         return np.asarray(row @ self.derivative if self.derivative.ndim == 2 else self.derivative * row)
 
 
-def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, tau: float) -> FlowOfForce:
-    """Return the flow of a force on the Hamiltonian part with its derivative.
+def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, tau: float, order: int) -> FlowOfForce:
+    """Return the flow of a force on the Hamiltonian part with its derivative, in schemes of an order.
 
     That of a function on matrices is taken after a projection on the algebra, so that gradients lie in it.
     """
@@ -78,9 +98,9 @@ def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, t
 
     known = force.tangent(system, x, t, tau)
     if known is not None:
-        end = np.asarray(force.flow(system, x, t, tau), dtype=np.float64)
+        end = np.asarray(force.flow_of_order(system, x, t, tau, order), dtype=np.float64)
         return FlowOfForce(end, np.asarray(known, dtype=np.float64), "formula")
-    found = derivative_of(lambda z: force.flow(system, z, t, tau), x)
+    found = derivative_of(lambda z: force.flow_of_order(system, z, t, tau, order), x)
     derivative = found.derivative
     if has_matrix_state(system):
         derivative = system.to_vector(system.algebra.projected(system.from_vector(derivative)))
@@ -90,6 +110,10 @@ def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, t
 @dataclass(frozen=True)
 class Forced(Wrapper):
     """A scheme for a system with forces, as a symmetric splitting: order two, or one if the scheme has order one.
+
+    Splittings of order 4, 6, 8 and 10, and a `Composition`, compose it at fractions of the step, some of them negative,
+    and keep their order, up to 10. Forces that do not run backward, such as noise and what is sampled or held over a
+    step, are then refused.
 
     A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
     half flows in reverse order. Each step of the base starts afresh, except for the initial guesses of schemes for
@@ -105,6 +129,8 @@ class Forced(Wrapper):
     ------
     TypeError
         The base is not a scheme.
+    ValueError
+        The base is a splitting of order above two, or another composition, but not one of steps of order two.
 
     Examples
     --------
@@ -123,16 +149,51 @@ class Forced(Wrapper):
 
     def __post_init__(self) -> None:
         check_base(self.base, "Forced", "Splitting()")
+        _ = self._substeps  # raises the error of a base of higher order
+
+    @cached_property
+    def _substeps(self) -> tuple[Method, tuple[float, ...]]:
+        inner, fractions = self.base.steps_between_forces()
+        if _order_of_composition(fractions) > 2:
+            return inner, fractions
+        if self.base.order > max(2, inner.order):
+            raise ValueError(
+                f"{self.base} raises the order of {inner}, {inner.order}, and with forces that of any step is two; "
+                f"compose a scheme of order two, as co.methods.even_order does with GaussLegendre(1)"
+            )
+        return self.base, (1.0,)
+
+    @property
+    def inner(self) -> Method:
+        """The scheme of the Hamiltonian part in each substep."""
+        return self._substeps[0]
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Fractions of the substeps."""
+        return self._substeps[1]
 
     @property
     def order(self) -> int:
-        """At most two, the order of the symmetric splitting."""
-        return min(2, self.base.order)
+        """At most two, the order of the symmetric splitting, or that of its composition."""
+        return min(self.base.order, _order_of_composition(self.fractions))
+
+    def check_backward(self, system: Any) -> None:
+        """Raise ValueError if there are substeps backward in time and a force that does not run backward."""
+        if len(self.fractions) == 1:
+            return
+        for label, force in system.labelled_forces:
+            if not force.reversible:
+                raise ValueError(
+                    f"{label} does not run backward, and {self.base} takes steps backward in time, as every scheme of "
+                    f"order above two with forces; take {self.inner}"
+                )
 
     def properties(self, system: Any) -> Properties:
         """Return the properties of the base on the Hamiltonian part, without those that the forces break."""
         if not system.forces:
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
+        self.check_backward(system)
         inner = declared_properties(self.base, system.unforced)
         breaking = [label for label, force in system.labelled_forces if not force.casimirs]
         every = list(system.labels)
@@ -156,19 +217,22 @@ class Forced(Wrapper):
         from coadjoint.kernels.tables.forces import forced_loop
 
         check_steps(system, 0.0, h)
-        return forced_loop(system, self.base.loop(system.unforced, h, representation), representation)
+        inner = {c: self.inner.loop(system.unforced, c * h, representation) for c in dict.fromkeys(self.fractions)}
+        return forced_loop(system, inner, self.fractions, self.order, representation)
 
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy; noise is that of the first member."""
         self.properties(system)
         if np.ndim(x) > 1 and hasattr(system.unforced, "from_vector"):
             return np.asarray(system.unforced.from_vector(self.step(system, system.unforced.to_vector(x), t, h)))
-        half, y = 0.5 * h, np.asarray(x)
-        for force in system.forces:
-            y = force.flow(system.unforced, y, t, half)
-        y = np.asarray(self.base.step(system.unforced, y, t, h))
-        for force in reversed(system.forces):
-            y = force.flow(system.unforced, y, t + half, half)
+        y = np.asarray(x)
+        for begin, length in substeps_of(self.fractions, t, h):
+            half = 0.5 * length
+            for force in system.forces:
+                y = force.flow_of_order(system.unforced, y, begin, half, self.order)
+            y = np.asarray(self.inner.step(system.unforced, y, begin, length))
+            for force in reversed(system.forces):
+                y = force.flow_of_order(system.unforced, y, begin + half, half, self.order)
         return y
 
     def tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -181,21 +245,23 @@ class Forced(Wrapper):
 
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
         self.properties(system)
-        plain, half, y, P, by = system.unforced, 0.5 * h, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
+        plain, y, P, by = system.unforced, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
 
-        def chain_tangent(force: Force, time: float) -> None:
+        def chain_tangent(force: Force, time: float, half: float) -> None:
             nonlocal y, P
-            flow = flow_of_force(force, plain, y, time, half)
+            flow = flow_of_force(force, plain, y, time, half, self.order)
             y, P = flow.end, flow.tangents(P.T).T
             by.append(flow.by)
 
-        for force in system.forces:
-            chain_tangent(force, t)
-        by.append(self.base.tangent_by(plain, y, t, h))
-        y, derivative = self.base.tangent(plain, y, t, h)
-        P = derivative @ P
-        for force in reversed(system.forces):
-            chain_tangent(force, t + half)
+        for begin, length in substeps_of(self.fractions, t, h):
+            half = 0.5 * length
+            for force in system.forces:
+                chain_tangent(force, begin, half)
+            by.append(self.inner.tangent_by(plain, y, begin, length))
+            y, derivative = self.inner.tangent(plain, y, begin, length)
+            P = derivative @ P
+            for force in reversed(system.forces):
+                chain_tangent(force, begin + half, half)
         return y, P, by
 
     def work(self, system: Any, group: Representation = None) -> Work:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
@@ -14,15 +14,14 @@ import numpy.typing as npt
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.program.parts.decompose import BODY_FLOW_CHOICES, ChosenParts, check_parts
+from coadjoint.program.parts.decompose import check_parts
 from coadjoint.program.sweeps import Sweep
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
-from coadjoint.validation import read_bool, read_choice, read_finite, read_integer, read_list, read_number
+from coadjoint.validation import read_bool, read_choice, read_finite, read_number
 
 if TYPE_CHECKING:
     from coadjoint.program.describe import Description
@@ -117,7 +116,8 @@ class Splitting(FlowMethod):
     order : {1, 2, 4, 6, 8, 10}
         1: one sweep X_1(h), ..., X_n(h) through the parts. 2: ``X_1(h/2) ... X_n(h) ... X_1(h/2)`` (Lemma 4.1).
         4, 6, 8, 10: a symmetric composition of 5, 11, 21, 35 steps of order 2, with the smallest error at equal cost on
-        a rigid body.
+        a rigid body. Forces act in each of these steps, some of which go backward in time; the order is kept, and
+        forces that act forward only, such as noise, are refused.
     parts : "auto", "coordinates", "free_body", "bonds", sequence of sequences of int, or ChosenParts
         How H is split into parts. ``"auto"``: commuting coordinates share a part. Multiples of quadratic Casimirs are
         subtracted from H if this removes a part or lowers the error, and the parts are ordered. The same system always
@@ -186,9 +186,7 @@ class Splitting(FlowMethod):
     adjoint: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("compensated", "adjoint"):
-            if name == "adjoint" or self.compensated is not None:
-                object.__setattr__(self, name, read_bool(getattr(self, name), name))
+        object.__setattr__(self, "adjoint", read_bool(self.adjoint, "adjoint"))
         order = read_number(self.order, "order")
         if order.is_integer():
             object.__setattr__(self, "order", int(order))
@@ -203,15 +201,7 @@ class Splitting(FlowMethod):
             raise ValueError(f"Splitting has the orders 1, 2, 4, 6, 8 and 10, not {short(self.order)}")
         if self.adjoint and self.order != 1:
             raise ValueError(f"adjoint=True is for order 1, a single sweep, not for order {self.order}")
-        read_choice(self.rotation, "rotation", ("exact", "rational"))
-        if isinstance(self.parts, str):
-            read_choice(self.parts, "choice of parts", ("auto", "coordinates", *BODY_FLOW_CHOICES))
-            if self.parts in BODY_FLOW_CHOICES and self.rotation == "rational":
-                raise ValueError(f'parts="{self.parts}" has no rational rotations; take rotation="exact"')
-        elif isinstance(self.parts, Mapping):
-            object.__setattr__(self, "parts", ChosenParts.from_mapping(self.parts))
-        elif not isinstance(self.parts, ChosenParts):
-            object.__setattr__(self, "parts", _sets_of_coordinates(self.parts))
+        super().__post_init__()
 
     @classmethod
     @ignore_overflow
@@ -356,18 +346,18 @@ class Splitting(FlowMethod):
         """Return the sweeps of the processor P of a processed scheme."""
         return [] if self.order == 1 else self._named.processor(number)
 
+    def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
+        """Return the splitting of order two and the fractions of its composition."""
+        if self.order <= 2:
+            return super().steps_between_forces()
+        if not self._named.of_second_order or self._named.processed:
+            raise ValueError(
+                f"{self} does not consist of steps of order two, between which forces act; with forces take "
+                f"Splitting(order={self.order}), or Splitting(order=2)"
+            )
+        half = [float(c) for c in self._named.half]
+        return replace(self, order=2, scheme=None), (*half, *half[-2::-1])
+
     @property
     def _named(self) -> SplittingScheme:
         return SCHEMES[self.scheme or DEFAULT_SCHEMES[self.order]]
-
-
-def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
-    rule = "it must be 'auto', 'coordinates', 'free_body', 'bonds', or sets of coordinates such as [[0, 1], [2]]"
-    groups = [read_list(group, "a set of parts", rule) for group in read_list(parts, "parts", rule)]
-    sets = tuple(tuple(read_integer(i, "a coordinate in parts", 0, MAX_COORDINATES) for i in group) for group in groups)
-    seen: set[int] = set()
-    for i in (i for group in sets for i in group):
-        if i in seen:
-            raise ValueError(f"parts name coordinate {i} more than once")
-        seen.add(i)
-    return sets

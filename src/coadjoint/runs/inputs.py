@@ -106,6 +106,22 @@ class Inputs:
         if len(np.unique(self.changing)) < len(self.changing):
             repeated = int(np.flatnonzero(np.bincount(self.changing) > 1)[0])
             raise ValueError(f"inputs name coordinate {repeated} more than once; each coefficient is one input")
+        self._check_forces()
+
+    def _check_forces(self) -> None:
+        """Raise TypeError if a force is compiled with a coefficient that is an input."""
+        if not len(self.in_energy) or not self.system.forces:
+            return
+        from coadjoint.kernels.tables.forces import linear_coefficients_in
+
+        for label, force in self.system.labelled_forces:
+            contained = sorted({*linear_coefficients_in(force, self._unforced)} & {*self.in_energy.tolist()})
+            if contained:
+                raise TypeError(
+                    f"inputs name coordinate {contained[0]}, whose coefficient {label} reads, as it does the angular "
+                    "velocity of a body; take inputs of other coordinates or of a constant Torque, or make such a "
+                    "coefficient a coordinate, as momenta of wheels are in co.systems.body(inertia, wheels=...)"
+                )
 
     def _check_name(self, name: Any, of_linear_term: bool) -> None:
         if not isinstance(name, str) or not name.isidentifier():
@@ -181,10 +197,13 @@ class Inputs:
             "value for each member"
         )
 
-    def check_not_square(self, members: int) -> None:
-        """Raise ValueError if the values of members, for one state, are square, as a vector over a tensor is."""
-        if all(indices.shape == (members,) for indices in self.indices.values()):
-            name, n = next(iter(self.indices)), self.system.dim
+    def check_not_square(self, inputs: Mapping[str, Any]) -> None:
+        """Raise ValueError if all values of members, for one state, are square, as a vector over a tensor is."""
+        shapes = {name: np.shape(value) for name, value in inputs.items()}
+        by_member = {name: shape for name, shape in shapes.items() if shape != self.indices[name].shape}
+        members = next(iter(by_member.values()))[0]
+        if members > 1 and all(shape == (members, members) for shape in by_member.values()):
+            name, n = next(iter(by_member)), self.system.dim
             raise ValueError(
                 f"{name} has the shape ({members}, {members}), which may be a matrix or values for {members} members, "
                 f"and x0 is one state; give one value, ({members},), or x0 for each member, ({members}, {n})"
@@ -237,9 +256,10 @@ class Inputs:
     def settled(self, method: Method, system: Any = None) -> Method:
         """Return the scheme with its automatic choices made explicit, valid for any linear term.
 
-        The choices are those for the system, or for another one that differs in its parameters.
+        The choices are those for the system, or for another one that differs in its parameters, with the default
+        values of the inputs: they are made before the inputs are known.
         """
-        coordinates, plain = np.sort(self.in_energy), self._unforced if system is None else system.unforced
+        coordinates, plain = np.sort(self.in_energy), self.system_at(self.values, system).unforced
         return method.settled(plain, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:
@@ -269,7 +289,8 @@ class Inputs:
 
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
-    numbers = read_numbers(value, f"the coordinates of {name}") if not isinstance(value, bool) else None
+    named = np.asarray(value).dtype.kind in "bUS"
+    numbers = None if named else read_numbers(value, f"the coordinates of {name}")
     if numbers is None or not numbers.size or numbers.ndim == 0 or np.any(numbers != np.floor(numbers)):
         raise TypeError(
             f"inputs has {short(value)} for {name}; give coordinates, whole numbers from 0 to {n - 1}, or True"

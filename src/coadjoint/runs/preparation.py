@@ -205,10 +205,16 @@ class Preparation:
         """Whether runs take inputs."""
         return self.inputs is not None
 
-    def values_of(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
-        """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
+    def values_of(self, inputs: Mapping[str, Any], x0: Any = None) -> NDArray[np.float64] | None:
+        """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared.
+
+        From one state `x0`, values that may be a matrix are no values of members.
+        """
         if self.inputs is not None:
-            return self.inputs.read(inputs)
+            values = self.inputs.read(inputs)
+            if values.ndim > 1 and np.ndim(x0) == 1:
+                self.inputs.check_not_square(inputs)
+            return values
         if inputs:
             raise TypeError(
                 f"the run was given {next(iter(inputs))!r}, and it was prepared without inputs; give `prepare` the "
@@ -237,8 +243,6 @@ class Preparation:
         momenta, single = read(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
         if values is not None and values.ndim > 1:
             if single:
-                assert self.inputs is not None
-                self.inputs.check_not_square(len(values))
                 momenta, single = np.tile(momenta, (len(values), 1)), False
             elif len(momenta) != len(values):
                 raise ValueError(f"x0 has {len(momenta)} members and the inputs have values for {len(values)}")

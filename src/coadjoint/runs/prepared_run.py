@@ -116,7 +116,7 @@ class PreparedRun(Preparation):
                     return solution
         progress = progress is not False and read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
-        values = self.values_of(inputs)
+        values = self.values_of(inputs, x0)
         event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         set_elapsed(solution, time.perf_counter() - began)

@@ -15,6 +15,7 @@ from coadjoint.algebra.group_elements import (
     expected_elements,
     group_element_violation,
     group_elements,
+    rotation_block,
 )
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
@@ -190,14 +191,9 @@ def read_attitude(attitude: Any, system: Any) -> Any:
     """Return a flag or a name unchanged, and group elements, rotations or quaternions as a new array of elements."""
     if isinstance(attitude, bool | np.bool_ | str):
         return attitude
-    return group_elements(attitude, *_size_and_kind(system))
-
-
-def _size_and_kind(system: Any) -> tuple[int, bool]:
-    """Return the size of the representation's matrices, and whether they are rotations with translations."""
     representation = system.of_member(0).representation
     size = 0 if representation is None else np.shape(representation)[-1]
-    return size, size == 4 and not np.asarray(representation)[:, 3].any()
+    return group_elements(attitude, size, rotation_block(representation))
 
 
 def with_group(
@@ -220,9 +216,14 @@ def with_group(
         units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
+        if getattr(system.unforced, "has_attitude", False):
+            raise ValueError(
+                f"attitude has the shape {initial.shape}; the attitude of {system.name} is part of its state: give it "
+                f"to {system.name}.state, and leave attitude out"
+            )
         raise ValueError(
             f"attitude has the shape {initial.shape}; the representation of {system.name} needs "
-            f"{expected_elements(size, _size_and_kind(system) == (size, True))}"
+            f"{expected_elements(size, rotation_block(representation))}"
         )
     if not are_finite(initial):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")

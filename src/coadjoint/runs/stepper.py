@@ -74,7 +74,7 @@ class Stepper:
 
     def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
         prepared = self._prepared_with(attitude)
-        values = prepared.values_of(inputs)
+        values = prepared.values_of(inputs, x)
         start = prepared.start(x, initial, values, begins=not self.system.forces)
         times = Times(read_number(t, "t"), self.h, 1, 1)
         check_steps(self.system, times.t0, times.h)

@@ -253,5 +253,8 @@ def span_of(t_span: Any) -> tuple[float, float]:
     # Fast path: a tuple is unpacked directly.
     ends = t_span if type(t_span) is tuple else read_numbers(t_span, "t_span").tolist()
     if not isinstance(ends, list | tuple) or len(ends) != 2 or any(isinstance(end, list) for end in ends):
-        raise ValueError(f"t_span is {short(t_span)}; it must be two numbers, the start and the end")
+        raise ValueError(
+            f"t_span is {short(t_span)}; it must be two numbers, the start and the end; save_every or t_eval choose "
+            "the saved times"
+        )
     return read_number(ends[0], "the start of t_span"), read_number(ends[1], "the end of t_span")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
@@ -74,7 +75,9 @@ class NearbySystems:
         for _ in range(MOST_DISTANCES):
             by, distance = NODES * distance, NEARER * distance
             try:
-                systems = [[self._moved(shift) for shift in (sign * by).tolist()] for sign in (1.0, -1.0)]
+                with warnings.catch_warnings():  # of values that the user did not give
+                    warnings.simplefilter("ignore")
+                    systems = [[self._moved(shift) for shift in (sign * by).tolist()] for sign in (1.0, -1.0)]
             except (TypeError, ValueError) as reason:
                 refusal = reason
                 continue

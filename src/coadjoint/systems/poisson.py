@@ -11,16 +11,14 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.arguments import read_closed_form, read_name, read_parameters, read_sign
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
-from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.recorded_invariants import read_casimirs
 from coadjoint.systems.system import System
-from coadjoint.systems.user_functions import check_derivative, sample_points, takes_time
-from coadjoint.validation import read_integer, read_numbers
+from coadjoint.systems.user_functions import check_derivative, takes_time
+from coadjoint.validation import read_integer
 
 BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
@@ -123,8 +121,7 @@ class PoissonSystem(System):
         set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
         set_field(self, "_parameters", read_parameters(parameters))
         set_field(self, "_exact", read_closed_form(exact))
-        for x in sample_points(self.dim):
-            self._check_skew(x)
+        self.check_structure()
         if derivative is not None:
             shape = (self.dim, self.dim)
             names = ("structure_matrix", "derivative")
@@ -137,22 +134,6 @@ class PoissonSystem(System):
             read_casimirs({} if casimirs is None else casimirs, self.dim, self._product, self._absolute_product),
         )
 
-    def _check_skew(self, x: npt.NDArray[np.float64]) -> None:
-        with np.errstate(all="ignore"):
-            J = read_numbers(self.structure_function(x), "the value of structure_matrix")
-        if J.shape != (self.dim, self.dim):
-            raise ValueError(f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})")
-        size = np.abs(J).max(initial=0.0)
-        with np.errstate(all="ignore"):
-            excess = np.abs(J + J.T)
-        # A point where J is not finite is skipped: it may lie outside the domain.
-        if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
-            i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
-            raise ValueError(
-                f"structure_matrix is not skew at a sample point: J[{i}, {j}] = {J[i, j]:g} and J[{j}, {i}] = "
-                f"{J[j, i]:g}; their sum must be zero"
-            )
-
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.abs(self.structure_matrix(x)) @ np.abs(u)
 
@@ -164,14 +145,6 @@ class PoissonSystem(System):
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial` or `Invariant` (a copy)."""
         return all_in_coordinates_of(self, self._casimirs)
-
-    def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
-        return np.asarray(self.structure_function(read_point(x, self.dim)))
-
-    def product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        if self.derivative_function is None:
-            raise TypeError(f"the derivative of J is unknown for {self.name}; give derivative=")
-        return np.einsum("ijk,j->ik", np.asarray(self.derivative_function(x)), u)
 
     def _text(self) -> str:
         return f"<{self.name}: {self.hamiltonian!r}, J a function of x, sign={self.sign:+d}>"

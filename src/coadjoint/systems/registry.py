@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, wraps
 from inspect import Parameter, signature
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, NamedTuple, TypeVar, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -72,7 +72,7 @@ def ready_made(
     symmetric: tuple[str, ...] = (),
     unit: str = "",
 ) -> Any:
-    """Register a function that makes a system, under its own name.
+    """Register a function that makes a system without forces, under its own name.
 
     Parameters
     ----------
@@ -111,7 +111,17 @@ def ready_made(
         raise TypeError(f"energy is {short(energy)}; give a function of the parameters")
 
     def register(builder: Builder) -> Builder:
-        wrapped = suggest_keywords(builder)
+        @wraps(builder)
+        def hamiltonian(*args: Any, **keywords: Any) -> Any:
+            system = builder(*args, **keywords)
+            if system.forces:
+                raise TypeError(
+                    f"{builder.__name__} has forces, and its parameters would not make it again; return the "
+                    "Hamiltonian part, to which users add forces by with_forces"
+                )
+            return system
+
+        wrapped = suggest_keywords(hamiltonian)
         _REGISTRY[wrapped.__name__] = wrapped
         if gallery_entry is not None:
             _GALLERY_ENTRIES[wrapped.__name__] = gallery_entry
@@ -119,7 +129,7 @@ def ready_made(
             _ENERGIES[wrapped.__name__] = _declared(builder, energy, symmetric, potential)
         if unit:
             _UNITS[wrapped.__name__] = unit
-        return wrapped
+        return cast(Builder, wrapped)
 
     return register if function is None else register(function)
 

@@ -13,11 +13,13 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
+from coadjoint.systems.user_functions import sample_points
 from coadjoint.validation import read_number, read_numbers, truncate_title
 
 MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
@@ -27,9 +29,9 @@ class System:
     """The equations ``x' = sign * J(x) grad H(x, t)``, with forces in addition, if there are any.
 
     The base class of `LiePoissonSystem`, `PoissonSystem` and `MatrixSystem`. Derive a class from it for a bracket that
-    these do not have. It sets `name`, `sign`, `hamiltonian`, `dim` and `casimirs`. Without an `algebra` that has
-    structure constants it defines `structure_matrix`, or `hamiltonian_field` if J is not a matrix in memory. States are
-    vectors, or arrays of the shape `shape`.
+    these do not have. It sets `name`, `sign`, `hamiltonian`, `dim` and `casimirs`, and, without an `algebra` that has
+    structure constants, `structure_function`. With `structure_matrix` or `hamiltonian_field` in its place, only a
+    `StepMethod` integrates it, by calls of Python. States are vectors, or arrays of the shape `shape`.
 
     Attributes
     ----------
@@ -47,6 +49,9 @@ class System:
         The Lie algebra on whose dual the state lies, and matrices for its group element; None by default.
     casimirs, integrals : mapping
         Invariants that runs record, and further constants of motion, by name; none by default.
+    structure_function, derivative_function : callable
+        Function of x that returns J(x), (n, n), and one that returns ``d J_ij / d x_k``, (n, n, n), which exact
+        tangents need. Compiled by Numba; None by default.
     layout : mapping
         Lattice and shape of sites, for pictures; empty by default.
     forces : tuple of Force
@@ -116,7 +121,10 @@ class System:
         -------
         ndarray, shape (n, n)
         """
-        return np.asarray(self._constants().structure_matrix(read_point(x, self.dim)))
+        y = read_point(x, self.dim)
+        if self.structure_function is not None:
+            return np.asarray(self.structure_function(y))
+        return np.asarray(self._constants().structure_matrix(y))
 
     @property
     def has_structure_constants(self) -> bool:
@@ -126,7 +134,7 @@ class System:
     @property
     def has_compiled_bracket(self) -> bool:
         """Whether the kernels can evaluate the bracket, from structure constants or a function J."""
-        return self.algebra is None or self.has_structure_constants
+        return self.has_structure_constants or (self.algebra is None and self.structure_function is not None)
 
     @property
     def has_quadratic_energy(self) -> bool:
@@ -135,14 +143,43 @@ class System:
 
     @property
     def has_structure_matrix(self) -> bool:
-        """Whether `structure_matrix` is known: by structure constants, or because a class defines it."""
+        """Whether `structure_matrix` is known: by structure constants or a function, or because a class defines it."""
         defined = type(self).structure_matrix is not System.structure_matrix
-        return defined or self.has_structure_constants
+        return defined or self.structure_function is not None or self.has_structure_constants
+
+    def check_structure(self) -> None:
+        """Raise an error unless `structure_function` is a function whose values at sample points are skew (n, n)."""
+        function = self.structure_function
+        if function is None:
+            return
+        if getattr(function, "__self__", None) is self:
+            raise TypeError(
+                f"structure_function of {self.name} is its method, which is not compiled; make it a function of x, "
+                "by @staticmethod or in __init__"
+            )
+        for x in sample_points(self.dim):
+            with np.errstate(all="ignore"):
+                J = read_numbers(function(x), "the value of structure_matrix")
+                if J.shape != (self.dim, self.dim):
+                    raise ValueError(
+                        f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})"
+                    )
+                size, excess = np.abs(J).max(initial=0.0), np.abs(J + J.T)
+            # A point where J is not finite is skipped: it may lie outside the domain.
+            if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
+                i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
+                raise ValueError(
+                    f"structure_matrix is not skew at a sample point: J[{i}, {j}] = {J[i, j]:g} and J[{j}, {i}] = "
+                    f"{J[j, i]:g}; their sum must be zero"
+                )
 
     def _constants(self) -> Any:
         """Return the algebra, whose structure constants are in memory."""
         if not self.has_structure_constants:
-            raise TypeError(f"J(x) of {self.name} is unknown: {type(self).__name__} defines no structure_matrix")
+            raise TypeError(
+                f"J(x) of {self.name} is unknown: {type(self).__name__} has no structure constants; define "
+                "structure_function or structure_matrix"
+            )
         return self.algebra
 
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -151,7 +188,11 @@ class System:
 
     def product_derivative(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return the derivative of J(x) u by x, at constant u; raise TypeError if it is unknown."""
-        return np.asarray(self._constants().coadjoint(u))
+        if self.derivative_function is not None:
+            return np.einsum("ijk,j->ik", np.asarray(self.derivative_function(x)), u)
+        if not self.has_structure_constants:
+            raise TypeError(f"the derivative of J is unknown for {self.name}; give derivative=, or derivative_function")
+        return np.asarray(self.algebra.coadjoint(u))
 
     def hamiltonian_field(self, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
         """Return ``sign * J(x) grad H(x, t)`` at one state, without the forces.

@@ -10,12 +10,17 @@ from coadjoint.systems.system import System
 
 
 def check_system(system: Any) -> None:
-    """Raise TypeError unless given a `System` or a `Batch`."""
+    """Raise TypeError unless given a complete `System`, or a `Batch`."""
     if not isinstance(system, System | Batch):
         raise TypeError(
             f"system is {short(system)}; it must be a LiePoissonSystem or another System, such as "
             "co.systems.rigid_body()"
         )
+    if isinstance(system, System):
+        missing = [field for field in ("name", "sign", "dim", "hamiltonian") if not hasattr(system, field)]
+        if missing:
+            kind = type(system).__name__
+            raise TypeError(f"the system, a {kind}, has no {', no '.join(missing)}; set each in its class")
 
 
 def check_one_system(system: Any, forces: bool = False) -> None:

@@ -19,6 +19,10 @@ from coadjoint.short_repr import short
 
 SEED = 1993  # of sample points; any other would do
 SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
+LEAST_SHARED_BODIES, BODIES_OF_A_SHARE, MAX_SHARES = 57, 16, 32
+"""Bodies from which on threads share a member of 18 coordinates each; what is done once for each share is small."""
+TIMES = ("t", "time")
+"""Names of arguments that are the time."""
 MANY_COORDINATES = 1 << 16
 """Dimension above which one point is a sample."""
 
@@ -41,6 +45,60 @@ class MultipleOf:
         """Return the multiple of the value at x, or at x and t."""
         value = self.function(*arguments)
         return self.factor * (value if self.scalar else np.asarray(value))
+
+
+@dataclass(frozen=True)
+class SumOfShares:
+    """A function of x as a sum: ``share(x, k)`` for each k below `shares`, which threads compute side by side.
+
+    The sum has a fixed order, so that its bits depend on the number of shares and not on that of threads.
+
+    Examples
+    --------
+    >>> SumOfShares(lambda x, k: x[int(k)] ** 2, 2)([3.0, 4.0])
+    25.0
+    """
+
+    share: Callable[..., Any]
+    shares: int
+
+    def __call__(self, x: Any) -> Any:
+        """Return the sum of all shares at x."""
+        total = self.share(x, 0.0)
+        for k in range(1, self.shares):
+            total = total + self.share(x, float(k))
+        return total
+
+
+def shared(function: Callable[..., Any], shares: int) -> Any:
+    """Return a function of (x, number of the share) as a `SumOfShares`, or as it is if there is one share."""
+    return SumOfShares(function, shares) if shares > 1 else function
+
+
+def number_of_shares(bodies: int) -> int:
+    """Return into how many shares the pairs of so many bodies are divided, every so many bodies with their partners.
+
+    Examples
+    --------
+    >>> [number_of_shares(bodies) for bodies in (2, 56, 64, 1000)]
+    [1, 1, 4, 32]
+    """
+    return min(bodies // BODIES_OF_A_SHARE, MAX_SHARES) if bodies >= LEAST_SHARED_BODIES else 1
+
+
+ALL_SHARES = -1.0
+
+
+def bodies_of_shares(bodies: int) -> Callable[[Any], tuple[int, int]]:
+    """Return a function, for compiled ones, from a share to the first of its bodies and the step to the next.
+
+    Examples
+    --------
+    >>> bodies_of_shares(64)(3.0), bodies_of_shares(64)(ALL_SHARES)
+    ((3, 4), (0, 1))
+    """
+    shares = number_of_shares(bodies)
+    return callable_from_compiled(lambda share: (int(share), shares) if share >= 0.0 else (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +138,8 @@ def is_called_in_python(function: Any) -> bool:
 def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
     """Return the `MultipleOf` a function, or None for None; a fraction is rounded, since functions return floats."""
     factor = factor if isinstance(factor, int) else float(factor)
+    if isinstance(function, SumOfShares):
+        return SumOfShares(MultipleOf(function.share, factor, scalar), function.shares)
     return None if function is None else MultipleOf(function, factor, scalar)
 
 
@@ -105,6 +165,9 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
         parameters = [p for p in signature.parameters.values() if p.kind in positional]
         required = [p for p in parameters if p.default is inspect.Parameter.empty]
+        if len(required) == 2 and required[0].name in TIMES and required[1].name not in TIMES:
+            names = ", ".join(p.name for p in required)
+            raise TypeError(f"{name} is a function of ({names}); the state is first, and the time second: give (x, t)")
         count = 2 if len(parameters) > 1 and len(required) < 2 and parameters[1].name == "t" else len(required)
         if any(
             p.kind is inspect.Parameter.KEYWORD_ONLY and p.default is p.empty for p in signature.parameters.values()

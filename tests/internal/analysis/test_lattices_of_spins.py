@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis import spin_moves, structure_factor, thermal_states
-from coadjoint.analysis.reciprocal_path import reciprocal_path
+from coadjoint.analysis import structure_factor, thermal_states
 from coadjoint.analysis.spin_energy import spin_energy
-from coadjoint.pictures.structure_factor import corner_name
+from coadjoint.analysis.structure_factor import reciprocal_path
+from coadjoint.pictures.analysis_figures import corner_name
 from coadjoint.systems.forces.base import random_words
 from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates, lattice_positions, reciprocal_edges
 from coadjoint.systems.lattices.neighbours import graph
@@ -80,9 +80,9 @@ def test_distances_along_a_path_are_those_in_space(lattice, edge):
 
 def test_random_numbers_belong_to_sites():
     """No two spins, sweeps or members share one, and none is that of the noise of a force."""
-    draws = [spin_moves.uniform_words(4, (sweep, part), 3, slice(0, 5)) for sweep in (0, 1, 2) for part in (0, 1)]
+    draws = [thermal_states.uniform_words(4, (sweep, part), 3, slice(0, 5)) for sweep in (0, 1, 2) for part in (0, 1)]
     assert len(np.unique(draws)) == 6 * 4 * 3 * 5
-    assert np.array_equal(spin_moves.uniform_words(4, (1, 0), 3, slice(2, 4)), draws[2][:, :, 2:4])
+    assert np.array_equal(thermal_states.uniform_words(4, (1, 0), 3, slice(2, 4)), draws[2][:, :, 2:4])
     noise = (random_words(4, 0, 0.0, 0, 60) >> np.uint64(11)).astype(float) * 2.0**-53
     assert not np.any(np.isclose(np.ravel(draws)[:, None], noise, rtol=0, atol=1e-15))
 

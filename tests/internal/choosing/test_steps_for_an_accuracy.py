@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.choosing import accuracy, fitting, system_cache
+from coadjoint.choosing import accuracy, fitting
 from coadjoint.choosing import pilot as pilots
-from coadjoint.choosing.fitting import Fit, confirmed_fit
+from coadjoint.choosing.fitting import ROUNDING_MARGIN, Fit, confirmed_fit, roundoff
 from coadjoint.choosing.fitting import fit as fit_steps
 from coadjoint.choosing.pilot import Growth, Trial
-from coadjoint.choosing.roundoff import ROUNDING_MARGIN, roundoff
 from coadjoint.choosing.step_predictor import (
     MAX_ADVANTAGE,
     NEAREST_DIVISOR,
@@ -324,7 +323,7 @@ def test_few_trials_and_short_runs_are_made(monkeypatch):
 
 def test_cache_is_bounded(monkeypatch):
     made = []
-    monkeypatch.setattr(system_cache, "MAX_ENTRIES", 3)
+    monkeypatch.setattr(pilots, "MAX_ENTRIES", 3)
     for key in (1, 2, 3, 4, 4, 1, [], []):  # what has no hash is not kept
-        system_cache.cached_for_system(BODY, ("test", key), lambda key=key: made.append(key))
-    assert made == [1, 2, 3, 4, 1, [], []] and len(system_cache._cache_of(BODY)) <= 3
+        pilots.cached_for_system(BODY, ("test", key), lambda key=key: made.append(key))
+    assert made == [1, 2, 3, 4, 1, [], []] and len(pilots._cache_of(BODY)) <= 3

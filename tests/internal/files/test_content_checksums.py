@@ -5,7 +5,7 @@ import pytest
 import xarray
 
 import coadjoint as co
-from coadjoint.files.datasets import vorticity_variables
+from coadjoint.files.datasets import variables
 from coadjoint.files.datasets.content_checksum import checksum_of
 
 PIECE, LENGTH = 4, 11
@@ -96,6 +96,6 @@ def test_large_fields_of_fluids_are_in_datasets_for_a_given_grid_only(monkeypatc
     for N in (9, 11):
         fluid = co.systems.torus_euler(N)
         found[N] = co.integrate(fluid, fluid.random(seed=1, degrees=(1, 3)), (0, 1), 0.5)
-    monkeypatch.setattr(vorticity_variables, "MAX_DEFAULT_BYTES", 8 * 3 * 9 * 9)
+    monkeypatch.setattr(variables, "MAX_DEFAULT_BYTES", 8 * 3 * 9 * 9)
     assert "vorticity" in found[9].to_xarray() and "vorticity" not in found[11].to_xarray()
     assert found[11].to_xarray(grid=True).vorticity.shape == (3, 11, 11)

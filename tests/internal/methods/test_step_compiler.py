@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.compiled_steps import preprocessed_source, step_compiler
+from coadjoint.methods.compiled_steps import step_compiler
 from refusals import refused
 
 SOURCE = Path(__file__).parents[2] / "public" / "runs" / "own_step.cpp"
@@ -111,7 +111,7 @@ EDITS = {
 )
 def test_an_edit_is_noticed_in_the_same_process(step, tmp_path, monkeypatch, edit, trusting):
     """From the stamps of files and folders alone, where all are old enough, and from the preprocessed text."""
-    monkeypatch.setattr(preprocessed_source, "TIMESTAMP_GRANULARITY", -(10**18) if trusting else 10**18)
+    monkeypatch.setattr(step_compiler, "TIMESTAMP_GRANULARITY", -(10**18) if trusting else 10**18)
     project = Project(tmp_path, step, monkeypatch)
     project.write("other.hpp", "int other;\n")
     first, count = project.compile()
@@ -130,19 +130,17 @@ def test_an_edit_is_noticed_in_the_same_process(step, tmp_path, monkeypatch, edi
 def test_time_stamps_of_files_that_have_just_changed_are_not_trusted(tmp_path, monkeypatch):
     """A second edit within the resolution of the clock would leave the same ones."""
     (tmp_path / "file").touch()
-    stamps = preprocessed_source.stamps_of([os.fsencode(tmp_path / name) for name in ("file", "none")])
+    stamps = step_compiler.stamps_of([os.fsencode(tmp_path / name) for name in ("file", "none")])
     newest = max((tmp_path / "file").stat().st_mtime_ns, (tmp_path / "file").stat().st_ctime_ns)
     for later, trusted in ((0, False), (1, True), (-1, False), (-(10**18), False)):
-        monkeypatch.setattr(
-            time, "time_ns", lambda later=later: newest + preprocessed_source.TIMESTAMP_GRANULARITY + later
-        )
-        assert preprocessed_source.stamps_are_final(stamps) == trusted
-    assert not preprocessed_source.stamps_are_final({})
+        monkeypatch.setattr(time, "time_ns", lambda later=later: newest + step_compiler.TIMESTAMP_GRANULARITY + later)
+        assert step_compiler.stamps_are_final(stamps) == trusted
+    assert not step_compiler.stamps_are_final({})
 
 
 def test_a_compiler_that_does_not_list_its_folders(step, tmp_path, monkeypatch):
     """Then a header may appear anywhere, and each call preprocesses."""
-    monkeypatch.setattr(preprocessed_source, "TIMESTAMP_GRANULARITY", -(10**18))
+    monkeypatch.setattr(step_compiler, "TIMESTAMP_GRANULARITY", -(10**18))
     project = Project(tmp_path, step, monkeypatch)
     project.write("compiler", '#!/bin/sh\nexec c++ "$@" 2>/dev/null\n')
     first, _ = project.compile()

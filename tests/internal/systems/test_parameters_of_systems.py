@@ -165,6 +165,26 @@ def test_energies_have_arguments_of_their_builders(registering):
         co.systems.ready_made(energy=3)
 
 
+def test_a_ready_made_system_has_no_forces(registering):
+    """Its name and parameters would not make it again, and a record would add the forces once more."""
+
+    @co.systems.ready_made
+    def braked(rate=0.1):
+        system = co.LiePoissonSystem(SO3, co.Quadratic(1.0), name="braked", parameters={"rate": rate})
+        return system.with_forces(co.forces.LinearDamping(rate))
+
+    with refused(TypeError, "braked", "forces", "with_forces"):
+        braked(0.2)
+
+
+@pytest.mark.filterwarnings("error")
+def test_differences_do_not_warn_of_values_that_were_not_given():
+    """A flat body is at the end of the inertias that bodies have."""
+    body = co.systems.rigid_body((1.0, 2.0, 3.0))
+    _, tangents = co.prepare(body, co.Kahan(), 0.125).jvp(np.array([1.0, 2.0, 3.0]), (0, 1), {"inertia": np.eye(3)})
+    assert np.any(tangents.x)
+
+
 QUARTIC = co.Polynomial({(4, 0, 0): 0.25, (0, 2, 0): 0.5, (0, 0, 2): 1.0, (1, 1, 0): 0.1})
 NAMES = ("heavy_top", "kirchhoff_body", "lagrange_top", "manakov_top", "riccati", "rigid_body", "spin_lattice", "toda")
 

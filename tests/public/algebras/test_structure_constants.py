@@ -256,6 +256,7 @@ def test_brackets_come_with_everything_that_an_algebra_has():
         ({0: {0: 1.0}}, TypeError, "pair"),
         ({(0, 1): 1.0}, TypeError, "{k: c}"),
         ({(0, 1): {2: 1.0}}, ValueError, "k = 2"),
+        ({(0, 1): {0: 1.0}, (0, 2): {1: 1.0}}, ValueError, r"(0, 2) has the index j = 2"),
         ({(0, 1): {0: 1.0}, (1, 0): {}}, ValueError, "antisymmetry"),
         ({(0, 1): {"a": 1.0}}, ValueError, "'a'"),
     ],
@@ -301,6 +302,18 @@ def test_lines_of_brackets_with_a_basis_and_without():
                 LieAlgebra.from_brackets(one)
     with refused(ValueError, "h, e", "[f, h]"):
         LieAlgebra.from_brackets(lines, basis=("h", "e"))
+
+
+def test_brackets_may_be_one_text():
+    lines = ["[n, a] = b", "[n, b] = -a", "[a, b] = z"]
+    expected = co.LieAlgebra.from_brackets(lines)
+    for text in ("\n".join(lines), "; ".join(lines), f"\n    {lines[0]}\n\n    {lines[1]};\n    {lines[2]}\n"):
+        found = co.LieAlgebra.from_brackets(text)
+        assert found == expected and found.basis == expected.basis == ("n", "a", "b", "z")
+    with refused(ValueError, "[a, c", "bracket"):
+        co.LieAlgebra.from_brackets("[a, b] = c; [a, c")
+    with refused(ValueError, "no brackets"):
+        co.LieAlgebra.from_brackets("\n")
 
 
 def test_names_of_other_libraries_lead_to_the_constructor():

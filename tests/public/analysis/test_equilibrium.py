@@ -231,3 +231,17 @@ def test_a_small_spin_counts_from_its_threshold(size, counts):
     two = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic([1.0, 2.0, 3.0] * 2))
     with nullcontext() if counts else refused(ValueError, "singular"):
         co.equilibrium(two, (1.0, 0.0, 0.0, size, 0.0, 0.0))
+
+
+def test_lattices_of_many_spins_descend_before_they_take_eigenvalues(monkeypatch):
+    """Eigenvalues of large second variations take longer than hundreds of descents; from random spins a few suffice."""
+    counted, eigh = [], np.linalg.eigh
+    monkeypatch.setattr(np.linalg, "eigh", lambda matrix: counted.append(len(matrix)) or eigh(matrix))
+    bonds = np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 256, axis=0)
+    lattice = co.systems.spin_lattice("square", (16, 16), periodic=True, dm=-0.8 * bonds, field=(0, 0, 0.7))
+    x0 = np.random.default_rng(1).standard_normal((256, 3))
+    x0 /= np.linalg.norm(x0, axis=1, keepdims=True)
+    found = co.equilibrium(lattice, x0.ravel())
+    assert found.stability == "stable" and found.residual < 1e-12
+    np.testing.assert_allclose(np.linalg.norm(found.x.reshape(-1, 3), axis=1), 1.0, rtol=1e-13)
+    assert len(counted) < 12  # 22 by descents along the gradient alone

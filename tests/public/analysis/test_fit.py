@@ -200,7 +200,7 @@ GOOD = {"attitude": np.zeros((41, 3, 3))}
         ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, "attitude has the shape (3, 3, 3)"),
         ({"measured": {"energy": np.zeros(41)}}, ValueError, "energy"),
         ({"measured": {"attitude": np.zeros((40, 3, 3))}}, ValueError, "shape"),
-        ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "finite"),
+        ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "NaN or infinite at (0, 0, 0)"),
         ({"measured": {}}, TypeError, "measured"),
         ({"sigma": {"x": 1.0}}, ValueError, "sigma"),
         ({"sigma": {"attitude": 0.0}}, ValueError, "positive"),
@@ -218,6 +218,39 @@ def test_refused_arguments(changed, error, named):
     }  # fmt: skip
     with refused(error, named):
         co.fit(**(arguments | changed))
+
+
+@pytest.mark.parametrize(
+    ("name", "unknown", "words"),
+    [
+        ("angular_velocity", {"inertia": True, "x0": True}, "inertia and x0; omit"),  # a common scale
+        ("angular_momentum", {"inertia": True}, "inertia (in 1 of 1 free directions H changes by a Casimir"),
+    ],
+)
+def test_what_rates_and_momenta_leave_free_is_refused(name, unknown, words):
+    """Also where the Jacobian has central differences, with errors above the round-off."""
+    ready = co.prepare(co.systems.rigid_body(INERTIA), SCHEME, 0.05)
+    measured = getattr(ready.run(X0, SPAN, EVERY), name)
+    with refused(ValueError, words):
+        co.fit(ready, X0, SPAN, {name: measured}, unknown, EVERY, sigma={name: SIGMA})
+
+
+def test_rates_determine_a_small_moment_beside_large_ones():
+    """Differences by a moment of a thousandth are taken in units of itself: the fit ends at the exact values."""
+    inertia, x0 = np.array([0.01, 100.0, 100.005]), np.array([0.003, 20.0, 10.0])
+    measured = co.prepare(co.systems.rigid_body(inertia), SCHEME, 0.05).run(x0, SPAN, EVERY).angular_velocity
+    ready = co.prepare(co.systems.rigid_body(inertia * (1.02, 1.0, 1.0)), SCHEME, 0.05)
+    unknown, name = {"inertia": (0,)}, "angular_velocity"
+    found = co.fit(ready, x0, SPAN, {name: measured}, unknown, EVERY, sigma={name: 1e-4})
+    step = 2.0**-10 * inertia[0]
+    of_moment = [
+        co.prepare(co.systems.rigid_body(inertia + [side * step, 0, 0]), SCHEME, 0.05).run(x0, SPAN, EVERY)
+        for side in (1.0, -1.0)
+    ]
+    column = (of_moment[0].angular_velocity - of_moment[1].angular_velocity) / (2.0 * step * 1e-4)
+    # The deviation is 1 / |column|; second differences of the comparison are below (2^-10)^2 times a few.
+    assert found.standard_deviation("inertia")[0] == pytest.approx(1.0 / np.linalg.norm(column), rel=1e-4)
+    np.testing.assert_allclose(found.values["inertia"], inertia, rtol=1e-9)
 
 
 def test_fewer_measurements_than_unknowns_are_refused():

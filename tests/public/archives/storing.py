@@ -61,6 +61,7 @@ RUNS: dict[str, Arguments] = {
     ),
     "batch of one state": arguments(bodies(), STARTS[0], 1, co.Taylor(order=8), watch=False),
     "batch with forces": arguments(bodies(*FORCES), STARTS, 1, co.GaussLegendre(1)),
+    "batch with forces at substeps": arguments(bodies(*FORCES), STARTS, -1, co.Splitting(order=4), attitude=True),
     "batch with noise": arguments(STIRRED, STARTS, 1, save_every=1),
     "spirals": arguments(SPIRAL, abs(STARTS) + 0.1, 1, co.GaussLegendre(2), attitude="coadjoint"),
     "matrices": arguments(FLUID, np.array([FLUID.random(seed=k, degrees=(1, 1)) for k in range(3)]), -1),

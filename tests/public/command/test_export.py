@@ -65,6 +65,22 @@ def test_a_configuration_is_printed_or_written(tmp_path, monkeypatch, capsys):
     assert Path("own.json").read_text() == co.export_table(prepared, "body.json").read_text()
 
 
+SYSTEM = READY_MADE.partition("[method]")[0]
+TABLE = ["-o", "run.json"]
+BATH = '[[forces]]\nname = "HeatBath"\nalpha = 0.1\ntemperature = 0.1\nseed = 1\n[method]'
+UNEXPORTED = {
+    (
+        SYSTEM,
+        f'[system]\nname = "satellite"\n[initial]\nx = {[0.1] * 9 + [1.0]}\n',
+    ): "body.toml: export: the energy of satellite",
+    ("[initial]", "[initial]\nattitude = true"): "body.toml: export: the ",
+    ("[method]", BATH): "body.toml: export: ",
+    ('"Splitting"\norder = 4', '"Taylor"\norder = 8'): "body.toml: export: Taylor(order=8) is n",
+    ('"Splitting"\norder = 4', '"SphericalMidpoint"'): "body.toml: export: SphericalMidpoint() is n",
+}
+"""Changes of the configuration, and how the refusals begin, of C and of tables."""
+
+
 @pytest.mark.parametrize(
     ("changed", "arguments", "reason"),
     [
@@ -72,6 +88,7 @@ def test_a_configuration_is_printed_or_written(tmp_path, monkeypatch, capsys):
         (("", ""), ["--name", "2b"], "body.toml: export: the functions cannot begin with '2b'"),
         (("", ""), ["-o", "mine.h"], "mine.h: is a header that coadjoint did not write, so it is not replaced"),
         (("[run]", "attitude = true\n[run]"), [], "body.toml: "),
+        *((changed, arguments, reason) for changed, reason in UNEXPORTED.items() for arguments in ([], TABLE)),
     ],
 )
 def test_runs_that_cannot_be_exported_are_refused(tmp_path, monkeypatch, capsys, changed, arguments, reason):

@@ -1,5 +1,7 @@
 """Gradients by states, parameters, inputs and forces: those of tangents, and of differences of whole runs."""
 
+import warnings
+
 import numpy as np
 import pytest
 from derivative_checks import DIFFERENCE_ERROR, DISTANCE, assert_derivatives, difference, outputs
@@ -11,7 +13,9 @@ F, H = co.forces, 0.0625
 X3, X6 = np.array([0.3, 1.0, 0.2]), np.array([0.3, 1.0, 0.2, 0.1, 0.4, 0.9])
 UNIT_SPINS = np.array([0.6, 0.0, 0.8, 0.48, 0.64, 0.6, 0.0, 0.6, -0.8])
 SCHEMES = {
+    "order 2": co.Splitting(),
     "order 4": co.Splitting(order=4),
+    "order 6": co.Splitting(order=6),
     "processed": co.Splitting(scheme="blanes_casas_murua6"),
     "compensated": co.Splitting(compensated=True),
     "rational": co.Splitting(rotation="rational", parts="coordinates"),
@@ -19,6 +23,7 @@ SCHEMES = {
     "rk4": co.ExplicitRungeKutta("rk4"),
     "Taylor": co.Taylor(order=5),
     "commutator-free": co.CommutatorFree(),
+    "projected": co.Projected(co.Splitting(order=2)),
     "Kahan": co.Kahan(),
 }
 
@@ -59,6 +64,7 @@ def cubic(changed):
 
 BODY, TOP = named("rigid_body", inertia=(1.0, 2.0, 2.5)), named("heavy_top", inertia=(1.0, 2.0, 2.5))
 FULL = own(co.algebras.so(3), [[1.0, 0.1, 0.2], [0.1, 0.7, 0.0], [0.2, 0.0, 0.4]], [0.1, 0.0, 0.2])
+TRIAD = own(co.systems.fluid_triad().algebra, [0.5, 0.2, 0.1], np.zeros(3))
 # Its matrices turn by half the angle of the momentum.
 SPINORS = own(co.algebras.get("su(2)"), [0.3, 0.6, 1.0], np.zeros(3))
 TIMES = {"t_eval": [0.5, 0.52, 0.75, 0.97]}
@@ -84,6 +90,8 @@ STEERED = {
     "cubic": (cubic, "Gauss", X3, (0.5, 1.0), TWO),
     "cubic, step by step": (cubic, "Taylor", X3, (0.5, 0.65), TWO),
     "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.35), TWO),
+    # Its parts are chosen without the inputs, with which others would be better.
+    "triad, step by step": (TRIAD, "projected", X3, (0.5, 0.65), LINEAR),
 }
 
 
@@ -92,7 +100,7 @@ STEERED = {
     ids=[*RUNS, *(f"{name} by inputs" for name in STEERED)])  # fmt: skip
 def test_derivatives_of_runs(build, scheme, x0, span, options):
     rule = assert_derivatives(build, SCHEMES[scheme], x0, span, **options).rule
-    by_steps = scheme in ("Taylor", "commutator-free")
+    by_steps = scheme in ("Taylor", "commutator-free", "projected")
     assert rule.get("inputs") == (None if "inputs" not in options else "differences" if by_steps else "exact")
 
 
@@ -161,10 +169,11 @@ FORCED = [
     ("damping", "Gauss", "A3,7"),
     ("functions", "order 4", "sl(2)"),
     ("functions", "Kahan", "so(3)"),
-    ("orbit", "processed", "A5,40"),
+    ("functions", "order 6", "so(4)"),
+    ("orbit", "order 4", "A5,40"),
     ("orbit", "Gauss", "so(3)"),
     ("orbit", "commutator-free", "sl(2)"),
-    ("noise", "order 4", "so(3)"),
+    ("noise", "order 2", "so(3)"),
     ("noise", "Gauss", "A3,7"),
     pytest.param("noise", "Kahan", "sl(2)", marks=pytest.mark.long),
 ]
@@ -195,7 +204,7 @@ def test_derivatives_by_torques_that_are_inputs(scheme):
                        values=values)  # fmt: skip
 
 
-EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in getattr(co, name).examples()]
+EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
 OF_FIELDS = ("IsospectralGauss", "LineSplitting")
 WITH_STEPS = [one for one in EVERY_SCHEME if not one.own_steps and type(one).__name__ not in OF_FIELDS]
 
@@ -329,7 +338,7 @@ NOISE = [BATCH[0].with_forces(F.LinearDamping(rate), F.HeatBath(0.3, temperature
 
 @pytest.mark.parametrize(
     ("systems", "method"),
-    [(BATCH, co.Splitting(order=4)), (BATCH, co.GaussLegendre(2)), (NOISE, co.Splitting(order=4))],
+    [(BATCH, co.Splitting(order=4)), (BATCH, co.GaussLegendre(2)), (NOISE, co.Splitting())],
 )
 def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
     """A bath of member m is that of the stream m."""
@@ -350,6 +359,16 @@ def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
         assert np.array_equal(sol.x[:, m], alone.x)
         found = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items() if name != "attitude0")
+
+
+@pytest.mark.parametrize("scheme", WITH_STEPS, ids=str)
+def test_every_scheme_is_differentiated_in_a_batch(scheme):
+    """Also where the steps of members that share tables are differentiated in Python."""
+    x0, weights = np.linspace(0.2, 0.9, 9).reshape(3, 3), np.cos(np.arange(27.0)).reshape(3, 3, 3)
+    gradient = co.prepare(co.batch(BATCH), scheme, H).vjp(x0, (0.25, 0.25 + 2 * H))[1](x=weights)
+    for m, system in enumerate(BATCH):
+        alone = co.prepare(system, scheme, H).vjp(x0[m], (0.25, 0.25 + 2 * H))[1](x=weights[:, m])
+        assert all(np.array_equal(gradient[name][m], value) for name, value in alone.items())
 
 
 def _tops(rng, count):
@@ -486,6 +505,33 @@ def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
     assert abs(total - gradient["HeatBath.temperature"]) <= 2.0**10 * UNIT_ROUNDOFF * abs(total)
 
 
+@pytest.mark.parametrize("forces", [(), (F.LinearDamping(1e-4),)], ids=["free", "forced"])
+@pytest.mark.parametrize("members", [1, 9])
+def test_gradients_through_steps_that_contract_warn_of_their_errors(members, forces):
+    """Flows are undone from the end of a step: what has contracted by exp(-h) has lost as many digits."""
+    plain = co.LiePoissonSystem(co.algebras.get("A3_2"), co.Quadratic([1.0, 0.5, 0.3]))
+    system = plain.with_forces(*forces) if forces else plain
+    x0, direction, weight = (
+        np.tile([0.7, -0.4, 0.6], (members, 1)),
+        np.array([0.5, -1.0, 0.3]),
+        np.array([0.2, 0.6, 1.0]),
+    )
+    for step, lost in ((0.5, False), (20.0, True)):
+        ready = co.prepare(system, co.Splitting(order=2), step)
+        sol, tangents = ready.jvp(x0, (0.0, 2 * step), {"x0": np.tile(direction, (members, 1))})
+        weights = np.zeros_like(sol.x)
+        weights[-1] = weight
+        _, pullback = ready.vjp(x0, (0.0, 2 * step))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            gradient = pullback(x=weights)["x0"]
+        error = np.abs(gradient @ direction - tangents.x[-1] @ weight)
+        size = np.abs(gradient * direction).sum(axis=1) + np.abs(tangents.x[-1] * weight).sum(axis=1)
+        assert np.any(error > 2.0**-20 * size) == lost
+        assert [warning.category for warning in caught] == [co.LargeStepWarning] * lost
+        assert not lost or "jvp" in str(caught[0].message)
+
+
 @pytest.mark.parametrize("method", [co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
 @pytest.mark.parametrize("step", [0.25, 4.0])
 def test_derivatives_of_long_steps(method, step):
@@ -497,6 +543,18 @@ def test_derivatives_of_long_steps(method, step):
     gradient = ready.vjp(x0, span, save_every=4)[1](x=[np.zeros(3), np.ones(3)])["x0"]
     size = np.abs(gradient * direction).sum()
     assert abs(gradient @ direction - tangents.x[-1].sum()) <= 2.0**12 * UNIT_ROUNDOFF * size
+
+
+def test_derivatives_where_products_of_their_iteration_overflow():
+    """In a step so long that the changes of the diverging iteration pass the square root of the largest number."""
+    ready, span, direction = (
+        co.prepare(BODY({}), co.GaussLegendre(2), 3000.0),
+        (0.0, 3000.0),
+        np.array([0.5, -1.0, 2.0]),
+    )
+    wanted = difference(lambda by: ready.end(X3 + by * direction, span))
+    _, tangents = ready.jvp(X3, span, {"x0": direction})
+    np.testing.assert_allclose(tangents.x[-1], wanted, rtol=0, atol=8 * DIFFERENCE_ERROR * np.abs(wanted).max())
 
 
 def test_substeps_of_driven_runs_and_shifted_energies_of_forced_ones():

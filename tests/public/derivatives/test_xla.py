@@ -317,6 +317,8 @@ def clipped(x, t, tau):
     return y
 
 
+WHEELED = co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3))
+LAW = co.forces.Pointing(0.5, 1.5, error="quaternion")
 forces, PLATES = co.forces, (([2.0, 1.0], [(1, 0, 0), (0, 1, 0)], [(0, 0, 0.5), (0.1, 0.2, 0.3)]))
 FORCED = {
     "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
@@ -324,6 +326,8 @@ FORCED = {
     "branches": (BODY, [forces.Torque(kicked)]),
     "sampled": (None, [forces.Sampled(forces.Pointing(0.5, 1.5), period=0.2, max_torque=0.3)]),
     "full damping": (BODY, [forces.LinearDamping(((0.1, 0.2, 0.0), (0.0, 0.3, 0.1), (0.1, 0.0, 0.2)))]),
+    "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping((0.1, 0.2, 0.3))]),
+    "order 4 on the orbit": (SPIN, [forces.DoubleBracketDamping(0.1), forces.Torque((0.0, 0.3, 0.1))]),
     "of time": (BODY, [forces.Torque(lambda t: np.array([np.cos(t), 0.0, t]))]),
     "own flow": (BODY, [forces.OwnForce(lambda x, t, tau: x / (1.0 + np.abs(x) * tau), backward=False)]),
     "double bracket": (SPIN, [forces.DoubleBracketDamping(0.3, np.diag((1.0, 2.0, 3.0)) + 0.1)]),
@@ -338,6 +342,8 @@ FORCED = {
         [forces.SolarPressure(0.1, (1, 0, 0), *PLATES, specular=0.5), forces.Drag(0.1, around, *PLATES)],
     ),
     "quaternion": (None, [forces.Pointing(0.5, 1.5, error="quaternion", max_torque=0.3)]),
+    "wheels": (WHEELED, [forces.ReactionWheels(LAW, period=0.2, max_torque=0.3, max_momentum=0.02)]),
+    "thrusters": (None, [forces.Thrusters(LAW, period=0.2, max_torque=0.3, min_impulse=0.01)]),
 }
 
 
@@ -347,17 +353,17 @@ def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
     system, given = FORCED[name]
     forced = (system or co.systems.body((1.0, 2.0, 2.5))).with_forces(*given)
     x0 = 0.7 * np.cos(1.0 + np.arange(forced.dim))
-    if system is None:
+    if system in (None, WHEELED):
         x0 = forced.state((0.6, 0.0, 0.0, 0.8), angular_velocity=(0.1, 0.2, 0.3))
-    ready, method = None, co.Splitting(order=1 if name == "functions" else 2)
-    ready = co.prepare(forced, method, 0.1)
+    order = {"functions": 1, "order 4 on the orbit": 4, "order 6": 6}.get(name, 2)
+    ready = co.prepare(forced, co.Splitting(order=order), 0.1)
     states = np.array([x0, x0]) if any(one.random for one in given) else x0
     f = co.jax.solution(ready, (0.2, 1.2), 5, backend="xla")
     wanted = ready.run(states, (0.2, 1.2), 5).x
     np.testing.assert_allclose(f(states), wanted, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF * np.abs(wanted).max())
     if len(states) == 2:
         assert np.abs(wanted[-1, 0] - wanted[-1, 1]).max() > 1e-3
-    if name in ("damping, torque", "heat bath", "double bracket"):
+    if name in ("damping, torque", "heat bath", "double bracket", "order 6"):
         of_x0 = jax.grad(lambda x0: (weights(wanted) * f(x0)).sum())(states)
         _, pullback = ready.vjp(states, (0.2, 1.2), save_every=5)
         gradient = pullback(weights(wanted))["x0"]
@@ -420,18 +426,126 @@ def test_ready_made_systems_agree_with_the_compiled_run():
         np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-13 * max(1.0, np.abs(wanted).max()), err_msg=name)
 
 
+SCHEMES = {str(one): one for name in co.methods.names() for one in getattr(co, name).examples()}
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("name", SCHEMES)
+@pytest.mark.parametrize("attitude", [False, True])
+def test_registered_schemes_agree_with_the_compiled_run_or_are_refused(name, attitude):
+    """By their name and with another backend."""
+    method = SCHEMES[name]
+    try:
+        ready = co.prepare(BODY, method, 0.1, attitude=attitude)
+    except ValueError:
+        return  # not for this body, or without its attitude
+    try:
+        f = co.jax.solution(ready, (0, 1), 5, backend="xla")
+    except TypeError as reason:
+        assert str(method) in str(reason)
+        assert method.own_steps or "compiled" in str(reason) or "compensated=False" in str(reason)
+        assert type(method) is not co.Splitting or method.compensates
+        return
+    found, sol = f(X0), ready.run(X0, (0, 1), 5)
+    found, wanted = (found, (sol.x, sol.attitude)) if attitude else ((found,), (sol.x,))
+    for one, each in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(one, each, rtol=0, atol=1000 * 8 * UNIT_ROUNDOFF)
+
+
+INPUTS = {
+    "all": (co.Splitting(order=4), True),
+    "a free body": (co.Splitting(parts="free_body"), {"g": (4, 3)}),
+    "stages": (co.GaussLegendre(2), {"g": (4, 3)}),
+}
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_inputs_and_gradients_by_them_are_those_of_the_compiled_run(name):
+    """Of the linear term, also if they are not given."""
+    method, named = INPUTS[name]
+    ready = co.prepare(co.systems.heavy_top(), method, 0.05, inputs=named)
+    f, x0 = co.jax.solution(ready, (0, 1), 5, backend="xla"), 0.7 * np.cos(1.0 + np.arange(6))
+    key, u = ("linear", np.linspace(-0.3, 0.4, 6)) if named is True else ("g", np.array([0.3, -0.2]))
+    sol, pullback = ready.vjp(x0, (0, 1), save_every=5, **{key: u})
+    gradient = pullback(x=weights(sol.x))["inputs"][key]
+    found, of_inputs = jax.value_and_grad(lambda u: (weights(sol.x) * f(x0, **{key: u})).sum())(u)
+    tolerance = 1000 * 8 * UNIT_ROUNDOFF
+    np.testing.assert_allclose(f(x0, **{key: u}), sol.x, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(f(x0), ready.run(x0, (0, 1), 5).x, rtol=0, atol=tolerance)
+    assert abs(found - (weights(sol.x) * sol.x).sum()) < sol.x.size * tolerance
+    np.testing.assert_allclose(of_inputs, gradient, rtol=0, atol=32 * sol.x.size * tolerance)
+    with refused(ValueError, "lever", "without inputs"):
+        f(x0, lever=np.array([0.0, 0.0, 1.0]))
+
+
+BODIES = co.batch([BODY, co.systems.rigid_body((1.0, 2.0, 3.0)), BODY])
+
+
 @pytest.mark.parametrize(
-    ("ready", "named"),
-    [
-        (prepared(method=co.GaussLegendre(2), attitude=True), ("attitudes", "GaussLegendre", "compiled")),
-        (prepared(method=co.GaussLegendre(2), inputs=True), ("inputs=",)),
-        (prepared(method=co.Splitting(compensated=True)), ("compensated=True", "compensated=False")),
-        (prepared(method=co.ExplicitRungeKutta("rk4")), ("ExplicitRungeKutta", "compiled")),
-        (co.prepare(PLANE, co.GaussLegendre(2), 0.1), ("Lie algebra",)),
-    ],
-    ids=str,
+    "method", [co.Splitting(order=4), co.Splitting(parts="free_body"), co.GaussLegendre(2)], ids=str
 )
-def test_runs_that_are_not_supported_are_refused(ready, named):
+def test_members_of_a_batch_have_their_own_constants(method):
+    ready, states = co.prepare(BODIES, method, 0.1), np.array([X0, 2.0 * X0, X0[::-1]])
+    f = co.jax.solution(ready, (0, 1), 5, backend="xla")
+    sol, pullback = ready.vjp(states, (0, 1), save_every=5)
+    tolerance = 1000 * 8 * UNIT_ROUNDOFF
+    np.testing.assert_allclose(f(states), sol.x, rtol=0, atol=tolerance)
+    found = jax.grad(lambda x0: (weights(sol.x) * f(x0)).sum())(states)
+    np.testing.assert_allclose(found, pullback(weights(sol.x))["x0"], rtol=0, atol=32 * sol.x.size * tolerance)
+    with refused(ValueError, "inertia", "batch", "compiled"):
+        f(states, inertia=np.ones((3, 3)))
+    for backend in ("xla", "compiled"):
+        with refused(ValueError, "x0", "(2, 3)", "(3, 3)"):
+            co.jax.solution(ready, (0, 1), 5, backend=backend)(states[:2])
+
+
+@pytest.mark.parametrize(
+    "transformed",
+    [
+        jax.vmap,
+        pytest.param(lambda f: lambda x0: jax.jit(jax.vmap(jax.vmap(f)))(jnp.stack([x0, x0])), marks=pytest.mark.long),
+        pytest.param(lambda f: jax.grad(lambda x0: (jax.vmap(f)(x0) ** 3).sum()), marks=pytest.mark.long),
+        pytest.param(lambda f: lambda x0: jax.vmap(f)(x0, inertia=INERTIA + 0.1 * x0), marks=pytest.mark.long),
+        pytest.param(lambda f: lambda x0: jax.lax.map(f, x0), marks=pytest.mark.long),
+    ],
+    ids=["vmap", "nested", "gradient", "parameters", "map"],
+)
+def test_members_that_vmap_makes_have_the_noise_of_the_compiled_run(transformed):
+    """An ensemble in each case but the last two, whose runs all have the noise of the first member."""
+    ready = co.prepare(BODY.with_forces(forces.HeatBath(0.3, temperature=0.5, seed=7)), co.Splitting(order=1), 0.1)
+    f, reference = (co.jax.solution(ready, (0, 0.2), 2, backend=backend) for backend in ("xla", "compiled"))
+    states = np.array([X0, X0])
+    wanted = np.asarray(transformed(reference)(states))
+    # Twenty operations with a matrix exponential each, and the third power.
+    np.testing.assert_allclose(transformed(f)(states), wanted, rtol=0, atol=1e-12 * max(1.0, np.abs(wanted).max()))
+
+
+def batched(systems, method=None, **options):
+    return co.prepare(co.batch(systems), method or co.Splitting(), 0.1, **options)
+
+
+FULL_BODY = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([[1, 0.2, 0.1], [0.2, 2, 0.3], [0.1, 0.3, 3]]))
+TURNED = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3]))
+GYROS = co.systems.body((1.0, 2.0, 2.5), gyros=0.1 * np.array(PYRAMID))
+REFUSED = {
+    "attitudes of stages": (prepared(method=co.GaussLegendre(2), attitude=True), ("attitudes", "Gauss", "compiled")),
+    "compensated sums": (prepared(method=co.Splitting(compensated=True)), ("compensated=True", "compensated=False")),
+    "explicit stages": (prepared(method=co.ExplicitRungeKutta("rk4")), ("ExplicitRungeKutta", "compiled")),
+    "no algebra": (co.prepare(PLANE, co.GaussLegendre(2), 0.1), ("Lie algebra",)),
+    "inputs of torques": (
+        co.prepare(BODY.with_forces(forces.Torque((0.1, 0.2, 0.3))), co.Splitting(), 0.1, inputs={"u": "Torque"}),
+        ("inputs", "torques"),
+    ),
+    "inputs of squares": (co.prepare(FULL_BODY, co.Splitting(), 0.1, inputs=True), ("inputs", 'parts="coordinates"')),
+    "a batch of other parts": (batched([TURNED, FULL_BODY]), ("batch", "same parts", "compiled")),
+    "a batch with forces": (batched([DAMPED, DAMPED]), ("batch", "forces", "vjp")),
+    "a batch of functions": (batched([COSH, COSH], co.GaussLegendre(2)), ("batch", "functions", "compiled")),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_runs_that_are_not_supported_are_refused(name):
+    ready, named = REFUSED[name]
     with refused(TypeError, *named):
         co.jax.solution(ready, (0, 1), backend="xla")
 
@@ -468,6 +582,10 @@ def test_wrong_arguments_are_refused(f, wrapped):
     looped = BODY.with_forces(co.forces.OwnForce(clipped))
     with refused(TypeError, "own force", "64 branches", "compiled"):
         wrapped(co.jax.solution(co.prepare(looped, co.Splitting(), 0.05), (0, 1), backend="xla"))(X0)
+    steered = GYROS.with_forces(co.forces.ControlMomentGyros(LAW, period=0.2))
+    with refused(TypeError, "ControlMomentGyros", "64 branches", "compiled"):
+        g = co.jax.solution(co.prepare(steered, co.Splitting(), 0.1), (0, 1), backend="xla")
+        wrapped(g)(steered.state(angular_velocity=(0.1, 0.2, 0.3)))
     for values, error, named in (
         ({"inertia": INERTIA.astype(np.float32)}, TypeError, ("inertia", "float32", "float64")),
         ({"inertia": INERTIA[:2]}, ValueError, ("inertia", "(2,)", "(3,)")),

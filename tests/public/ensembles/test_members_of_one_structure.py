@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from matrix.forces import forces_on
 
 STEP, SPAN, MEMBERS = 1.0 / 64.0, (0.0, 0.5), 6
 METHODS = {
@@ -20,7 +21,7 @@ METHODS = {
     "taylor": co.Taylor(order=8),
     "midpoint": co.SphericalMidpoint(),
 }
-SCHEMES = [method for name in co.methods.names() for method in getattr(co, name).examples()]
+SCHEMES = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()]
 
 
 def varied(value, rng):
@@ -427,6 +428,18 @@ def test_members_with_forces(method, attitude):
     alone = co.prepare(systems[2], METHODS[method], STEP, **options).run(whole.x0[2], SPAN, save_every=4)
     for label in ("LinearDamping", "Torque"):
         assert np.array_equal(whole.work[label]["energy"][:, 2], alone.work[label]["energy"])
+
+
+@pytest.mark.parametrize("method", ["auto", "gauss"])
+@pytest.mark.parametrize("name", ["gyrostat", "rigid_body"])
+def test_members_with_every_force(name, method):
+    """Forces that read the angular velocity differ between members although their parameters are equal."""
+    systems = [co.systems.get(name, inertia=(1.0, 2.0, third)) for third in (2.5, 2.25)]
+    forces = forces_on(systems[0])
+    assert co.forces.Pointing in map(type, forces)
+    for force in forces:
+        if not force.random:  # noise differs between members
+            assert_as_alone([one.with_forces(force) for one in systems], METHODS[method])
 
 
 @pytest.mark.parametrize("count", [3, 33])

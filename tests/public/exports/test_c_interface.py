@@ -20,6 +20,7 @@ from exported_table import Failed, Interface, exported_library
 from long import long_beyond
 from random_runs.cases import REFUSALS, some_method, some_systems
 from refusals import refused
+from rounding import UNIT_ROUNDOFF
 
 ROOT = Path(__file__).parents[3]
 SOURCE = ROOT / "src" / "coadjoint" / "kernels" / "source"
@@ -69,7 +70,7 @@ def overflowing_as_the_library(call):
 
 
 def check_interface(interface, prepared, folder, steps=12, sign=1.0):
-    """Compare the bits of all states however the steps are divided, of derivatives and of gradients."""
+    """Compare the bits of all states however the steps are divided, and of derivatives; and gradients."""
     table, h = table_of(prepared, folder), sign * prepared.step
     run = interface.run(table.replace(f'"step": {prepared.step!r}', f'"step": {h!r}'))
     x0 = np.random.default_rng(steps).standard_normal(prepared.system.dim)
@@ -94,7 +95,20 @@ def check_interface(interface, prepared, folder, steps=12, sign=1.0):
     weights[-1] = covector
     with overflowing_as_the_library(lambda: run.vjp(x0, steps, covector)):
         gradient = prepared.vjp(x0, (0.0, steps * h))[1](x=weights)["x0"]
-    assert_same(run.vjp(x0, steps, covector), gradient)
+    assert_gradients_agree(prepared, run, sol, covector, gradient)
+
+
+def assert_gradients_agree(prepared, run, sol, covector, gradient):
+    """To rounding: the library finds those by the parameters in the same sweep, with other sums.
+
+    Each step rounds some hundred times, relative to its gradient, and the steps before it carry this error.
+    """
+    _, tangents = prepared.jvp(sol.x[0], (sol.t[0], sol.t[-1]), {"x0": np.eye(sol.x.shape[1])})
+    steps = len(sol.t) - 1
+    later = [np.abs(run.vjp(sol.x[k], steps - k, covector)).sum() for k in range(steps)]
+    size = max(a * b for a, b in zip(later, np.abs(tangents.x).max(axis=(1, 2)), strict=False))
+    error = np.abs(run.vjp(sol.x[0], steps, covector) - gradient).max()
+    assert error <= 128 * steps * UNIT_ROUNDOFF * size
 
 
 @pytest.mark.parametrize("name", CASES)

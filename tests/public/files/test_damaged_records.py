@@ -22,7 +22,7 @@ RUNS = {name: (system, start(system), None) for name, system in SYSTEMS.items() 
 RUNS |= {name: (SYSTEMS[name], start(SYSTEMS[name]), co.IsospectralGauss()) for name in MATRICES}
 RUNS |= {"tuned": (BODY, X, co.Splitting.tuned(BODY, X, order=4)), "structure": (BODY, X, co.ModifiedGaussLegendre(2))}
 for each in co.methods.names():
-    scheme = (getattr(co, each, None) or getattr(co.methods, each)).examples()[0]
+    scheme = co.methods.registry.scheme(each).examples()[0]
     RUNS[each] = (*served(scheme), scheme)
 
 

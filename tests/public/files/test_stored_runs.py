@@ -34,7 +34,7 @@ from satellite_forces import CASES
 from served import FLUID, serves, state_of
 
 X = (0.3, -0.2, 0.5)
-SCHEMES = {name: getattr(co, name, None) or getattr(co.methods, name) for name in co.methods.names()}
+SCHEMES = {name: co.methods.registry.scheme(name) for name in co.methods.names()}
 
 
 # Systems.

@@ -11,13 +11,13 @@ EPS = np.finfo(float).eps
 STEP, SPAN, SCHEME = 0.1, (0.0, 1.0), co.Splitting(order=2)
 MEMBERS = 5
 TURNS = Rotation.from_rotvec(np.random.default_rng(5).normal(size=(MEMBERS, 3)))
-# Tops have matrices of four rows: a rotation with a translation, which starts at zero.
+# Tops have matrices of four rows, a rotation with a translation, and a satellite of five, a rotation between others.
 BODIES = [
     (name, size)
     for name in co.systems.names()
-    if np.shape(system := co.systems.get(name).representation)[-1:] in ((3,), (4,))
+    if np.shape(system := co.systems.get(name).representation)[-1:] in ((3,), (4,), (5,))
     for size in np.shape(system)[-1:]
-    if size == 3 or not np.asarray(system)[:, 3].any()
+    if size != 4 or not np.asarray(system)[:, 3].any()
 ]
 SO3 = ("gyrostat", "paper_rigid_body", "rigid_body")
 
@@ -25,7 +25,8 @@ SO3 = ("gyrostat", "paper_rigid_body", "rigid_body")
 def elements(size, matrices):
     """Return rotation matrices as group elements."""
     found = np.broadcast_to(np.eye(size), (*matrices.shape[:-2], size, size)).copy()
-    found[..., :3, :3] = matrices
+    first = int(size == 5)
+    found[..., first : first + 3, first : first + 3] = matrices
     return found
 
 
@@ -44,7 +45,7 @@ ROTATING = [(name, size) for name, size in BODIES if rotates(name, size)]
 
 def test_bodies_and_tops_are_among_them():
     names = {name for name, _ in ROTATING}
-    assert {*SO3, "heavy_top", "lagrange_top", "kirchhoff_body"} <= names and "so_n_body" not in names
+    assert {*SO3, "heavy_top", "lagrange_top", "kirchhoff_body", "satellite"} <= names and "so_n_body" not in names
 
 
 @pytest.mark.parametrize(("name", "size"), ROTATING)
@@ -61,7 +62,7 @@ def test_every_form_starts_the_same_run(name, size):
     for turn, members in ((TURNS[0], ()), (TURNS, (MEMBERS,))):
         expected = run(elements(size, turn.as_matrix()), members)
         assert np.array_equal(run(turn, members).attitude, expected.attitude)
-        if not members or size == 3:
+        if not members or size != 4:
             quaternion = run(turn.as_quat(), members)
             # A unit quaternion has an error of 2 eps, its nine entries of 8; the flow is linear in the attitude.
             assert np.abs(quaternion.attitude - expected.attitude).max() <= 64 * EPS * np.abs(expected.attitude).max()
@@ -69,6 +70,17 @@ def test_every_form_starts_the_same_run(name, size):
             assert np.array_equal(negative.attitude, quaternion.attitude)
     mixed = [TURNS[0], *elements(size, TURNS[1:].as_matrix())]
     assert np.array_equal(run(mixed, (MEMBERS,)).attitude, run(TURNS, (MEMBERS,)).attitude)
+
+
+def test_a_satellite_takes_the_rotation_of_its_solution():
+    """A run continues from the last rotation of another one, and leads where one run of the whole span leads."""
+    satellite, x0 = co.systems.satellite((1.0, 1.2, 2.0), 10.0), (0.1, 0.2, 0.3, 0, 10.0, 0, 1.0, 0.1, 0, 1)
+    whole = co.integrate(satellite, x0, (0, 2), STEP, SCHEME, attitude=TURNS[2])
+    half = co.integrate(satellite, x0, (0, 1), STEP, SCHEME, attitude=TURNS[2])
+    rest = co.integrate(satellite, half.x[-1], (1, 2), STEP, SCHEME, attitude=half.rotation[-1])
+    assert (whole.rotation[0].inv() * TURNS[2]).magnitude() <= 16 * EPS
+    # A quaternion and back: 32 eps; the motion of 10 steps is the same.
+    assert (rest.rotation[-1].inv() * whole.rotation[-1]).magnitude() <= 64 * EPS
 
 
 def test_every_function_reads_them(tmp_path):
@@ -127,7 +139,7 @@ def test_a_refused_attitude_names_the_scheme_of_the_user():
     body, refusing = co.systems.rigid_body(), set()
     driven = body.with_forces(co.forces.LinearDamping(0.1))
     for name in co.methods.names():
-        for method in getattr(co, name).examples():
+        for method in co.methods.registry.scheme(name).examples():
             try:
                 co.integrate(body, (1, 0.1, 0.1), SPAN, STEP, method, attitude=True)
             except ValueError as error:

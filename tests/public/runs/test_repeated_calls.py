@@ -103,6 +103,7 @@ CASES = {
     "inputs": Case(co.Splitting(order=2), inputs=True),
     "inputs, tables of each member": Case(co.ReversibleSteps(co.Splitting(order=2)), inputs=True),
     "torque at times": Case(co.Splitting(order=2), PUSHED),
+    "torque at substeps": Case(co.Splitting(order=4), PUSHED),
 }
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from matrix.forces import forces_on
 from own_schemes import Classical, Interpreted
 from refusals import refused
 
@@ -61,7 +62,7 @@ def test_zero_input_converges_to_no_input(name, method):
     assert np.array_equal(ready.run(x, SPANS[0]).x, ready.run(x, SPANS[0], linear=np.zeros(len(x))).x)
 
 
-METHODS = [method for name in co.methods.names() for method in getattr(co, name).examples()[:2]]
+METHODS = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()[:2]]
 FORCES = co.forces.LinearDamping(0.1), co.forces.Torque(np.zeros(6))
 
 
@@ -223,6 +224,26 @@ def test_wrong_inputs_are_refused():
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
 
 
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
+@pytest.mark.parametrize("name", ["body", "gyrostat"])
+def test_inputs_beside_every_force(name, method):
+    """A force that reads the angular velocity, to which such an input belongs, is refused by name."""
+    plain = co.systems.get(name)
+    for force in forces_on(plain):
+        forced = plain.with_forces(force)
+        x = np.cos(1.0 + np.arange(forced.dim))
+        if isinstance(force, co.forces.Pointing | co.forces.Sampled):
+            with refused(TypeError, force.label, "coordinate 0", "inputs"):
+                co.prepare(forced, method, STEP, inputs=True)
+        first = 3 if isinstance(force, co.forces.Pointing | co.forces.Sampled) else 0
+        names = tuple(range(first, plain.dim))
+        if not names:
+            continue
+        run = co.prepare(forced, method, STEP, inputs=names).run(x, SPANS[0], linear=0.1 * x[first : plain.dim])
+        again = co.integrate(run.system, x, SPANS[0], STEP, run.method)
+        assert np.array_equal(run.x, again.x), force
+
+
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_states_at_any_time_use_the_inputs_of_the_run(way):
     """Also if the array of inputs is changed afterwards."""
@@ -260,6 +281,20 @@ def test_a_quotient_by_a_tensor_is_no_ensemble():
             call(x)
         call(np.ones((3, 3)))
     assert ready.run(x, (0, 1), linear=np.ones((4, 3))).x.shape == (11, 4, 3)
+    both = co.prepare(pushed, None, 0.1, inputs={"bias": (0, 2), "torque": "Torque"})
+    for given in ({}, {"bias": np.ones(2)}):
+        with refused(ValueError, "torque has the shape (3, 3)", "one state"):
+            both.run(x, (0, 1), torque=-k / tensor, **given)
+    members = both.run(x, (0, 1), torque=-k / tensor, bias=np.ones((3, 2)))  # the shape of bias is no matrix
+    assert members.x.shape == (11, 3, 3)
+    one = co.prepare(body, None, 0.1, inputs={"bias": (1,)})
+    assert one.run(x, (0, 1), bias=np.ones((1, 1))).x.shape == (11, 1, 3)
+
+
+def test_names_in_place_of_coordinates_are_refused_with_the_coordinates():
+    for given in (("linear",), {"field": "linear"}, {"field": ["x1", "x2"]}):
+        with refused((TypeError, ValueError), "inputs", "rigid_body" if given == {"field": "linear"} else "0 to 2"):
+            co.prepare(co.systems.rigid_body(), None, 0.1, inputs=given)
 
 
 def test_names_of_parameters_are_no_names_of_the_linear_term():

@@ -33,7 +33,7 @@ def _systems():
 
 
 SYSTEMS = dict(_systems())
-METHODS = [method for name in co.methods.names() for method in getattr(co, name).examples()]
+METHODS = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()]
 METHODS += [co.Splitting(parts=parts) for parts in ("free_body", "bonds", ((0,), (1,)), ((0,), (1,), (2,)))]
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
 

@@ -284,8 +284,35 @@ def test_torques_of_the_attitude_are_refused_without_one():
         pair_of_bodies()[0].with_forces(co.forces.Torque(lambda x, A: x[:3]))
     with refused(TypeError, "(x, A, t, gain)", "(x, A, t)"):
         co.forces.Torque(lambda x, A, t, gain: x[:3])
+    for function in (lambda A, x: x[:3], lambda t, x, A: x[:3]):
+        with refused(TypeError, "A)", "give one of (x, A) or (x, A, t)"):
+            co.forces.Torque(function)
     given = co.forces.Torque(lambda x, A, gain=2.0: gain * A[2])
     np.testing.assert_allclose(given.field(S.body(), S.body().state(), 0.0)[:3], [0.0, 0.0, 2.0])
+
+
+def test_the_second_argument_of_a_torque_is_the_time():
+    """Messages say with what a function is called, and names of an attitude in place of A are refused."""
+    for system in (S.rigid_body(), S.body()):
+        for function in (lambda t, x: -x, lambda time, x: -x):
+            with refused(TypeError, "x)", "time second", "(x, t)"):
+                system.with_forces(co.forces.Torque(function))
+        for function in (lambda x, attitude: -x, lambda x, q: -x, lambda x, R: -x):
+            with refused(TypeError, "second argument is the time t", "name the attitude A"):
+                system.with_forces(co.forces.Torque(function))
+        with refused(ValueError, "called with (x, t)", "sample point"):
+            system.with_forces(co.forces.Torque(lambda x, B: B[0]))
+        with refused(ValueError, "called with (x, t)", "(2,)", system.name):
+            system.with_forces(co.forces.Torque(lambda x, t: x[:2]))
+    with refused(ValueError, "called with (x)", "(3,)", "(12,)", "(x, A)"):
+        S.body().with_forces(co.forces.Torque(lambda x: -x[:3]))
+    with refused((TypeError, ValueError), "(t, x)", "(x, t)"):
+        co.integrate(S.rigid_body(), (1, 0, 0), (0, 1), 0.1, observe={"first": lambda t, x: x[0]})
+
+
+def test_the_attitude_of_a_body_in_space_is_given_to_its_state():
+    with refused(ValueError, "attitude", "part of its state", "body.state"):
+        co.integrate(S.body(), S.body().state(), (0, 1), 0.1, attitude=TURNED[0])
 
 
 @pytest.mark.parametrize("inertia", [(1.0, 2.0, 2.5), SHAPES[1], (1.0, 1.0, 0.5), (2.0, 2.0, 0.0), (0.7, 0.7, 0.7)])

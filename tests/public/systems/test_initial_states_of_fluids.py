@@ -350,3 +350,16 @@ def test_netcdf_without_xarray(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with refused(ImportError, "a.nc", "xarray", "h5netcdf"):
         TORUS.from_file("a.nc")
+
+
+@pytest.mark.parametrize("system", [co.systems.sphere_euler(N=8), co.systems.torus_euler(N=9)])
+def test_missing_and_surplus_arguments_are_counted_without_the_system(system):
+    name = type(system).__name__
+    with refused(TypeError, f"{name}.random needs seed; its arguments are seed, degrees"):
+        system.random()
+    with refused(TypeError, f"{name}.random was given 2 arguments, and takes seed, degrees"):
+        system.random(1, (2, 3))
+    with refused(TypeError, f"{name}.blobs needs places, strengths, widths; its arguments are places"):
+        system.blobs()
+    with refused(TypeError, "did you mean seed=?"):
+        system.random(sed=1)

@@ -35,6 +35,79 @@ def test_structure_constants_suffice(method):
         co.integrate(own, (0.1, 1.0, 0.1), (0, 1), 0.1, co.Splitting())
 
 
+def squared_length(x):
+    """J(x) = |x|^2 hat(x), not linear in x."""
+    return (x[0] ** 2 + x[1] ** 2 + x[2] ** 2) * np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
+
+
+class OwnBracket(co.System):
+    """A bracket by a function; without one only J(x) in Python."""
+
+    name, sign, dim, hamiltonian = "own bracket", 1, 3, co.Quadratic([1.0, 0.5, 0.3])
+
+    def __init__(self, function):
+        self.structure_function = function
+
+
+class OwnMatrix(OwnBracket):
+    structure_function = None
+
+    def __init__(self):
+        pass
+
+    def structure_matrix(self, x):
+        return squared_length(x)
+
+
+@dataclasses.dataclass(frozen=True)
+class Midpoint(co.methods.StepMethod):
+    order, explicit, symmetric = 2, True, False
+
+    def properties(self, system):
+        return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+
+    def step(self, system, x, t, h):
+        return x + h * system.vector_field(x + h / 2 * system.vector_field(x, t), t + h / 2)
+
+
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), Midpoint()], ids=str)
+def test_a_structure_function_suffices(method):
+    """The run has the bits of the `PoissonSystem` by the same function."""
+    known = co.PoissonSystem(squared_length, OwnBracket.hamiltonian)
+    run = {"x0": (0.1, 1.0, 0.1), "t_span": (0, 2), "step": 0.1, "method": method}
+    own = co.integrate(OwnBracket(squared_length), **run)
+    assert np.array_equal(own.x, co.integrate(known, **run).x)
+
+
+@pytest.mark.filterwarnings("ignore:the steps of Midpoint")
+def test_a_structure_matrix_in_python_suffices_for_steps_in_python():
+    run = {"x0": (0.1, 1.0, 0.1), "t_span": (0, 2), "step": 0.1}
+    found, known = (co.integrate(one, **run, method=Midpoint()) for one in (OwnMatrix(), OwnBracket(squared_length)))
+    np.testing.assert_allclose(found.x, known.x, rtol=0, atol=1e-14)
+    with refused(TypeError, "own bracket", "structure_function", "StepMethod"):
+        co.integrate(OwnMatrix(), **run, method=co.GaussLegendre(2))
+
+
+def test_an_incomplete_system_is_refused_by_what_it_lacks():
+    class Nameless(co.System):
+        sign, dim = 1, 3
+
+    class AsMethod(OwnMatrix):
+        def structure_function(self, x):
+            return squared_length(x)
+
+    for error, wrong, words in (
+        (TypeError, Nameless(), ("Nameless", "name", "hamiltonian")),
+        (TypeError, AsMethod(), ("own bracket", "structure_function", "staticmethod")),
+        (ValueError, OwnBracket(lambda x: np.eye(3)), ("skew", "J[0, 0]")),
+        (ValueError, OwnBracket(lambda x: np.zeros((2, 2))), ("(2, 2)", "(3, 3)")),
+    ):
+        with refused(error, *words):
+            co.integrate(wrong, (0.1, 1.0, 0.1), (0, 1), 0.1, co.GaussLegendre(2))
+    with refused(TypeError, "own bracket", "derivative"):
+        co.stepper(OwnBracket(squared_length), co.GaussLegendre(2), 0.1).tangent((0.1, 1.0, 0.1))
+
+
 class SkewMatrices:
     """so(N) as matrices: a bracket, and no structure constants."""
 
@@ -106,6 +179,7 @@ def test_matrices_without_structure_constants():
         assert np.max(np.abs(before - after)) < 1e-12
     assert sol.drift(relative=False)["|X|^2"] < 1e-11 and 1e-8 < sol.drift(relative=False)["energy"] < 1e-1
     assert abs(sol.energy[0, 0] - system.energy(X[0])) < 1e-12
+    assert Isospectral().work(system).cost(1.0, 1.0) > 0.0
 
 
 class Springs:

@@ -226,5 +226,6 @@ class _Scanner:
         return ValueError(f"{short(self._text, MAX_QUOTED)} {reason}")
 
     def _syntax_error(self, begin: int) -> ValueError:
-        rest = short(self._text[begin:].strip() or "its end", MAX_QUOTED)
-        return ValueError(f"{short(self._text, MAX_QUOTED)} cannot be parsed from {rest} on; {self._notation}")
+        rest = self._text[begin:].strip()
+        where = f"from {short(rest, MAX_QUOTED)} on" if rest else "at its end"
+        return ValueError(f"{short(self._text, MAX_QUOTED)} cannot be parsed {where}; {self._notation}")

@@ -27,8 +27,7 @@ from coadjoint.experiments.reich1993.systems import (
     body_run,
 )
 from coadjoint.methods.protocol.method import Method
-from coadjoint.pictures.modified_energy import draw_deviations
-from coadjoint.pictures.phase_drift import with_error
+from coadjoint.pictures.analysis_figures import draw_deviations, with_error
 from coadjoint.pictures.style import INK, colour, legend, plain_axes
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
-from coadjoint.files.archives.folder import ArchiveFolder
+from coadjoint.files.archives.folder import ArchiveFolder, RemoteFolder, is_url, remote_folder
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.records.entries import Entry
@@ -56,6 +56,9 @@ MAX_NAME_LENGTH = 255  # bytes, of file systems
 JSON_MEMORY_FACTOR = 32
 """Memory needed to parse JSON, per byte."""
 MAX_ARRAYS = 10**5  # of an archive, which has some ten and one for each observed name
+
+Folder = ArchiveFolder | RemoteFolder
+Location = Path | RemoteFolder
 
 
 class ArchiveError(OneLineError):
@@ -104,14 +107,17 @@ def blocks_of(members: int, size: int) -> list[Block]:
 
 
 class Archive:
-    """The path, arrays and attributes of an archive, as they were when its root was read."""
+    """The path, arrays and attributes of an archive, as they were when its root was read.
 
-    def __init__(self, path: Path, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
+    The path of an archive elsewhere, which can only be read, is its `RemoteFolder`.
+    """
+
+    def __init__(self, path: Location, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
         self.path, self.arrays, self.attributes = path, dict(arrays), dict(attributes)
 
-    def opened(self) -> AbstractContextManager[ArchiveFolder]:
+    def opened(self) -> AbstractContextManager[Folder]:
         """Open the folder."""
-        return open_folder(self.path)
+        return open_location(self.path)
 
     @property
     def states(self) -> list[StoredState]:
@@ -119,13 +125,25 @@ class Archive:
         return [StoredState(*entry) for entry in json.loads(self.attributes[STATES])]
 
     @property
+    def members(self) -> int:
+        """Number of members, 1 of a single run."""
+        x0 = self.arrays["x0"]
+        return x0.shape[0] if x0.dims[0] == MEMBER else 1
+
+    @property
+    def has_blocks(self) -> bool:
+        """Whether the blocks of an ensemble have markers; a run without them is one block, described by the root."""
+        return BLOCK_SIZE_ATTRIBUTE in self.attributes
+
+    @property
     def blocks(self) -> list[Block]:
-        """The blocks of an ensemble."""
-        return blocks_of(self.arrays["x0"].shape[0], int(self.attributes[BLOCK_SIZE_ATTRIBUTE]))
+        """The blocks of members that are run together."""
+        members = self.members
+        return blocks_of(members, int(self.attributes.get(BLOCK_SIZE_ATTRIBUTE, members)))
 
     def read_heads(self) -> list[dict[str, Any]]:
         """Return the progress of each block; empty for blocks that have not begun, or whose marker is damaged."""
-        if BLOCK_SIZE_ATTRIBUTE not in self.attributes:
+        if not self.has_blocks:
             return [self.attributes]
         with self.opened() as folder:
             return [read_head(folder, block) for block in self.blocks]
@@ -137,13 +155,13 @@ class Archive:
 
     def may_be_missing(self, name: str, indices: tuple[int, ...]) -> bool:
         """Whether a chunk may not be written yet, since its block has not ended."""
-        array, attributes = self.arrays[name], self.attributes
-        if BLOCK_SIZE_ATTRIBUTE not in attributes or attributes[FINISHED] or not is_computed(name, array):
+        array = self.arrays[name]
+        if not self.has_blocks or self.attributes[FINISHED] or not is_computed(name, array):
             return False
         head = self.heads[indices[array.dims.index(MEMBER)]]
         return not head or (array.grows and indices[0] * array.chunk[0] >= head["rows"])
 
-    def chunk(self, folder: ArchiveFolder, name: str, indices: tuple[int, ...]) -> NDArray[Any]:
+    def chunk(self, folder: Folder, name: str, indices: tuple[int, ...]) -> NDArray[Any]:
         """Return a chunk, of fill values if it may be missing; ArchiveError if it is missing or damaged."""
         array, file = self.arrays[name], chunk_file(indices)
         try:
@@ -191,7 +209,7 @@ class Archive:
                 f"step {steps}, was replaced; open it again"
             )
 
-    def lost_chunks(self, folder: ArchiveFolder) -> Iterator[tuple[str, tuple[int, ...]]]:
+    def lost_chunks(self, folder: Folder) -> Iterator[tuple[str, tuple[int, ...]]]:
         """Yield the name of the array and the indices of each chunk that was committed and is missing."""
         for name, array in self.arrays.items():
             try:
@@ -247,7 +265,7 @@ def total_progress(heads: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def read_marker(
-    folder: ArchiveFolder, block: Block, only_head: bool = False
+    folder: Folder, block: Block, only_head: bool = False
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
     """Return the progress of a block, and the numbers from which it resumes; None if missing or damaged."""
     try:
@@ -266,16 +284,26 @@ def read_marker(
         return None
 
 
-def read_head(folder: ArchiveFolder, block: Block) -> dict[str, Any]:
+def read_head(folder: Folder, block: Block) -> dict[str, Any]:
     """Return the progress of a block; empty if it has not begun, or its marker is damaged."""
     return (read_marker(folder, block, only_head=True) or ({}, {}))[0]
 
 
+def read_location(value: Any) -> Location:
+    """Validate the place from which an archive is read: a path, a URL, or a mapping of fsspec."""
+    return remote_folder(value) or read_archive_path(value)
+
+
 def read_archive_path(value: Any) -> Path:
-    """Validate the path of an archive."""
+    """Validate the path of an archive that is written."""
     hint = f"archive is {short(value)}; it must be the path of a folder, such as 'run.zarr'"
     if not isinstance(value, str | os.PathLike):
         raise TypeError(hint)
+    if is_url(value):
+        raise ValueError(
+            f"archive is {short(value)}; runs are written and resumed in folders of this machine, since a URL has no "
+            "locks: give a path and copy the folder, and open_archive reads it from the URL"
+        )
     path = os.fspath(value)
     if not isinstance(path, str) or not path or "\0" in path:
         raise ValueError(hint)
@@ -289,25 +317,30 @@ def chunk_file(indices: tuple[int, ...]) -> str:
     return ".".join(("c", *map(str, indices)))
 
 
+def open_location(location: Location) -> Folder:
+    """Open the folder of an archive to read it; ArchiveError if there is none."""
+    return open_folder(location) if isinstance(location, Path) else location
+
+
 def open_folder(path: Path) -> ArchiveFolder:
-    """Open the folder of an archive; ArchiveError if there is none."""
+    """Open the folder of an archive on this machine; ArchiveError if there is none."""
     try:
         return ArchiveFolder(path)
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run") from None
+        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
     except NotADirectoryError:
         raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
     except OSError as reason:
         raise ArchiveError(f"{path}: cannot be read ({reason.strerror})") from None
 
 
-def read_root(path: Path, folder: ArchiveFolder | None = None) -> tuple[dict[str, StoredArray], dict[str, Any]]:
+def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, StoredArray], dict[str, Any]]:
     """Return the arrays and attributes of an archive, as currently committed; `folder` is its folder, if open.
 
     ArchiveError: missing, damaged, or of a later format.
     """
     if folder is None:
-        with open_folder(path) as opened:
+        with open_location(path) as opened:
             return read_root(path, opened)
     try:
         content = folder.read("", ROOT_FILE)
@@ -317,11 +350,13 @@ def read_root(path: Path, folder: ArchiveFolder | None = None) -> tuple[dict[str
         version = attributes[VERSION_ATTRIBUTE]
         metadata = root["consolidated_metadata"]["metadata"]
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run") from None
+        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
     except OSError as reason:
         raise ArchiveError(f"{path}: {ROOT_FILE} cannot be read ({reason.strerror})") from None
     except (ValueError, LookupError, TypeError, RecursionError):
-        raise ArchiveError(f"{path}: is no archive of a run, or its {ROOT_FILE} is damaged") from None
+        raise ArchiveError(
+            f"{path}: is no archive of a run, or its {ROOT_FILE} is damaged; other results are opened by co.load"
+        ) from None
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise ArchiveError(f"{path}: {VERSION_ATTRIBUTE} is {short(version)}; it must be a whole number from 1 up")
     if version > FORMAT:

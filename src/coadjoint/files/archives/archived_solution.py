@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archive import (
     ACCOUNTS_ATTRIBUTE,
-    BLOCK_SIZE_ATTRIBUTE,
+    DONE,
+    FAILED,
     FINISHED,
     PENDING,
     STATUS,
@@ -24,16 +25,17 @@ from coadjoint.files.archives.archive import (
     ArchiveError,
     ArchiveMoved,
     Block,
-    read_archive_path,
+    Location,
+    read_location,
     read_root,
     total_progress,
 )
 from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.datasets.export import stored_inputs
-from coadjoint.files.datasets.named_axes import MEMBER, coordinate_variables, label_of, stored_axes, unstacked
+from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, stored_axes, unstacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
-from coadjoint.files.datasets.vorticity_variables import with_vorticity
+from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
@@ -51,16 +53,26 @@ Floats = NDArray[np.float64]
 
 
 class ArchivedSolution(StoredSolution):
-    """The solution in an archive as committed when it was opened; arrays are read with all checks of the archive."""
+    """The solution in an archive as committed when it was opened; arrays are read with all checks of the archive.
+
+    A run without blocks is one block, whose state is committed with its points: invariants at the start and deviations
+    are taken from it. Of an ensemble all times are present from the beginning; values not computed yet are NaN.
+    """
 
     _in_memory = False
     _archive: Archive
     _given_system: Any
+    _state: Mapping[str, Any] | None
     _ending = None
     events = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return open_archive, (self.path, self._given_system)
+        return solution_at, (self._archive.path, self._given_system)
+
+    def __repr__(self) -> str:
+        state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
+        content = self.progress_text if self._state is None else f"{self._arrays['time'].shape[0]} points"
+        return f"<archive {self.path}, {state}: {content}>"
 
     def check_complete(self) -> None:
         """Raise ArchiveError if committed chunks are missing, or the last chunks of growing arrays are damaged."""
@@ -83,8 +95,7 @@ class ArchivedSolution(StoredSolution):
         attributes, arrays = self.attributes, self._arrays
         coordinates = str(attributes.get("coordinates", "")).split()
         own = {name: value for name, value in attributes.items() if name != "coordinates"}
-        x0 = arrays["x0"]
-        axes = stored_axes(attributes, x0.shape[0] if x0.dims[0] == MEMBER else 1)
+        axes = stored_axes(attributes, self._archive.members)
         variables: dict[str, Any] = {}
         for name, array in arrays.items():
             if array.kind == "string":
@@ -129,35 +140,19 @@ class ArchivedSolution(StoredSolution):
         elapsed = float(self.attributes.get("elapsed", np.nan))
         return Statistics(self.reached, evaluations, iterations, float(seconds), elapsed)
 
-
-class ArchivedRun(ArchivedSolution):
-    """The solution in the archive of one run, whose members advance together."""
-
-    _state: Mapping[str, Any]
-
-    def __repr__(self) -> str:
-        state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
-        return f"<archive {self.path}, {state}: {self._arrays['time'].shape[0]} points>"
-
     @cached_property
     def initial(self) -> Mapping[str, Any]:
+        if self._state is None:
+            return super().initial
         values, single = self._state["initial"], self.failed is None
         return NamedValues({name: values[0, i] if single else values[:, i] for i, name in enumerate(self._names)})
 
     @cached_property
     def _worst(self) -> Floats:
+        if self._state is None:
+            return super()._worst
         worst = larger_deviations(self._state["earlier"], self._state[f"{STATE_PREFIX}worst"])
         return worst[0] if self.failed is None else worst
-
-
-class ArchivedEnsemble(ArchivedSolution):
-    """The solution in the archive of an ensemble in blocks.
-
-    All times are present from the beginning; values not computed yet are NaN, and `status` has the progress.
-    """
-
-    def __repr__(self) -> str:
-        return f"<archive {self.path}: {self.progress_text} are computed>"
 
     @cached_property
     def blocks(self) -> Sequence[Block]:  # type: ignore[override]
@@ -165,41 +160,60 @@ class ArchivedEnsemble(ArchivedSolution):
 
     @cached_property
     def status(self) -> NDArray[np.int64]:  # type: ignore[override]
-        return self._read(STATUS)
+        if STATUS in self._arrays:
+            return self._read(STATUS)
+        failed = bool(self.attributes.get("run_failed")) if self.failed is None else self.failed
+        return np.full(self._archive.members, np.where(failed, FAILED, DONE if self.finished else PENDING))
 
-    @property
-    def _pending_members(self) -> NDArray[np.bool_]:
-        return np.asarray(self.status == PENDING)
+    @cached_property
+    def _pending_members(self) -> NDArray[np.bool_] | None:
+        return np.asarray(self.status == PENDING) if self._state is None else None
 
     @cached_property
     def progress_text(self) -> str:  # type: ignore[override]
-        return f"{int(np.count_nonzero(~self._pending_members))} of {len(self.status)} members"
+        if self._state is not None:
+            return f"the run up to step {self.reached}"
+        return f"{int(np.count_nonzero(self.status != PENDING))} of {len(self.status)} members"
 
 
-def _opened(path: Path, system: Any) -> Solution:
+def _opened(path: Location, system: Any) -> Solution:
     """Return the solution in an archive as currently committed."""
     archive = Archive(path, *read_root(path))
     check_archive(archive)
-    fields = {"path": path, "attributes": archive.attributes, "_arrays": archive.arrays}
-    fields |= {"_archive": archive, "_given_system": system}
-    if BLOCK_SIZE_ATTRIBUTE in archive.attributes:
-        return ArchivedEnsemble(fields)
-    state = archive.read_state(archive.states[-1])
-    with as_archive_errors(path):
-        check_reported(state, archive.arrays)
-    return ArchivedRun(fields | {"_state": {name: state[name] for name in REPORTED_ARRAYS}})
+    fields: dict[str, Any] = {"path": getattr(path, "url", path), "_archive": archive}
+    fields |= {"attributes": archive.attributes, "_arrays": archive.arrays, "_given_system": system}
+    state = None
+    if not archive.has_blocks:
+        stored = archive.read_state(archive.states[-1])
+        with as_archive_errors(path):
+            check_reported(stored, archive)
+        state = {name: stored[name] for name in REPORTED_ARRAYS}
+    return ArchivedSolution(fields | {"_state": state})
+
+
+def solution_at(location: Location, system: Any = None) -> Solution:
+    """Return the solution in an archive as currently committed; see `open_archive`."""
+    require_packages("an archive of a run", "xarray", "zarr")
+    for attempt in range(ATTEMPTS):
+        try:
+            return _opened(location, system)
+        except ArchiveMoved as reason:  # a commit happened in between
+            if attempt == ATTEMPTS - 1:
+                raise ArchiveError(str(reason)) from None
+    raise AssertionError
 
 
 @suggest_keywords
-def open_archive(path: str | Path, system: Any = None) -> Solution:
+def open_archive(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     """Open the archive of a run, finished or not, also while it is written.
 
     `load` opens archives as well as files. Use this function to refuse anything but an archive.
 
     Parameters
     ----------
-    path : str or Path
-        The folder that ``integrate(..., archive=path)`` writes.
+    path : str, Path or mapping of fsspec
+        The folder that ``integrate(..., archive=path)`` writes, or a copy elsewhere: a URL that fsspec opens, such as
+        ``"s3://bucket/run.zarr"``, or for further options ``fsspec.get_mapper(url, ...)``.
     system : optional
         The system of the run, if it contains Python functions, which are not stored. It is needed only by attributes
         that use the system.
@@ -213,6 +227,8 @@ def open_archive(path: str | Path, system: Any = None) -> Solution:
     ------
     ArchiveError
         The archive is missing, damaged, or of a later format.
+    MissingPackageError
+        A package that the format or the URL needs is not installed.
 
     Examples
     --------
@@ -224,15 +240,7 @@ def open_archive(path: str | Path, system: Any = None) -> Solution:
     ...     co.open_archive(f"{folder}/run.zarr").x.shape
     (101, 3)
     """
-    require_packages("an archive of a run", "xarray", "zarr")
-    archive_path = read_archive_path(path)
-    for attempt in range(ATTEMPTS):
-        try:
-            return _opened(archive_path, system)
-        except ArchiveMoved as reason:  # a commit happened in between
-            if attempt == ATTEMPTS - 1:
-                raise ArchiveError(str(reason)) from None
-    raise AssertionError
+    return solution_at(read_location(path), system)
 
 
 def raise_if_failed(archive: Solution) -> Solution:

@@ -21,7 +21,6 @@ from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archive import (
     ACCOUNTS_ATTRIBUTE,
-    BLOCK_SIZE_ATTRIBUTE,
     FINISHED,
     FIRST_STEP,
     HIDDEN_FOLDER,
@@ -41,8 +40,7 @@ from coadjoint.files.archives.sinks import BlockSink
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables, start_variables
-from coadjoint.files.records.fingerprints import same_fingerprint
-from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
+from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE, same_fingerprint
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
@@ -403,7 +401,7 @@ def check_same_run(planned: PlannedRun, store: ArchiveStore) -> None:
     """Raise ArchiveError if the archive is that of another run, with the first difference."""
     start_solution, stored = planned.at_start().piece(), store.attributes
     own = planned.attributes(start_solution)
-    if BLOCK_SIZE_ATTRIBUTE not in stored:
+    if not store.has_blocks:
         raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
     differences = [
         f"{START_NAMES[name]} differs"
@@ -444,7 +442,7 @@ def unfinished_blocks(store: ArchiveStore) -> list[Block]:
 
 def finish_ensemble(store: ArchiveStore, began: float) -> None:
     """Mark the ensemble as finished in the root, with the time since its call began."""
-    heads, array = store.read_heads(), store.arrays["x0"]
+    heads = store.read_heads()
     attributes = total_progress(heads)
     attributes["elapsed"] = float(store.attributes.get("elapsed", 0.0)) + time.perf_counter() - began
     failures = [head for head in heads if head.get("run_failed")]
@@ -453,7 +451,7 @@ def finish_ensemble(store: ArchiveStore, began: float) -> None:
         attributes |= {name: value for name, value in first.items() if name.startswith(("run_failed", "failed_"))}
         if count:
             attributes["failed_reason"] = (
-                f"{count} of {array.shape[0]} members failed, the first of them is member {first['first_failed']}: "
+                f"{count} of {store.members} members failed, the first of them is member {first['first_failed']}: "
                 f"{first['failed_reason']}"
             )
     store.commit(attributes, {TIME: store.arrays[TIME].shape[0]})

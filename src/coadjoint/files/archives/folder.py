@@ -1,14 +1,20 @@
-"""File access within the folder of an archive, by plain names and never through symbolic links."""
+"""File access within the folder of an archive, by plain names and never through symbolic links.
+
+Folders elsewhere, in a file system of fsspec, can only be read.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
 import stat
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
+from coadjoint.errors import in_one_line
 from coadjoint.files.output.atomic_output import (
     TEMPORARY_SUFFIX,
     open_locked,
@@ -17,12 +23,16 @@ from coadjoint.files.output.atomic_output import (
     write_atomically,
 )
 from coadjoint.memory import check_available_memory
+from coadjoint.optional_packages import MissingPackageError, require_packages
+from coadjoint.short_repr import short
 
 USE_DIR_FD = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether files are opened relative to a descriptor of their folder. Windows has none, and locks folders in use."""
 NOT_REGULAR_REASON = "no regular file"
 READ_MEMORY_FACTOR = 2
 """Memory needed to read a file, per byte."""
+URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::[A-Za-z0-9+.-]+)*://")
+"""The beginning of a URL, also of a chained one of fsspec; a single letter is a drive of Windows."""
 
 
 class ArchiveFolder:
@@ -96,11 +106,7 @@ class ArchiveFolder:
                 status = os.fstat(content.fileno())
                 if not stat.S_ISREG(status.st_mode):
                     raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
-                if max_bytes is not None and status.st_size > max_bytes:
-                    raise ValueError(f"it has {status.st_size} bytes; the limit is {max_bytes}")
-                length = status.st_size if head is None else min(head, status.st_size)
-                check_available_memory(READ_MEMORY_FACTOR * length, "it")
-                return content.read(length)
+                return content.read(_length_to_read(status.st_size, max_bytes, head))
 
     def write(self, folder: str, file: str, content: bytes) -> None:
         """Replace a file atomically."""
@@ -148,3 +154,94 @@ class ArchiveFolder:
             except OSError:
                 reject_link(path, inside)
                 raise
+
+
+class RemoteFolder:
+    """The folder of an archive in a file system of fsspec, such as a bucket; its text is its URL."""
+
+    def __init__(self, filesystem: Any, root: str, url: str) -> None:
+        self.filesystem, self.root, self.url = filesystem, root.rstrip("/"), url
+
+    def __str__(self) -> str:
+        return in_one_line(self.url, 200)
+
+    def __enter__(self) -> RemoteFolder:
+        # Listings are cached by some file systems, also while another process commits.
+        self.filesystem.invalidate_cache()
+        return self
+
+    def __exit__(self, *ended: object) -> None:
+        pass
+
+    def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
+        """Return a file, as `ArchiveFolder.read`."""
+        path = "/".join(filter(None, (self.root, folder, file)))
+        with _as_os_errors():
+            status = self.filesystem.info(path)
+            linked = status.get("islink")
+            if folder and linked is False:  # a folder of this machine, within another file system
+                linked = self.filesystem.info(f"{self.root}/{folder}").get("islink")
+        size = status.get("size")
+        if status.get("type") != "file" or linked:
+            raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
+        if size is None or size < 0:
+            raise OSError(errno.EINVAL, "its length is unknown")
+        length = _length_to_read(size, max_bytes, head)
+        with _as_os_errors(), self.filesystem.open(path, "rb") as content:
+            return bytes(content.read(length))
+
+    def names(self, folder: str) -> set[str]:
+        """Return the names in a subfolder."""
+        with _as_os_errors():
+            paths = self.filesystem.ls(f"{self.root}/{folder}", detail=False)
+            return {path.rstrip("/").rpartition("/")[2] for path in paths}
+
+
+def is_url(value: Any) -> bool:
+    """Whether a value is the text of a URL."""
+    return isinstance(value, str) and URL.match(value) is not None
+
+
+def remote_folder(value: Any) -> RemoteFolder | Path | None:
+    """Return the folder at a URL or of a mapping of fsspec, a path if it is on this machine; None for other values."""
+    if hasattr(value, "fs") and hasattr(value, "root"):
+        filesystem, root, url = value.fs, value.root, value.fs.unstrip_protocol(value.root)
+    elif is_url(value):
+        require_packages(f"reading {short(value)}", "fsspec")
+        from fsspec.core import url_to_fs
+
+        try:
+            (filesystem, root), url = url_to_fs(value), value
+        except ImportError as reason:
+            problem = in_one_line(str(reason), 200)
+            raise MissingPackageError(f"{short(value)} needs a package that is not installed ({problem})") from None
+        except Exception as reason:  # file systems raise errors of any type
+            raise ValueError(f"{short(value)} is no URL that fsspec opens ({in_one_line(str(reason), 200)})") from None
+    else:
+        return None
+    from fsspec.implementations.local import LocalFileSystem
+
+    return Path(root) if isinstance(filesystem, LocalFileSystem) else RemoteFolder(filesystem, root, url)
+
+
+@contextmanager
+def _as_os_errors() -> Iterator[None]:
+    """Convert the errors of a file system of fsspec, which may be of any type, to OSError with `strerror`."""
+    try:
+        yield
+    except FileNotFoundError:
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from None
+    except MemoryError:
+        raise
+    except Exception as reason:
+        problem = getattr(reason, "strerror", None) or in_one_line(str(reason), 200) or type(reason).__name__
+        raise OSError(getattr(reason, "errno", None) or errno.EIO, problem) from reason
+
+
+def _length_to_read(size: int, max_bytes: int | None, head: int | None) -> int:
+    """Return how much of a file to read; ValueError: too long, or too little memory."""
+    if max_bytes is not None and size > max_bytes:
+        raise ValueError(f"it has {size} bytes; the limit is {max_bytes}")
+    length = size if head is None else min(head, size)
+    check_available_memory(READ_MEMORY_FACTOR * length, "it")
+    return length

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from coadjoint.files.archives.archive import (
     STEPS,
     Archive,
     ArchiveError,
+    Location,
     is_computed,
 )
 from coadjoint.files.archives.stored_arrays import StoredArray
@@ -50,7 +50,7 @@ RESERVED_NAMES = frozenset(
 
 
 @contextmanager
-def as_archive_errors(path: str | Path) -> Iterator[None]:
+def as_archive_errors(path: Location | str) -> Iterator[None]:
     """Convert errors caused by invalid content of an archive to `ArchiveError`."""
     try:
         yield
@@ -97,7 +97,7 @@ def check_archive(archive: Archive) -> None:
             raise entry["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
         sizes = _check_arrays(arrays, accounts)
         stored_axes(attributes, sizes.get(MEMBER, 1))
-        if BLOCK_SIZE_ATTRIBUTE in attributes:
+        if archive.has_blocks:
             size = entry[BLOCK_SIZE_ATTRIBUTE].integer(1)
             chunks = {a.chunk[a.dims.index(MEMBER)] for name, a in arrays.items() if is_computed(name, a)}
             if not chunks <= {size}:
@@ -158,10 +158,9 @@ def _check_states(entry: Entry, archive: Archive, times: Times, rows: int) -> in
     return min(rows, expected) if attributes.get("run_failed") else expected
 
 
-def check_reported(stored: Mapping[str, NDArray[Any]], arrays: Mapping[str, StoredArray]) -> None:
+def check_reported(stored: Mapping[str, NDArray[Any]], archive: Archive) -> None:
     """Raise ValueError unless the numbers of a state match the invariants of the run."""
-    members = arrays["x0"].shape[0] if arrays["x0"].dims[0] == MEMBER else 1
-    tenths, invariants = (arrays[name].shape[0] for name in ("tenth", "invariant"))
+    members, (tenths, invariants) = archive.members, (archive.arrays[name].shape[0] for name in ("tenth", "invariant"))
     # The balances of invariants that forces change follow the invariants.
     columns = max(invariants, stored["initial"].shape[-1] if stored["initial"].ndim else 0)
     shapes: dict[str, tuple[int, ...]] = {"initial": (members, columns)}

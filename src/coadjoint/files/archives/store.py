@@ -82,6 +82,8 @@ def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str,
 class ArchiveStore(Archive):
     """An archive open for writing; `arrays` and `attributes` are those of the last commit."""
 
+    path: Path
+
     def __init__(
         self,
         path: Path,

@@ -1,13 +1,15 @@
-"""Construction of the system and the scheme of a configuration file, and the errors of configuration files."""
+"""Systems, schemes and initial states of configuration files, and the errors of configuration files."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.brackets import parse_brackets
@@ -28,7 +30,9 @@ from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
-from coadjoint.validation import from_description, read_choice
+from coadjoint.validation import check_parameters, from_description, read_array_file, read_choice
+
+NPY_SUFFIX = ".npy"
 
 
 def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) -> Polynomial:
@@ -74,7 +78,7 @@ MAX_LENGTH = 300  # characters of a problem in an error, some lines of a termina
 BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 
 if TYPE_CHECKING:
-    from coadjoint.files.configuration.models import AlgebraTable, File, HamiltonianTable
+    from coadjoint.files.configuration.models import AlgebraTable, File, HamiltonianTable, InitialTable
 
 
 class ConfigurationError(OneLineError):
@@ -120,7 +124,7 @@ def system_of_file(name: str, file: File) -> System:
     system, forces = _hamiltonian_part(name, file), []
     for k, description in enumerate(file.forces):
         with section(name, f"forces[{k}]"):
-            forces.append(from_description("force", described.KINDS, description))
+            forces.append(from_description("force", described.kinds(), description))
     with section(name, "forces"):
         return system.with_forces(*forces) if forces else system
 
@@ -341,3 +345,71 @@ def join_messages(messages: Sequence[str]) -> str:
     reported, omitted = unique[:MAX_REPORTED], len(unique) - MAX_REPORTED
     lines = [in_one_line(message, MAX_LINE_LENGTH // len(reported)) for message in reported]
     return "; and ".join([*lines, *([f"{omitted} more"] if omitted > 0 else [])])
+
+
+def initial_state(system: Any, value: Any, folder: Path) -> Any:
+    """Return the initial state or states as `integrate` takes them, from numbers or a file ``.npy``.
+
+    Relative file names begin at `folder`. Entries of complex matrices may be pairs of real and imaginary part.
+
+    Examples
+    --------
+    >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
+    >>> initial_state(sphere_euler(N=2), [[[0, 1], [2, 0]], [[-2, 0], [0, -1]]], Path()).tolist()
+    [[1j, (2+0j)], [(-2+0j), -1j]]
+    """
+    if isinstance(value, str):
+        return array_of_file(folder / value, value)
+    if not system.has_matrices or not system.complex:
+        return value
+    array = np.array(value, dtype=np.float64)
+    pairs = array.ndim > 2 and array.shape[-1] == 2 and array.shape[-3:-1] == system.algebra.shape
+    return array[..., 0] + 1j * array[..., 1] if pairs else array
+
+
+def array_of_file(path: Path, named: str) -> NDArray[Any]:
+    """Return the array of numbers in a file ``.npy``, without unpickling; errors refer to the file as `named`."""
+    if path.suffix != NPY_SUFFIX:
+        raise ValueError(f"{short(named)} is no state; give numbers, or the name of a file {NPY_SUFFIX}")
+    try:
+        return read_array_file(path, named)
+    except OSError as reason:
+        raise ValueError(f"{short(named)} cannot be read ({reason.strerror or reason})") from None
+
+
+def check_named(name: str, file: File) -> None:
+    """Reject a named state without a ready-made system; ConfigurationError with the key."""
+    if file.initial.kind is not None and file.system is None:
+        raise ConfigurationError(f"{name}: initial.kind: only ready-made systems have named states; give x")
+
+
+def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
+    """Return the named initial state of a file, or None if the file names none.
+
+    Systems list named states in ``states_by_name``, and have a method for each. A relative ``path`` begins at the
+    folder of the file. ConfigurationError: unknown state or parameter, or an invalid value.
+    """
+    from coadjoint.files.configuration.models import keys_by_table, unknown_key
+
+    if table.kind is None:
+        return None
+    family = system.unforced
+    with section(name, "initial.kind"):
+        if not (known := getattr(family, "states_by_name", ())):
+            raise ValueError(f"{family.name} has no named initial states; give x")
+        function = getattr(family, read_choice(table.kind, "initial state", known))
+    parameters = inspect.signature(function).parameters
+    for key in table.parameters:
+        if key not in parameters:
+            elsewhere = {table: keys for table, keys in keys_by_table().items() if table != "[initial]"}
+            raise ConfigurationError(f"{name}: initial.{key}: {unknown_key(key, parameters, elsewhere)}")
+    arguments = dict(table.parameters)
+    if isinstance(arguments.get("path"), str):
+        arguments["path"] = str(Path(name).parent / arguments["path"])
+    with section(name, "initial"):
+        required = [key for key, parameter in parameters.items() if parameter.default is inspect.Parameter.empty]
+        check_parameters(table.kind, arguments, parameters, required)
+        try:
+            return function(**arguments)
+        except OSError as reason:
+            raise ValueError(f"{reason.filename or table.kind}: {reason.strerror or reason}") from None

@@ -66,7 +66,8 @@ class Plan:
         if run.swept:
             yield "swept", in_one_line(", ".join(run.swept), 200)
         choice_text = "" if run.choice is None else f"; chosen, expected error {run.choice.error:.1e}"
-        yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {run.method.order}{choice_text}"
+        order = effective_scheme(run.system, run.method).order
+        yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {order}{choice_text}"
         yield "keeps", conserved_quantities(self.properties)
         start, end = run.t_span
         size = abs(end - start) / self.steps if self.steps else run.step

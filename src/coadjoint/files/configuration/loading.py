@@ -12,13 +12,15 @@ from coadjoint.files.configuration.configuration import Configuration, check_arc
 from coadjoint.files.configuration.construction import (
     ConfigurationError,
     ErrorCollector,
+    check_named,
+    initial_state,
     join_messages,
     method_of_file,
     parse_polynomial,
     section,
+    state_by_name,
     system_of_file,
 )
-from coadjoint.files.configuration.initial_states import check_named, initial_state, state_by_name
 from coadjoint.files.configuration.parsing import ValidTables, parse_toml, read_utf8, valid_tables
 from coadjoint.files.configuration.sweeps import Sweep, read_sweep, swept_states, swept_system
 from coadjoint.files.records.stored_events import event_of_file

@@ -189,9 +189,9 @@ def _schemes() -> Iterator[Schema]:
 
 def _forces() -> Iterator[Schema]:
     for name in described.names():
-        parameters = inspect.signature(described.KINDS[name]).parameters.values()
+        parameters = inspect.signature(described.kinds()[name]).parameters.values()
         if not any(str(parameter.annotation).startswith("Callable") for parameter in parameters):
-            yield _table_of_callable(name, described.KINDS[name])
+            yield _table_of_callable(name, described.kinds()[name])
 
 
 def _states(keys: Mapping[str, Schema]) -> Iterator[Schema]:

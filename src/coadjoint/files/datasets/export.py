@@ -1,4 +1,4 @@
-"""Solutions as xarray datasets, with the attributes needed to repeat a run."""
+"""Solutions as xarray datasets, with the attributes needed to repeat a run, and as tables of pandas."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from coadjoint.files.datasets.variables import (
     state_of,
     summary_variables,
     time_variables,
+    vorticity_variables,
 )
-from coadjoint.files.datasets.vorticity_variables import vorticity_variables
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.records import record_of, system_of
 from coadjoint.files.records.stored_events import event_record, events_of, not_stored, variables_of
@@ -36,9 +36,13 @@ from coadjoint.runs.events import Event
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import coordinate_names
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray
+
+    from coadjoint.runs.results.solution import Solution
 
 REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
@@ -352,3 +356,39 @@ def _coadjoint_start(dataset: xarray.Dataset) -> NDArray[np.float64] | None:
         return None
     element = state_of(dataset, "attitude0", STATE_DIMENSIONS[1:2])
     return None if np.array_equal(element, np.broadcast_to(np.eye(element.shape[-1]), element.shape)) else element
+
+
+def table_of(solution: Solution) -> pd.DataFrame:
+    """Return a solution as a table; see `Solution.to_pandas`."""
+    require_packages("a table of a solution", "pandas")
+    import pandas as pd
+
+    system: Any = solution.system.of_member(0).unforced
+    k, members = len(solution.t), None if solution.failed is None else len(solution.failed)
+    shape = system.shape
+    count = int(np.prod(shape))
+    states = solution.x.reshape(k, -1, count)
+    columns: dict[str, Any] = {name: states[..., i] for i, name in enumerate(_names(system, shape, count))}
+    observed = {name: np.asarray(values) for name, values in solution.observed.items()}
+    numbers = {name: values for name, values in observed.items() if values.ndim == (1 if members is None else 2)}
+    invariants = {"energy": solution.energy, **solution.casimirs}
+    for what, series in (("invariant", invariants), ("observed", numbers)):
+        for name, values in series.items():
+            # Names of coordinates, invariants and observed quantities may be equal.
+            columns[f"{what} {name}" if name in columns else name] = values.reshape(k, -1)
+    if members is None:
+        return pd.DataFrame({name: values[:, 0] for name, values in columns.items()}, index=_times(solution))
+    index = pd.MultiIndex.from_product([range(members), solution.t], names=["member", "time"])
+    return pd.DataFrame({name: values.T.ravel() for name, values in columns.items()}, index=index)
+
+
+def _names(system: Any, shape: tuple[int, ...], count: int) -> tuple[str, ...]:
+    if system.has_matrices:
+        return tuple("W" + ",".join(str(i + 1) for i in entry) for entry in np.ndindex(*shape))
+    return coordinate_names(system, count)
+
+
+def _times(solution: Solution) -> Any:
+    import pandas as pd
+
+    return pd.Index(solution.t, name="time")

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.archive import HIDDEN_FOLDER
-from coadjoint.files.archives.archived_solution import open_archive
+from coadjoint.files.archives.archived_solution import solution_at
+from coadjoint.files.archives.folder import remote_folder
 from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.export import (
     ENDED_ATTRIBUTE,
@@ -25,7 +26,7 @@ from coadjoint.files.datasets.export import (
 )
 from coadjoint.files.datasets.named_axes import stacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
-from coadjoint.files.datasets.vorticity_variables import with_vorticity
+from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
@@ -155,7 +156,7 @@ def _invariants_at(system: Any, x: NDArray[Any], t: float) -> dict[str, Any]:
 
 
 @suggest_keywords
-def load(path: str | Path, system: Any = None) -> Solution:
+def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     """Open a run that was written to a file or a folder.
 
     Files written by ``sol.to_xarray().to_netcdf(path)``, ``to_zarr`` and `coadjoint run` are read into memory; an
@@ -163,8 +164,9 @@ def load(path: str | Path, system: Any = None) -> Solution:
 
     Parameters
     ----------
-    path : str or Path
+    path : str, Path or mapping of fsspec
         A file ``.nc``, a folder ``.zarr``, or an archive. The kind is detected from the content, not from the name.
+        From URLs and mappings of fsspec only archives are read, as by `open_archive`.
     system : optional
         The system of the run, if it contains Python functions, which are not stored. It is needed only by attributes
         that use the system.
@@ -200,11 +202,13 @@ def load(path: str | Path, system: Any = None) -> Solution:
     >>> bool((again.x == sol.x).all()), again.drift() == sol.drift(), again.method
     (True, True, Splitting(order=2...))
     """
-    source = read_path(path, "path")
+    source = remote_folder(path) or read_path(path, "path")
+    if not isinstance(source, Path):
+        return solution_at(source, system)
     shown = in_one_line(str(source), 200)
     try:
         if (source / HIDDEN_FOLDER).is_dir():
-            return open_archive(source, system)
+            return solution_at(source, system)
         engine, packages = _reader(source)
     except (OSError, ValueError) as reason:
         if isinstance(reason, OneLineError):

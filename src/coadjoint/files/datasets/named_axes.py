@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.files.records.entries import parsed
-from coadjoint.files.records.stored_axes import Axes, axes_of_record, axes_record
+from coadjoint.files.records.reconstruction import Axes, axes_of_record
+from coadjoint.files.records.records import axes_record
 from coadjoint.systems.batch import SUFFIX, Axis
 
 if TYPE_CHECKING:

@@ -6,16 +6,15 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.files.exports.c_flows import ATTITUDE, PartsInC
-from coadjoint.files.exports.c_runtime import includes, runtime
+from coadjoint.files.exports.c_runtime import FREE_BODY, includes, runtime
 from coadjoint.files.exports.c_stages import StagesInC
 from coadjoint.files.exports.c_statements import VECTORS, WIDTH, Inputs, Value, block, function, repeated, wrapped
-from coadjoint.files.exports.headers import FREE_BODY
 from coadjoint.files.output.output_files import write_header
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop
@@ -25,6 +24,7 @@ from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.methods.forced import Forced
 from coadjoint.program.blocks import Kind
 from coadjoint.program.term_table import FUNCTION, Terms
 from coadjoint.runs.inputs import InputLoops
@@ -204,14 +204,22 @@ class _Numbers:
 def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
     """Return the loop of a run of step 1, whose flows have the lengths of the coefficients, and its numbers."""
     if not isinstance(prepared, PreparedRun):
-        raise TypeError(f"{short(prepared)} is no prepared run; give that of `prepare`")
+        raise TypeError(f"{short(prepared)} is no prepared run; give co.prepare(system, method, step)")
     system, scheme = prepared.system, prepared.scheme
     if system.is_batch:
-        raise TypeError("a batch has several systems, and one is exported; prepare the system of a member")
+        raise TypeError(f"the {system.name} has several systems, and one is exported; prepare the system of a member")
     if system.has_matrices:
-        raise TypeError(f"{system.name} has matrices as states, which are multiplied by BLAS; it cannot be exported")
+        raise TypeError(
+            f"{system.name} has matrices as states, which are multiplied by BLAS and not exported; give a system on a "
+            "Lie algebra, whose states are vectors"
+        )
     if system.unforced.algebra is None:
-        raise TypeError(f"{system.name} has a structure matrix that is a function, which cannot be exported")
+        raise TypeError(
+            f"{system.name} has a structure matrix that is a function, which cannot be exported; give a "
+            "LiePoissonSystem, with structure constants"
+        )
+    if system.forces:  # substeps multiply the step, as those of the library
+        scheme = Forced(cast(Forced, scheme).inner)
     if prepared.inputs is None:
         return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
     loops = InputLoops(prepared.inputs, scheme, 1.0, prepared.representation)
@@ -229,7 +237,7 @@ def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, s
     if tables.has_sums:
         raise TypeError(
             f"inputs of {prepared.system.name} enter completed squares of several coordinates, which cannot be "
-            "exported; prepare it without inputs"
+            'exported; take Splitting(parts="coordinates"), or prepare it without inputs'
         )
     return found
 
@@ -246,24 +254,27 @@ def _exported(
     if forced:
         return _forced(prepared, loop, numbers, inputs, tangent)
     raise TypeError(
-        f"{prepared.method} is neither a splitting nor an explicit Runge-Kutta method, so it cannot be exported"
+        f"{prepared.method} is neither a splitting nor an explicit Runge-Kutta method, so it cannot be exported; take "
+        "Splitting or ExplicitRungeKutta"
     )
 
 
 def _check_attitude(prepared: PreparedRun, loop: CompiledLoop) -> None:
     """Raise TypeError for group elements that need more than the flows of a table."""
-    tables = loop.tables
-    if type(tables) is not FlowTables:
-        why = f"{prepared.method} is no splitting without forces"
+    tables, instead = loop.tables, "take Splitting(parts='free_body')"
+    if prepared.system.forces:
+        why, instead = "the system has forces", "take co.systems.body, whose state contains the attitude"
+    elif type(tables) is not FlowTables:
+        why = f"{prepared.method} is no splitting"
     elif loop.shift:
-        why = "its parts turn by other angles than the state, since Casimirs were subtracted from the energy"
+        why = "Casimirs were subtracted from the energy, so that the parts turn it by other angles than the state"
     elif tables.bent.any() or (tables.group.kind % limit("RATIONAL") == Kind.SERIES).any():
         why = "its blocks are series, or its rotations are not rational as those of the state are"
     else:
         return
     raise TypeError(
-        f"the attitude, a group element, cannot be exported: {why}; prepare the run without, take "
-        "Splitting(parts='free_body'), or co.systems.body, whose state contains the attitude"
+        f"the attitude of {prepared.system.name}, a group element, cannot be exported: {why}; {instead}, or prepare "
+        "the run without attitude="
     )
 
 
@@ -271,11 +282,15 @@ def check_terms(prepared: PreparedRun, terms: Terms) -> None:
     """Raise TypeError for energies with functions, or with more numbers than are exported."""
     if (terms.kind == FUNCTION).any():
         raise TypeError(
-            f"the energy of {prepared.system.name} has a function, which cannot be exported; only polynomials can"
+            f"the energy of {prepared.system.name} has a function that is no polynomial and cannot be exported; give "
+            "a polynomial near it, or call the run from Python"
         )
     size = len(terms.weight) + len(terms.coefficient)
     if size > MOST_NUMBERS:
-        raise TypeError(f"the energy of {prepared.system.name} has {size} numbers; at most {MOST_NUMBERS} are exported")
+        raise TypeError(
+            f"the energy of {prepared.system.name} has {size} numbers, and at most {MOST_NUMBERS} are exported; give a "
+            "smaller system"
+        )
 
 
 def _splitting(prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
@@ -335,7 +350,7 @@ def _stages(
     solver = {value: key for key, value in codes("Solver").items()}[tables.solver]
     if solver not in ("EXPLICIT", "ITERATED"):
         raise TypeError(
-            f"{prepared.method} solves equations in each step, so it cannot be exported; take a splitting or "
+            f"{prepared.method} solves equations in each step, so it cannot be exported; take Splitting or "
             "ExplicitRungeKutta"
         )
     terms = tables.field.terms
@@ -352,7 +367,7 @@ def _stages(
 
 
 def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
-    """Half flows of the forces, a step of the scheme, and half flows in reversed order."""
+    """Half flows of the forces, a step of the scheme, and half flows in reversed order, at fractions of the step."""
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
     forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]
     if inner.compensated:
@@ -364,10 +379,13 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs
         lines += function(f"force_{k}", f"double *x{declared}, double tau", flow)
         if tangent:
             lines += function(f"force_change_{k}", "double *v, double tau", change)
-    x, numbered = f"x{inputs.passed}", range(len(forces))
+    x, numbered, fractions = f"x{inputs.passed}", range(len(forces)), prepared.scheme.fractions
     forward = [f"coadjoint_force_{k}({x}, 0.5 * h);" for k in numbered]
     lines += function("inner_step", f"double *x{declared}, double h", inner.step)
     step = [*forward, f"coadjoint_inner_step({x}, h);", *forward[::-1]]
+    if len(fractions) > 1:
+        lines += function("substep", f"double *x{declared}, double h", step)
+        step = [f"coadjoint_substep({x}, {c!r} * h);" for c in fractions]
     steps = [f"for (; steps > 0; --steps) coadjoint_step({x}, h);"]
     changed: list[str] = []
     if tangent:
@@ -377,6 +395,9 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs
         half = [[*block(each, [moved[k]]), forward[k]] for k in numbered]
         middle = f"coadjoint_inner_change(x, v, vectors{inputs.passed}, h);"
         changed = [*(line for one in half for line in one), middle, *(line for one in half[::-1] for line in one)]
+        if len(fractions) > 1:
+            lines += function("subchange", f"double *x, {VECTORS}{declared}, double h", changed)
+            changed = [f"coadjoint_subchange(x, v, vectors{inputs.passed}, {c!r} * h);" for c in fractions]
     return Exported(lines, step, steps, changed, inner.widest)
 
 
@@ -388,7 +409,10 @@ def _flow_of_force(label: str, table: ForceTable, numbers: _Numbers, n: int) -> 
         numbers.check_constant(table, ("aim",), label)
         return repeated("x[{i}] = coadjoint_fma(tau, {b}, x[{i}]);", {"i": range(n), "b": aim[:n]}), []
     if table.kind != kinds["DAMPING"]:
-        raise TypeError(f"the flow of {label} is not exact, or it is a function; it cannot be exported")
+        raise TypeError(
+            f"{label} is random, nonlinear or a function, and its flow cannot be exported; take LinearDamping or a "
+            "constant Torque, which may be an input that each call sets: inputs={'torque': 'Torque'}"
+        )
     if table.shape == shapes["FULL"]:
         raise TypeError(f"the rate of {label} is a matrix, which cannot be exported; give a number for each coordinate")
     rates = table.rate.tolist() * (n if table.shape == shapes["MULTIPLE"] else 1)

@@ -1,4 +1,4 @@
-"""The functions of C that exported runs call: those of the kernels, for one number."""
+"""Headers of C in the package, and the functions of them that exported runs call: those of kernels, for one number."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import re
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-
-from coadjoint.files.exports.headers import FREE_BODY
 
 SECTION = re.compile(r"^/\* \[(\w+)\] \*/\n", re.MULTILINE)
 NAME = re.compile(r"\bcoadjoint_\w+")
@@ -40,6 +38,8 @@ double fma(double a, double b, double c);
 #pragma GCC optimize("fp-contract=off")
 #endif
 """
+
+FREE_BODY = Path(__file__).with_name("coadjoint.h")
 
 
 def includes(defined: Sequence[str]) -> str:
@@ -84,3 +84,18 @@ def runtime(body: str) -> str:
                 needed.add(section)
                 pending.append(sections[section])
     return "\n".join(sections[name].strip() + "\n" for name in sections if name in needed)
+
+
+def free_body_header(name: str = FREE_BODY.name) -> str:
+    """Return the header of free bodies for a file of this name, which includes itself by its name.
+
+    ValueError if a name cannot be included.
+
+    Examples
+    --------
+    >>> '#include "body.h"' in free_body_header("body.h")
+    True
+    """
+    if not name.isprintable() or any(sign in name for sign in '"\\'):
+        raise ValueError(f"{name!r} cannot be included; give a name without quotes, backslashes and control characters")
+    return FREE_BODY.read_text(encoding="utf-8").replace(f'#include "{FREE_BODY.name}"', f'#include "{name}"')

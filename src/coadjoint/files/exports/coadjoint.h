@@ -18,8 +18,8 @@ OTHERWISE, ARISING FROM, OUT OF OR IN CONNECTION WITH THE SOFTWARE OR THE USE OR
 Conventions. x[3] is the angular momentum along the principal axes of the body and m[3] the inverse principal moments of
 inertia, of any order and sign; 0 forbids rotation about the axis, as for a rod. w[i] = m[i] x[i] is the angular
 velocity, and x' = x cross w. The attitude takes body to space coordinates: a unit quaternion q = (w, x, y, z), or a
-matrix A[9] in rows with A' = A hat(w). The time h has either sign. Results replace x and the attitude. The names of
-float versions end in f.
+matrix A[9] in rows with A' = A hat(w). The time h has either sign. Results replace x and the attitude. Units are those
+of the caller, such as kg m^2/s, 1/(kg m^2) and s; angles are in radians. The names of float versions end in f.
 
     coadjoint_body_step(m, h, x, q)             momentum and quaternion, which is normalized
     coadjoint_body_step_matrix(m, h, x, A)      momentum and matrix, whose columns are made orthonormal to rounding
@@ -31,7 +31,8 @@ float versions end in f.
 Each returns the number of pieces of time in the step: the largest |m[j] - m[k]| |x| |h| / 0.1875 (float: 0.5), rounded
 up. With u = 2^-53 (float: 2^-24), rounding in a piece is at most 3 u |x| in x and 10 u (1 + angle) in the matrix R.
 Beyond 65536 pieces or 2^30 radians (float: 2^20), and for numbers that are not finite, it returns 0, and all results
-are NaN.
+are NaN. Nothing is allocated or shared between calls, the stack needs less than 4 kilobytes, and every loop is bounded:
+the time of a step is proportional to the number of pieces.
 
 Method: the addition theorem of Weierstrass's elliptic functions, and Lobatto's rule for the angle about the momentum.
 Sines and cosines are computed here: without fused products (-ffp-contract=off) all compilers give the same bits. Do not
@@ -133,7 +134,10 @@ static inline void coadjoint_(sincos)(coadjoint_real t, coadjoint_real *sine, co
     const long n = (long)(turns + (turns < 0 ? -coadjoint_n(0.5) : coadjoint_n(0.5)));
     const coadjoint_real k = (coadjoint_real)n, y = t - k * P[0] - k * P[1] - k * P[2], u = y * y;
     coadjoint_real odd = S[5], even = C[5];
-    for (int i = 4; i >= 0; --i) odd = odd * u + S[i], even = even * u + C[i];
+    for (int i = 4; i >= 0; --i) {
+        odd = odd * u + S[i];
+        even = even * u + C[i];
+    }
     odd = y + y * (u * odd);
     even = 1 - (u * coadjoint_n(0.5) - u * u * even);
     *sine = n & 1 ? even : odd;
@@ -207,9 +211,15 @@ static inline void coadjoint_(move)(const coadjoint_real *m, const coadjoint_rea
     struct coadjoint_(piece) b;
     coadjoint_real x[3], c[COADJOINT_POINTS][3], d[COADJOINT_POINTS][9], gradient[COADJOINT_POINTS][3];
     coadjoint_real rates[COADJOINT_POINTS], start, u[3], v[3], Q, sine, cosine, whole, length, *change = c[LAST];
-    for (int i = 0; i < 3; ++i) b.m[i] = m[i], b.a[i] = a[i], b.z[i] = z[i], b.w[i] = m[i] * z[i];
-    for (int i = 0; i < 3; ++i) b.across[i] = a[i] * (z[(i + 1) % 3] * z[(i + 2) % 3]);
-    for (int i = 0; i < 3; ++i) b.p[i] = a[(i + 1) % 3] * a[(i + 2) % 3] * (z[i] * z[i]);
+    for (int i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        b.m[i] = m[i];
+        b.a[i] = a[i];
+        b.z[i] = z[i];
+        b.w[i] = m[i] * z[i];
+        b.across[i] = a[i] * (z[j] * z[k]);
+        b.p[i] = a[j] * a[k] * (z[i] * z[i]);
+    }
     b.middle = (b.p[0] + b.p[1] + b.p[2]) * coadjoint_n(0.33333333333333333);
     for (int i = 0; i < 3; ++i) b.e[i] = b.middle - b.p[i];
     b.energy = coadjoint_(dot)(b.w, z);
@@ -240,7 +250,10 @@ static inline void coadjoint_(move)(const coadjoint_real *m, const coadjoint_rea
         for (int l = 0; l < 3; ++l) {
             coadjoint_real column[3], across[3], U = 2 * u[l];
             coadjoint_real along = WEIGHTS[LAST] * 2 * (m[l] - start) * z[l] / b.length2; /* of the start */
-            for (int i = 0; i < 3; ++i) column[i] = d[LAST][3 * i + l] - E[3 * l + i], U += u[i] * d[LAST][3 * i + l];
+            for (int i = 0; i < 3; ++i) {
+                column[i] = d[LAST][3 * i + l] - E[3 * l + i];
+                U += u[i] * d[LAST][3 * i + l];
+            }
             for (int k = 0; k <= LAST; ++k) along += WEIGHTS[k] * gradient[k][l];
             along = along * b.length2 + Q * z[l] - U / (coadjoint_(dot)(z, x) + b.length2);
             coadjoint_(cross)(x, column, across);
@@ -258,8 +271,15 @@ static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoin
                                              coadjoint_real r[4], coadjoint_real *J, coadjoint_real *G) {
     coadjoint_real n[3] = {m[0], m[1], m[2]}, a[3], z[3] = {x[0], x[1], x[2]}, length, reach = 0, angle = 0;
     long kx = coadjoint_(scale)(z, 3), k = kx + coadjoint_(scale)(n, 3) + coadjoint_(scale)(&h, 1), less = 0, count;
-    if (z[0] == 0 && z[1] == 0 && z[2] == 0) z[0] = 1, k -= 1000, kx = -1000; /* at rest: below any number */
-    if (k < -5) less = k + 5, k = -5; /* the motion is linear in the time to rounding; its squares would underflow */
+    if (z[0] == 0 && z[1] == 0 && z[2] == 0) { /* at rest: below any number */
+        z[0] = 1;
+        k -= 1000;
+        kx = -1000;
+    }
+    if (k < -5) { /* the motion is linear in the time to rounding; its squares would underflow */
+        less = k + 5;
+        k = -5;
+    }
     length = coadjoint_sqrt(coadjoint_(dot)(z, z));
     for (int i = 0; i < 3; ++i) a[i] = coadjoint_(power)((n[(i + 2) % 3] - n[(i + 1) % 3]) * h, k);
     for (int i = 0; i < 3; ++i) {
@@ -269,11 +289,15 @@ static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoin
     }
     count = reach < 65536 && angle < COADJOINT_TURN ? (long)reach + 1 : 0;
     if (!count) {
-        for (int i = 0; i < 3; ++i) x[i] = r[i] = r[3] = NAN;
-        for (int i = 0; i < 9 && J; ++i) J[i] = G[i] = NAN;
+        for (int i = 0; i < 3; ++i) x[i] = (coadjoint_real)NAN;
+        for (int i = 0; i < 4; ++i) r[i] = (coadjoint_real)NAN;
+        for (int i = 0; i < 9 && J; ++i) J[i] = G[i] = (coadjoint_real)NAN;
         return 0;
     }
-    for (int i = 0; i < 3; ++i) n[i] /= (coadjoint_real)count, a[i] /= (coadjoint_real)count;
+    for (int i = 0; i < 3; ++i) {
+        n[i] /= (coadjoint_real)count;
+        a[i] /= (coadjoint_real)count;
+    }
     coadjoint_(move)(n, a, z, r, J, G);
     for (long piece = 1; piece < count; ++piece) {
         coadjoint_real p[4], q[4] = {r[0], r[1], r[2], r[3]}, Jp[9], Gp[9], E[9], one[9], other[9];
@@ -290,7 +314,10 @@ static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoin
             for (int i = 0; i < 9; ++i) J[i] = other[i];
         }
     }
-    for (int i = 0; i < 3; ++i) x[i] = coadjoint_(power)(z[i], kx), r[1 + i] = coadjoint_(power)(r[1 + i], less);
+    for (int i = 0; i < 3; ++i) {
+        x[i] = coadjoint_(power)(z[i], kx);
+        r[1 + i] = coadjoint_(power)(r[1 + i], less);
+    }
     for (int i = 0; i < 9 && J; ++i) {
         G[i] = coadjoint_(power)(G[i], less - kx);
         if (i % 4) J[i] = coadjoint_(power)(J[i], less);
@@ -334,7 +361,10 @@ static inline long coadjoint_(body_step_velocity)(const coadjoint_real inertia[3
                                                   coadjoint_real w[3], coadjoint_real q[4]) {
     coadjoint_real m[3];
     long count;
-    for (int i = 0; i < 3; ++i) m[i] = inertia[i] == 0 ? 0 : 1 / inertia[i], w[i] *= inertia[i];
+    for (int i = 0; i < 3; ++i) {
+        m[i] = inertia[i] == 0 ? 0 : 1 / inertia[i];
+        w[i] *= inertia[i];
+    }
     count = coadjoint_(body_step)(m, h, w, q);
     for (int i = 0; i < 3; ++i) w[i] *= m[i];
     return count;

@@ -78,7 +78,7 @@ def table_text(prepared: PreparedRun) -> str:
         given = next(name for name, has in further.items() if has)
         raise TypeError(f"the run has {given}, which a table does not contain; prepare it without, or take co.export_c")
     if type(loop.tables) is not FlowTables:
-        raise TypeError(f"{prepared.method} is not made of exact flows, so it has no table; take a splitting")
+        raise TypeError(f"{prepared.method} is not made of exact flows, so it has no table; take Splitting")
     program = scheme.program(system)
     check_terms(prepared, program.terms)
     compensated = loop.tables.compensated

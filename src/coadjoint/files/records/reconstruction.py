@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Mapping
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,9 @@ from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors
 from coadjoint.files.records.matrix_records import matrix_system_of
-from coadjoint.files.records.stored_axes import axes_of_record
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -26,6 +26,8 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
 from coadjoint.validation import from_description
+
+Axes = dict[str, Axis]
 
 BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 BYTES_PER_MEMBER = 100  # of a batch; a reference and its start
@@ -61,6 +63,23 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
         return Batch(members, axes)
 
 
+def axes_of_record(record: Entry, members: int) -> Axes:
+    """Return the axes of a record; ValueError unless they have as many combinations as members."""
+    axes: Axes = {}
+    for entry in record.entries():
+        name, length, values = entry.entries(3)
+        with as_value_errors(name):
+            check_axis_name(name.text(), axes)
+        count = length.integer(1)
+        array = None if values.value is None else axis_coordinates([value.plain() for value in values.entries(count)])
+        if values.value is not None and array is None:
+            raise values.invalid_error("a list of numbers or text, or null")
+        axes[name.text()] = Axis(count, array)
+    if axes and prod(axis.length for axis in axes.values()) != members:
+        raise record.invalid_error(f"axes with {members} combinations")
+    return axes
+
+
 def _system_of(record: Entry, dim: int | None) -> System:
     if "forces" not in record:
         return _unforced_system_of(record, dim)
@@ -70,7 +89,7 @@ def _system_of(record: Entry, dim: int | None) -> System:
     for force in record["forces"].entries():
         parameters = {key: entry.plain() for key, entry in force.table().items()}
         with as_value_errors(force):
-            forces.append(from_description("force", described.KINDS, parameters))
+            forces.append(from_description("force", described.kinds(), parameters))
     system = _unforced_system_of(record["system"], dim)
     with as_value_errors(record["forces"]):
         return system.with_forces(*forces)

@@ -14,9 +14,8 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL
 from coadjoint.files.records.matrix_records import matrix_record
 from coadjoint.files.records.reconstruction import system_of
-from coadjoint.files.records.stored_axes import axes_record
 from coadjoint.short_repr import plain
-from coadjoint.systems.batch import Batch
+from coadjoint.systems.batch import Axis, Batch
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, formula_of
@@ -160,7 +159,7 @@ def _forced_record(system: System) -> dict[str, Any]:
 def _force_record(force: Force) -> dict[str, Any] | None:
     """Return the name and the parameters of a force, and of a law in it; None if there is a function in it."""
     record: dict[str, Any] = {"name": type(force).__name__}
-    if described.KINDS.get(record["name"]) is not type(force):
+    if described.kinds().get(record["name"]) is not type(force):
         return None
     for key, value in force.parameters().items():
         entry = _force_record(value) if isinstance(value, Force) else None if callable(value) else plain(value)
@@ -243,3 +242,8 @@ def safe_name(name: str) -> str:
     """
     letters = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name)
     return "_".join(letters.split())[:MAX_NAME_LENGTH] or "unnamed"
+
+
+def axes_record(axes: Mapping[str, Axis]) -> list[list[Any]]:
+    """Return axes as plain lists for `json`."""
+    return [[name, axis.length, None if axis.values is None else axis.values.tolist()] for name, axis in axes.items()]

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+import platform
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from coadjoint.files.archives.archive import ArchiveError
-from coadjoint.files.records.entries import parsed
-from coadjoint.files.records.fingerprints import fingerprint_of, functions_in, same_fingerprint, system_contents
+from coadjoint.files.records.entries import EXACT, INTEGRAL, parsed
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import STORABLE_TYPES, invariants_record, record_of
+from coadjoint.kernels.functions.contents import contents_of
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.results.observables import check_observe
 from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 if TYPE_CHECKING:
     from coadjoint.runs.prepared_run import PreparedRun
@@ -56,11 +60,9 @@ def requires_argument(attributes: Mapping[str, Any], what: str) -> bool:
     return what in json.loads(attributes[FUNCTIONS_ATTRIBUTE])
 
 
-def resume_arguments(
-    path: Path, archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any
-) -> ResumeArguments:
+def resume_arguments(archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any) -> ResumeArguments:
     """Return the arguments of a resumed run, given or stored; ArchiveError if one is missing or differs."""
-    attributes = archive.attributes
+    path, attributes = archive.path, archive.attributes
     fingerprints = json.loads(attributes[FUNCTIONS_ATTRIBUTE])
     observed = json.loads(attributes[OBSERVED_ATTRIBUTE])
     parsed_events = None if events is None else read_events(events)
@@ -97,7 +99,7 @@ def resume_arguments(
     return ResumeArguments(dict(observe), parsed_events)
 
 
-def _check(path: Path, what: str, contents: Any, stored: Mapping[str, Any], argument: Any) -> None:
+def _check(path: Path | str, what: str, contents: Any, stored: Mapping[str, Any], argument: Any) -> None:
     """Raise ArchiveError if an argument differs from the stored fingerprint."""
     if what in stored and not same_fingerprint(stored[what], fingerprint_of(contents)):
         raise ArchiveError(
@@ -113,8 +115,65 @@ def _check(path: Path, what: str, contents: Any, stored: Mapping[str, Any], argu
         )
 
 
-def _missing(path: Path, what: str, stored: Mapping[str, Any]) -> ArchiveError:
+def _missing(path: Path | str, what: str, stored: Mapping[str, Any]) -> ArchiveError:
     named = short(", ".join(stored[what]["named"]))[1:-1]
     return ArchiveError(
         f"{path}: the run uses functions, which are not stored ({named}); give them by co.resume(path, {what}=...)"
     )
+
+
+def fingerprint_of(value: Any) -> dict[str, Any]:
+    """Return a fingerprint of a value and of everything its functions read, for `same_fingerprint`.
+
+    Examples
+    --------
+    >>> def times(a):
+    ...     return lambda x: a * x
+    >>> first, second, third = (fingerprint_of(times(a)) for a in (1.0, 2.0, 1.0))
+    >>> same_fingerprint(first, second), same_fingerprint(first, third)
+    (False, True)
+    """
+    contents, written = contents_of(value), contents_of(value, written=True)
+    return {
+        "python": ".".join(platform.python_version_tuple()[:2]),
+        "contents": contents.digest,
+        "unknown": list(contents.unknown),
+        "written": written.digest if written.unknown == contents.unknown else None,
+    }
+
+
+def same_fingerprint(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Whether two values, including everything their functions read, are equal.
+
+    Bytecode is compared if the version of Python is the same, otherwise source text; functions without text are
+    unequal.
+    """
+    if not {"python", "contents", "written"} <= first.keys() & second.keys():
+        return False
+    compared = "contents" if first["python"] == second["python"] else "written"
+    return first[compared] is not None and bool(first[compared] == second[compared])
+
+
+def functions_in(system: Any) -> list[str]:
+    """Return the names of a system's functions that are required to resume its runs."""
+    missing = record_of(system).get("not_stored", [])
+    return [name for name in missing if not name.startswith((EXACT, INTEGRAL))]
+
+
+def system_contents(system: Any) -> Any:
+    """Return everything that defines a system, for `fingerprint_of`."""
+    if isinstance(system, Batch):
+        return [system_contents(member) for member in system.distinct]
+    if system.forces:
+        forces = [[type(force).__name__, force, dict(force.parameters())] for force in system.forces]
+        return [system_contents(system.unforced), forces]
+    if system.parameters is not None:
+        return [system.name, dict(system.parameters)]
+    if isinstance(system, MatrixSystem):
+        streams = (system.stream, system.second_stream)
+        functions = [getattr(stream, "function", stream) for stream in streams]
+        return [record_of(cast(Any, system)), functions, system.energy_function]
+    contents = [system.name, system.sign, list(system.hamiltonian.terms()), dict(system.casimirs)]
+    if isinstance(system, LiePoissonSystem):
+        return [record_of(system), *contents]
+    return [*contents, system.structure_function or system]

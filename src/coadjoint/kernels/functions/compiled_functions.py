@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -71,6 +71,27 @@ class FormulaFunction:
         return FormulaFunction, (self._table.source,)
 
 
+class SharedFunction(NamedTuple):
+    """The table of a sum of shares: the address of a compiled function of (y, number of the share)."""
+
+    address: int
+    shares: int
+    results: int
+
+
+class CompiledShares:
+    """A compiled `SumOfShares`, identified by the negative and odd address of its table."""
+
+    def __init__(self, share: CompiledFunction, shares: int, results: int) -> None:
+        self._arguments = share, shares, results
+        self._table = as_structure(SharedFunction(share.address, shares, results))
+        self.address: int = -ctypes.addressof(self._table) - 1
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return arguments that build the table again in another process."""
+        return CompiledShares, self._arguments
+
+
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
 
 
@@ -111,5 +132,5 @@ def raised_by(owners: Iterable[Any]) -> BaseException | None:
     return next((error for owner in owners if (error := getattr(owner, "raised", lambda: None)())), None)
 
 
-Owners = tuple[CompiledFunction | FormulaFunction | PythonCallback, ...]
+Owners = tuple[CompiledFunction | CompiledShares | FormulaFunction | PythonCallback, ...]
 """Owners of the objects that addresses point to: they must live as long as the addresses are in use."""

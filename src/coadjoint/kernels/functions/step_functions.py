@@ -97,7 +97,7 @@ def _warn_once(scheme: type, reason: str) -> None:
 def _compiled(method: Any, system: Any) -> tuple[Any, str]:
     """Return the step compiled by Numba and "", or None and the reason."""
     if not system.has_compiled_bracket:
-        return None, f"{system.name} has no structure constants in memory, which compiled steps read"
+        return None, f"{system.name} has no structure constants or structure_function, which compiled steps read"
     try:
         require_packages("a compiled step", "numba")
     except MissingPackageError as error:

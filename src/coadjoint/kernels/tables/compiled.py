@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import (
     CompiledFunction,
+    CompiledShares,
     FormulaFunction,
     Owners,
     PythonCallback,
@@ -18,7 +19,7 @@ from coadjoint.kernels.functions.compiled_functions import (
 from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.systems.energy_derivatives import FunctionDerivative
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
-from coadjoint.systems.user_functions import forms_of, is_called_in_python
+from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python
 
 if TYPE_CHECKING:
     from coadjoint.program.sources import Sources
@@ -42,7 +43,7 @@ def addresses_of(
     Return the addresses (count,), 0 for other terms, and the owners of the machine code. `owner` appears in messages.
     """
     addresses = np.zeros(count, dtype=np.int64)
-    keepalive: list[CompiledFunction | FormulaFunction | PythonCallback] = []
+    keepalive: list[CompiledFunction | CompiledShares | FormulaFunction | PythonCallback] = []
     if not functions:
         return addresses, ()
     warn_slow_compilation(
@@ -62,17 +63,18 @@ def addresses_of(
             keepalive.append(PythonCallback(function, size, results))
             addresses[k] = keepalive[-1].address
             continue
+        shared = isinstance(function, SumOfShares)
         compiled = CompiledFunction(
-            function,
+            function.share if shared else function,
             size,
             results,
             scalar=term.scalar,
             flat=derivative != "value",
-            timed=term.timed,
+            timed=term.timed or shared,
             what=f"the {derivative} of {owner}",
         )
-        keepalive.append(compiled)
-        addresses[k] = compiled.address
+        keepalive.append(CompiledShares(compiled, function.shares, results) if shared else compiled)
+        addresses[k] = keepalive[-1].address
     return addresses, tuple(keepalive)
 
 

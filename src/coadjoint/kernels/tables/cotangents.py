@@ -98,6 +98,7 @@ class BackwardRun(NamedTuple):
     cotangents: Floats
     group_cotangents: Floats
     coefficients: Floats
+    deviations: Floats
     undone: bool
     threads: int
 

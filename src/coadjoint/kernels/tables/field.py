@@ -83,8 +83,8 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
         )
     else:
         raise TypeError(
-            f"{system.name} has no structure constants in memory, which this scheme reads; use a scheme whose step "
-            "is written in Python, a StepMethod"
+            f"{system.name} has neither structure constants in memory nor a structure_function, which this scheme "
+            "reads; define structure_function(x), or use a scheme whose step is written in Python, a StepMethod"
         )
     i, j, k, c = triples
     # Both orders of each pair (i, j), sorted by row, stable within a row.
@@ -94,6 +94,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     structure = no_integers
     if system.algebra is None and not called:
         n = system.dim
+        system.check_structure()
         compiled = CompiledFunction(
             cast(Any, system.structure_function),
             n,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.kernels.tables.compiled import CompiledTables
@@ -20,7 +21,9 @@ from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_lo
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import Coefficients, Multiples, Sources
-from coadjoint.systems.forces.base import Noise
+from coadjoint.systems.forces.base import Force, Noise
+from coadjoint.systems.forces.state_torque import extrapolation_columns
+from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)
@@ -99,10 +102,10 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
 
 
 class _ForceTableBuilder:
-    """Builder of the table of a force; `keepalive` holds the machine code of its function."""
+    """Builder of the table of a force in schemes of an order; `keepalive` holds the machine code of its function."""
 
-    def __init__(self, system: Any, account: int, accounts: int) -> None:
-        self.n, self._accounts = system.dim, (account, accounts)
+    def __init__(self, system: Any, account: int, accounts: int, order: int) -> None:
+        self.n, self._accounts, self._order = system.dim, (account, accounts), order
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
         self.keepalive: tuple[CompiledFunction, ...] = ()
 
@@ -122,7 +125,9 @@ class _ForceTableBuilder:
 
     def function(self, torque: Callable[..., Any], arguments: str) -> ForceTable:
         self._compile(torque, arguments, self.n, "the torque")
-        return self._table("OF_TIME" if arguments == "t" else "OF_STATE")
+        if arguments == "t":
+            return self._table("OF_TIME")
+        return self._table("OF_STATE", extent=extrapolation_columns(self._order))
 
     def on_orbit(self, metric: NDArray[Any], root: NDArray[Any], noise: Noise | None) -> ForceTable:
         if noise is None:
@@ -207,38 +212,51 @@ def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
     return integers, [system.energy_factor, *numbers], owners
 
 
-def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> CompiledLoop:
-    """Return a loop of steps of `inner`, the Hamiltonian part for one member, between half flows of the forces."""
+def forced_loop(
+    system: Any, inner: Mapping[float, CompiledLoop], fractions: Sequence[float], order: int, representation: Any
+) -> CompiledLoop:
+    """Return a loop of substeps at fractions of the step, each between half flows of the forces, of an order.
+
+    `inner` are the loops of the Hamiltonian part for one member, by fraction.
+    """
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
     for label, force in system.labelled_forces:
         count = sum(account.force == label for account in accounts)
-        reader = _ForceTableBuilder(system.unforced, first, count)
+        reader = _ForceTableBuilder(system.unforced, first, count, order)
         tables.append(force.describe_to(reader, system.unforced))
         first += count
         keepalive += reader.keepalive
     hamiltonian_part = system.unforced
     casimirs_conserved = hamiltonian_part.has_matrices or all(force.casimirs for force in system.forces)
     watched = watch_tables(hamiltonian_part, {} if casimirs_conserved else system.casimirs)
-    loop_integers, loop_keepalive = inner_loop_integers(inner, hamiltonian_part, representation)
+    called = [inner_loop_integers(one, hamiltonian_part, representation) for one in inner.values()]
+    loop_integers = called[0][0]
     structures = [as_structure(table) for table in tables]
     matrices, numbers, owners = _matrices(hamiltonian_part)
-    integers = [*loop_integers, len(tables), *map(ctypes.addressof, structures), *matrices]
+    lengths = list(inner)
+    integers = [*loop_integers, len(tables), *map(ctypes.addressof, structures), len(called) - 1]
+    first_other = len(integers)
+    integers += [number for numbers_of_loop, _ in called[1:] for number in numbers_of_loop]
+    substeps = [(int(np.float64(c).view(np.int64)), lengths.index(c)) for c in fractions]
+    integers += [len(substeps), *(number for pair in substeps for number in pair), *matrices]
     step = named_step_tables(
         hamiltonian_part,
         "forced",
         watched,
         integers,
         representation,
-        (*keepalive, *owners, *structures, *loop_keepalive),
+        (*keepalive, *owners, *structures, *(one for _, kept in called for one in kept)),
         numbers,
     )
     recorded = [
-        CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, table, k))
-        for k, table in enumerate(tables)
+        CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, force, table, k))
+        for k, (force, table) in enumerate(zip(system.forces, tables, strict=True))
     ]
-    referenced: dict[int, Any] = {INNER_LOOP_INDEX: inner, **dict(enumerate(recorded, len(loop_integers) + 1))}
+    places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
+    referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
+    referenced |= dict(enumerate(recorded, len(loop_integers) + 1))
     return CompiledLoop(
         STEP_LOOP,
         step.tables,
@@ -250,10 +268,49 @@ def forced_loop(system: Any, inner: CompiledLoop, representation: Any) -> Compil
     )
 
 
-def _sources_of_force(system: Any, table: ForceTable, number: int) -> Sources:
-    """Return the sources of a force of this number: those of a constant torque."""
+def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:
+    """Return the sources of a force of this number: a constant torque, or what its function contains."""
+    energy = Coefficients.of(system.hamiltonian.terms())
+    if len(table.function) and force.uses_energy:
+        contained = energy.of_coordinates(np.array(linear_coefficients_in(force, system), dtype=np.int64))
+        # Of other coefficients, a function may contain any.
+        return Sources(computed={"function": np.concatenate([energy.others, contained])})
     if table.kind != codes("ForceKind")["CONSTANT"]:
         return Sources()
     position = np.arange(system.dim)
-    first = Coefficients.of(system.hamiltonian.terms()).size + number * system.dim
+    first = energy.size + number * system.dim
     return Sources({"aim": Multiples(position, first + position, np.ones(system.dim))})
+
+
+class _FunctionReader(_ForceTableBuilder):
+    """Reader of the function of a force, which is not compiled."""
+
+    read: Callable[..., Any] | None = None
+
+    def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
+        self.read = function
+
+
+def linear_coefficients_in(force: Force, system: Any) -> list[int]:
+    """Return the coordinates of the linear term of H of a system whose coefficients the function of a force contains.
+
+    A function is compiled with what it reads of the system, such as the angular velocity of a body at zero momentum.
+    """
+    if not force.uses_energy or not len(Coefficients.of(system.hamiltonian.terms()).number):
+        return []
+    n = system.dim
+
+    def key_at(linear: NDArray[np.float64]) -> Any:
+        reader = _FunctionReader(system, 0, 0, 2)
+        force.describe_to(reader, with_linear(system, linear))
+        return None if reader.read is None else compilation_key(reader.read)
+
+    try:
+        linear = linear_of(system.hamiltonian, n)
+        moved = 2.0 * linear + 1.0 + np.arange(n)
+        own = key_at(linear)
+        if own == key_at(moved):
+            return []
+        return [k for k in range(n) if key_at(np.where(np.arange(n) == k, moved, linear)) != own]
+    except (TypeError, ValueError):
+        return list(range(n))  # the terms cannot be told apart

@@ -73,7 +73,8 @@ def step_address(step: Any) -> int:
         function = getattr(kernels(), f"{step}_step")
     except AttributeError as error:
         raise ValueError(
-            f"the kernels have no step {step!r}; its C++ file must be in the folder of the scheme when they are built"
+            f"the kernels have no step {step!r}; put its C++ file into the folder of the scheme, and build them by "
+            "make kernels"
         ) from error
     address = ctypes.cast(function, ctypes.c_void_p).value or 0
     STEPS[address] = step

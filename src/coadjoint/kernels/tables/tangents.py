@@ -91,7 +91,8 @@ def check_differentiable(system: System) -> None:
         )
     if system.algebra is None and system.derivative_function is None:
         raise TypeError(
-            f"tangent vectors need the derivative of J, which is unknown for {system.name}; give derivative="
+            f"tangent vectors need the derivative of J, which is unknown for {system.name}; give derivative=, "
+            "or derivative_function"
         )
 
 

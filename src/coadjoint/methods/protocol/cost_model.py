@@ -125,11 +125,10 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
 
 def _fits_in_registers(system: System) -> bool:
     """Return whether the stages of a system stay in registers."""
-    algebra = system.algebra
     return (
         system.has_quadratic_energy
-        and algebra is not None
-        and (system.dim, 2 * len(algebra.triples[3])) in REGISTER_FIELDS
+        and system.has_structure_constants
+        and (system.dim, 2 * len(system.algebra.triples[3])) in REGISTER_FIELDS
     )
 
 

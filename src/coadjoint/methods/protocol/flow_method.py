@@ -27,7 +27,9 @@ from coadjoint.program.parts.decompose import (
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
+from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.system import System
+from coadjoint.validation import read_bool, read_choice, read_integer, read_list
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
@@ -46,6 +48,19 @@ SUM_TOLERANCE = 2.0**-40  # relative to the sum of absolute coefficients of swee
 
 class FlowMethod(Method):
     """A scheme that consists of exact flows of parts, given by their order and fractions of the step."""
+
+    def __post_init__(self) -> None:
+        """Validate `parts`, `compensated` and `rotation` where they are fields of the dataclass."""
+        for field in fields(cast(Any, self)):
+            value = getattr(self, field.name)
+            if field.name == "compensated" and value is not None:
+                object.__setattr__(self, field.name, read_bool(value, field.name))
+            elif field.name == "rotation":
+                read_choice(value, field.name, ("exact", "rational"))
+            elif field.name == "parts":
+                object.__setattr__(self, field.name, _read_parts(value))
+        if self.rotation == "rational" and isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
+            raise ValueError(f'parts="{self.parts}" has no rational rotations; take rotation="exact"')
 
     @property
     def parts(self) -> Any:
@@ -208,6 +223,28 @@ class FlowMethod(Method):
             with suppress(ArithmeticError, TypeError, ValueError):
                 found += joint_choices(stack, self.parts)
         return found
+
+
+def _read_parts(parts: Any) -> Any:
+    """Validate parts as a field: a choice by name, `ChosenParts` or a mapping with them, or sets of coordinates."""
+    if isinstance(parts, str):
+        read_choice(parts, "choice of parts", ("auto", "coordinates", *BODY_FLOW_CHOICES))
+        return parts
+    if isinstance(parts, Mapping):
+        return ChosenParts.from_mapping(parts)
+    return parts if isinstance(parts, ChosenParts) else _sets_of_coordinates(parts)
+
+
+def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
+    rule = "it must be 'auto', 'coordinates', 'free_body', 'bonds', or sets of coordinates such as [[0, 1], [2]]"
+    groups = [read_list(group, "a set of parts", rule) for group in read_list(parts, "parts", rule)]
+    sets = tuple(tuple(read_integer(i, "a coordinate in parts", 0, MAX_COORDINATES) for i in group) for group in groups)
+    seen: set[int] = set()
+    for i in (i for group in sets for i in group):
+        if i in seen:
+            raise ValueError(f"parts name coordinate {i} more than once")
+        seen.add(i)
+    return sets
 
 
 class FlowsOfBase(Wrapper, FlowMethod):

@@ -143,6 +143,13 @@ class Method(metaclass=ExplainedCalls):
         """Substeps of one step as fractions of it; one unless the scheme is a composition."""
         return (1.0,)
 
+    def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
+        """Return a symmetric scheme of order two and the fractions of the step at which forces act around it.
+
+        By default the scheme itself, once. ValueError: the order is only that of steps without forces.
+        """
+        return self, (1.0,)
+
     def loop(self, system: System, h: float, representation: Representation = None) -> CompiledLoop:
         """Return the scheme on a system as a compiled loop with its tables.
 

@@ -1,17 +1,17 @@
-"""Vorticity of a fluid with a matrix state: a map of the sphere, or the square of the torus."""
+"""Vorticity of a fluid with a matrix state: a map of the sphere by a projection, or the square of the torus."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.fluids import fluid_of, part_on_grid
-from coadjoint.pictures.kinds.sphere_field import on_grid
+from coadjoint.pictures.globe import VIEW, Globe
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.projections import PROJECTIONS, Projection
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, ink, plain_axes, set_title, thickness
 from coadjoint.validation import read_choice, read_number, read_positive
@@ -31,6 +31,11 @@ MIN_GRID, MAX_GRID = 128, 720
 """Smallest and largest number of grid points along a side."""
 GRID_SPACING = 30.0
 """Degrees between the grid lines of a map."""
+
+PIXELS = 301  # of the diameter; odd, so that one is the centre
+
+ArrayPair = tuple[Floats, Floats]
+TABLE_SIZE = 4001  # points of the table of Mollweide's angle, linear between them: an error of 1e-6
 
 
 def _is_low(drawn: PlottedRun) -> bool:
@@ -146,3 +151,170 @@ def _square(axes: Any, across: Projection, centre: tuple[float, float]) -> Pixel
         return np.pad(values.T, (0, 1), mode="wrap")
 
     return {"extent": (0.0, 2 * np.pi, 0.0, 2 * np.pi), "interpolation": "bilinear"}, pixels
+
+
+@kind("sphere field", moves=True)
+def sphere_field(
+    drawn: PlottedRun,
+    values: Callable[[Any, Any], Any],
+    at: float = 0.0,
+    view: tuple[float, float] = VIEW,
+    label: str = "vorticity",
+) -> Paint:
+    """Show a function on the sphere at one time, for the first member.
+
+    Parameters
+    ----------
+    values : callable
+        Function of the system and of a state that returns the values on a grid, (a, b): rows from the south pole to the
+        north pole, both included, evenly in latitude; columns evenly in longitude from 0, without 2 pi.
+    at : float
+        The time as a fraction of the span: 0 is the start, 1 the end.
+    view : (float, float)
+        Direction of view: longitude and latitude in degrees.
+    label : str
+        Name of the function.
+    """
+    k = drawn.index_at(at)
+    grid, size = drawn.evaluate(values, k)
+
+    def paint(axes: Any) -> Update:
+        globe = Globe(axes, ("$X$", "$Y$", "$Z$"), view)
+        edge = np.linspace(-1.0, 1.0, PIXELS)
+        across, up = np.meshgrid(edge, edge)
+        height = 1.0 - across**2 - up**2
+        towards = np.stack([across, up, np.sqrt(np.maximum(height, 0.0))], axis=-1) @ globe.frame
+
+        def pixels(values: Floats) -> Floats:
+            return np.where(height >= 0.0, on_grid(values, towards), np.nan)
+
+        picture = axes.imshow(
+            pixels(grid), extent=(-1, 1, -1, 1), origin="lower", cmap="RdBu_r", vmin=-size, vmax=size, zorder=0.5
+        )
+        axes.set(xlim=(-1.42, 1.42), ylim=(-1.42, 1.42))
+        colour_bar(axes, picture, label)
+        title = set_title(axes, f"{label}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}")
+
+        def update(j: int) -> None:
+            picture.set_data(pixels(np.asarray(values(drawn.unforced, drawn.state(j)), dtype=np.float64)))
+            title.set_text(f"{label}{drawn.of_member} at $t$ = {drawn.t[j]:.4g}")
+
+        return update
+
+    return paint
+
+
+def on_grid(grid: Floats, towards: Floats) -> Floats:
+    """Interpolate a grid (a, b) of `sphere_field` to unit vectors (..., 3), linearly in latitude and longitude.
+
+    Examples
+    --------
+    >>> float(on_grid(np.array([[-1.0, -1.0], [0.0, 0.0], [1.0, 1.0]]), np.array([0.0, 0.8660254037844386, 0.5])))
+    0.333...
+    """
+    rows, columns = grid.shape
+    latitude = (np.arcsin(np.clip(towards[..., 2], -1.0, 1.0)) / np.pi + 0.5) * (rows - 1)
+    longitude = np.arctan2(towards[..., 1], towards[..., 0]) / (2.0 * np.pi) * columns
+    i = np.clip(np.floor(latitude).astype(np.int64), 0, max(rows - 2, 0))
+    j = np.floor(longitude).astype(np.int64)
+    up, along = latitude - i, longitude - j
+    below, above = ((1.0 - along) * grid[row, j % columns] + along * grid[row, (j + 1) % columns] for row in (i, i + 1))
+    interpolated: Floats = (1.0 - up) * below + up * above
+    return interpolated
+
+
+@dataclass(frozen=True)
+class Projection:
+    """A map of the sphere into an ellipse with the half axes `half_width` and 1.
+
+    `half_width` is 2 for maps of the whole sphere, 1 for the view from outside. `project` maps longitudes and latitudes
+    in radians, relative to the centre, to x, y, and `unproject` inverts it; invisible points are NaN.
+    """
+
+    half_width: float
+    project: Callable[[Floats, Floats], ArrayPair]
+    unproject: Callable[[Floats, Floats], ArrayPair]
+
+    def directions(self, columns: int, centre: tuple[float, float]) -> Floats:
+        """Return the unit vectors of square pixels, (rows, columns, 3), lowest row first; NaN outside the map.
+
+        `centre` is the longitude and latitude of the middle of the map in degrees.
+        """
+        rows = round(columns / self.half_width)
+        x = self.half_width * ((2 * np.arange(columns) + 1) / columns - 1)
+        x, y = np.meshgrid(x, (2 * np.arange(rows) + 1) / rows - 1)
+        inside = (x / self.half_width) ** 2 + y**2 <= 1.0
+        vectors = np.full((*x.shape, 3), np.nan)
+        vectors[inside] = unit_vectors(*self.unproject(x[inside], y[inside])) @ turned(centre)
+        return vectors
+
+    def line(self, longitude: Floats, latitude: Floats, centre: tuple[float, float]) -> ArrayPair:
+        """Project a line on the sphere, with NaN where it crosses an edge of the map."""
+        vectors = unit_vectors(longitude, latitude) @ turned(centre).T
+        across = np.arctan2(vectors[:, 1], vectors[:, 0])
+        x, y = self.project(across, np.arcsin(np.clip(vectors[:, 2], -1.0, 1.0)))
+        # Tested by the angle, since near the poles the edges of a map are close to each other.
+        crosses = np.append(np.abs(np.diff(across)) > np.pi, False)
+        return np.where(crosses, np.nan, x), y
+
+
+def unit_vectors(longitude: Floats, latitude: Floats) -> Floats:
+    """Return the unit vectors (..., 3) at longitudes and latitudes in radians."""
+    return np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+    )
+
+
+def turned(centre: tuple[float, float]) -> Floats:
+    """Return the rotation whose rows are the axes of the map: towards its centre, to the right, and upward.
+
+    Examples
+    --------
+    >>> turned((90.0, 0.0)).round(12) + 0.0
+    array([[ 0.,  1.,  0.],
+           [-1.,  0.,  0.],
+           [ 0.,  0.,  1.]])
+    """
+    longitude, latitude = np.radians(centre)
+    middle = unit_vectors(longitude, latitude)
+    right = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    return np.stack([middle, right, np.cross(middle, right)])
+
+
+def _mollweide_project(longitude: Floats, latitude: Floats) -> ArrayPair:
+    turn = np.linspace(-np.pi / 2, np.pi / 2, TABLE_SIZE)
+    theta = np.interp(np.sin(latitude), (2 * turn + np.sin(2 * turn)) / np.pi, turn)
+    return 2 * longitude / np.pi * np.cos(theta), np.sin(theta)
+
+
+def _mollweide_unproject(x: Floats, y: Floats) -> ArrayPair:
+    theta = np.arcsin(y)
+    return np.pi * x / (2 * np.cos(theta)), np.arcsin(np.clip((2 * theta + np.sin(2 * theta)) / np.pi, -1.0, 1.0))
+
+
+def _hammer_project(longitude: Floats, latitude: Floats) -> ArrayPair:
+    size = np.sqrt(1 + np.cos(latitude) * np.cos(longitude / 2))
+    return 2 * np.cos(latitude) * np.sin(longitude / 2) / size, np.sin(latitude) / size
+
+
+def _hammer_unproject(x: Floats, y: Floats) -> ArrayPair:
+    z = np.sqrt(1 - x**2 / 8 - y**2 / 2)
+    return 2 * np.arctan2(np.sqrt(2) * z * x, 2 * (2 * z**2 - 1)), np.arcsin(np.clip(np.sqrt(2) * z * y, -1.0, 1.0))
+
+
+def _outside_project(longitude: Floats, latitude: Floats) -> ArrayPair:
+    x, y, z = np.moveaxis(unit_vectors(longitude, latitude), -1, 0)
+    return np.where(x >= 0.0, y, np.nan), np.where(x >= 0.0, z, np.nan)
+
+
+def _outside_unproject(x: Floats, y: Floats) -> ArrayPair:
+    return np.arctan2(x, np.sqrt(np.maximum(1 - x**2 - y**2, 0.0))), np.arcsin(y)
+
+
+PROJECTIONS = {
+    "mollweide": Projection(2.0, _mollweide_project, _mollweide_unproject),
+    "hammer": Projection(2.0, _hammer_project, _hammer_unproject),
+    "outside": Projection(1.0, _outside_project, _outside_unproject),
+}
+
+"""Mollweide and Hammer are equal-area maps of the whole sphere; "outside" is the orthographic view."""

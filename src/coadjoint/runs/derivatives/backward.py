@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import unknown_name
+from coadjoint.errors import LargeStepWarning, unknown_name
+from coadjoint.long_operations import warn_caller
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.derivatives.crossings import Crossings, function_of_rows
@@ -21,6 +22,9 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_gradients import gradients_at
 
 Floats = NDArray[np.float64]
+
+LARGEST_DEVIATION = 2.0**-20
+"""Largest relative error of states of a gradient without a warning: it has about six digits."""
 
 
 class Cotangents(NamedTuple):
@@ -272,4 +276,12 @@ class Pullback:
         if trajectory.steps[0] == 0:
             cotangents += at_steps[0]
             group_cotangents += groups_at_steps[0]
+        if trajectory.deviation > LARGEST_DEVIATION:
+            error = min(1.0, trajectory.deviation)
+            warn_caller(
+                f"the gradient through steps of {abs(trajectory.times.h):.3g} by {self._run.base} has errors of about "
+                f"{error:.1g} of its size: the flows of a step contract so strongly that, undone, they return to the "
+                "state before it only within this error; take a shorter step, or tangents by jvp",
+                LargeStepWarning,
+            )
         return cotangents, np.swapaxes(group_cotangents, 1, 2), coefficients

@@ -76,7 +76,7 @@ class DifferentiableRun:
         system = prepared.system
         self.scheme = prepared.scheme.fixed_steps
         # The scheme of the Hamiltonian part.
-        self.base = self.scheme.base if isinstance(self.scheme, Forced) else self.scheme
+        self.base = self.scheme.inner if isinstance(self.scheme, Forced) else self.scheme
         if self.base.own_steps:
             raise TypeError(
                 f"{self.base} chooses its own steps, and with forces its runs have no derivatives; take a scheme with "
@@ -144,6 +144,8 @@ class Trajectory:
     """Number of threads."""
     threads_inside: int = 1
     """Number of threads that may share a member."""
+    deviation: float = 0.0
+    """The largest relative error of a state from which the flows of a step were undone, to be differentiated."""
     solution: Solution
     t: Floats
     outputs: tuple[Floats, Floats]
@@ -151,7 +153,7 @@ class Trajectory:
 
     def __init__(self, run: DifferentiableRun, given: Arguments, reverse: str | None) -> None:
         prepared, self.reverse = run.prepared, reverse
-        self.values = prepared.values_of(given.inputs)
+        self.values = prepared.values_of(given.inputs, given.x0)
         self.times, moments = prepared.times_of(given.t_span, given.save_every, given.t_eval)
         self.start = prepared.start(given.x0, given.attitude, self.values)
         self.system = prepared.system_at(self.values)
@@ -247,7 +249,9 @@ class Trajectory:
 
     def backward(self, tables: DerivativeTables, stretch: Stretch, *arrays: Floats) -> None:
         """Carry cotangents from the end of a stretch to its start, in place; `arrays` as of `Stretch.backward`."""
-        self._carry(tables, stretch.backward(*arrays, marks=self._marks(stretch), threads=self.threads_inside))
+        run = stretch.backward(*arrays, marks=self._marks(stretch), threads=self.threads_inside)
+        self._carry(tables, run)
+        self.deviation = max(self.deviation, float(run.deviations.max(initial=0.0)))
 
     def inside(self, stretch: Stretch) -> NDArray[np.bool_]:
         """Return which saved steps belong to a stretch of whole steps."""

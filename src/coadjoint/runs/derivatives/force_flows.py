@@ -49,10 +49,20 @@ class Half(NamedTuple):
 
 
 class _Member(NamedTuple):
-    """The system of a member, and the entries with nearby systems of the same noise."""
+    """The system of a member, the entries with nearby systems of the same noise, and the order of the scheme."""
 
     system: System
     entries: Sequence[FlowEntry]
+    scheme_order: int
+
+    def flow(self, system: System, j: int, x: Floats, half: Half) -> Floats:
+        """Return the flow of force j of a system."""
+        end = system.forces[j].flow_of_order(system.unforced, x, *half.span, self.scheme_order)
+        return np.asarray(end, dtype=np.float64)
+
+    def flow_with_derivative(self, force: Force, x: Floats, half: Half) -> FlowOfForce:
+        """Return the flow of a force of this member with its derivative."""
+        return flow_of_force(force, self.system.unforced, x, *half.span, self.scheme_order)
 
     def parts(self, j: int) -> dict[str, Any]:
         """Return the parameters on which the flow of force j depends."""
@@ -71,7 +81,7 @@ class _Member(NamedTuple):
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
 
         def after(system: System) -> Floats:
-            return np.asarray(system.forces[j].flow(system.unforced, x, *half.span), dtype=np.float64)
+            return self.flow(system, j, x, half)
 
         numbers = [n for n, entry in enumerate(self.entries) if wanted[n] and j in entry.forces]
         return list(zip(numbers, differences([self.entries[n].nearby for n in numbers], after), strict=True))
@@ -80,9 +90,11 @@ class _Member(NamedTuple):
 class ForceFlows:
     """Half flows of the members `first` to `last` - 1 of a system with forces; noise is that of their numbers."""
 
-    def __init__(self, system: System, entries: Sequence[FlowEntry], first: int, last: int) -> None:
+    def __init__(self, system: System, entries: Sequence[FlowEntry], first: int, last: int, order: int) -> None:
         self._members = [
-            _Member(numbered(system), [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries])
+            _Member(
+                numbered(system), [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries], order
+            )
             for numbered in (methodcaller("numbered_from", m) for m in range(first, last))
         ]
 
@@ -92,7 +104,7 @@ class ForceFlows:
         for member, state in zip(self._members, x, strict=True):
             for j, force in half.order(member.system.forces):
                 flow = member.orbit_flow(j, force, state, half)
-                state = force.flow(member.system.unforced, state, *half.span) if flow is None else flow.end
+                state = member.flow(member.system, j, state, half) if flow is None else flow.end
             after.append(np.asarray(state, dtype=np.float64))
         return np.array(after)
 
@@ -102,7 +114,7 @@ class ForceFlows:
         states, tangents = [], []
         for member, state, rows in zip(self._members, x, dx, strict=True):
             for j, force in half.order(member.system.forces):
-                flow = flow_of_force(force, member.system.unforced, state, *half.span)
+                flow = member.flow_with_derivative(force, state, half)
                 rows = flow.tangents(rows)
                 for number, change in member.changes(directed, j, state, half):
                     rows = rows + directions[:, number, None] * change
@@ -118,7 +130,7 @@ class ForceFlows:
             flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
             for j, force in half.order(member.system.forces):
                 known = member.orbit_flow(j, force, state, half)
-                flow = flow_of_force(force, member.system.unforced, state, *half.span) if known is None else known
+                flow = member.flow_with_derivative(force, state, half) if known is None else known
                 flows.append((j, state, flow))
                 state = flow.end
             for j, start, flow in reversed(flows):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
 from coadjoint.long_operations import note_progress
+from coadjoint.methods.forced import Forced, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
@@ -34,20 +35,24 @@ class _Base(NamedTuple):
 class ForcedSteps:
     """Steps of a system with forces, with the derivatives of `inner` for those of the Hamiltonian part.
 
+    A step consists of substeps at the fractions of the scheme.
+
     Coefficients are those of `inner`, then the entries of the flows, then factors of subtracted Casimirs. The steps of
-    the Hamiltonian part by `parts` have the bits of the tables `structure`.
+    the Hamiltonian part by `parts` have the bits of the tables `structures`, by length.
     """
 
     def __init__(
         self,
         system: System,
         inner: DerivativeTables,
-        structure: Any,
-        parts: PartialSteps,
+        scheme: Forced,
+        structures: Mapping[float, Any],
+        parts: Mapping[float, PartialSteps],
         entries: Sequence[FlowEntry],
         attitudes: AttitudeDerivatives | None,
     ) -> None:
-        self._system, self._inner, self._structure, self._parts = system, inner, structure, parts
+        self._system, self._inner, self._structures, self._parts = system, inner, structures, parts
+        self._scheme = scheme
         # Of shifted energies, whose loops start at the unit element.
         self._entries, self._attitudes = entries, attitudes if attitudes is not None and attitudes.shifted else None
         self._flows = slice(inner.coefficient_count, inner.coefficient_count + len(entries))
@@ -55,17 +60,17 @@ class ForcedSteps:
     @np.errstate(over="ignore", invalid="ignore")
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
         """Carry tangent vectors of members, as the compiled kernels do."""
-        some, forces, mark = slice(first, last), ForceFlows(self._system, self._entries, first, last), 0
+        some, forces, mark = slice(first, last), self._flows_of(first, last), 0
         x, dx, dg = run.momenta[some], run.tangents[some], run.group_tangents[some]
         groups, directions = run.groups[some].reshape(len(x), *dg.shape[2:]), run.coefficients[:, self._flows]
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
-            t = run.t0 + (k - 1) * run.h
-            x, dx = forces.push(x, dx, Half(t, run.h, False), directions)
-            base = self._step(x, groups, t, run.h)
-            dx, dg = self._base_forward(base, dx, dg, run.coefficients)
-            groups = self._groups_after(base)
-            x, dx = forces.push(base.end, dx, Half(t, run.h, True), directions)
+            for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
+                x, dx = forces.push(x, dx, Half(t, h, False), directions)
+                base = self._step(x, groups, t, h)
+                dx, dg = self._base_forward(base, dx, dg, run.coefficients)
+                groups = self._groups_after(base)
+                x, dx = forces.push(base.end, dx, Half(t, h, True), directions)
             if mark < run.marked and run.marks[mark] == k:
                 run.at_points[mark, some], run.at_groups[mark, some] = dx, dg
                 mark += 1
@@ -74,29 +79,33 @@ class ForcedSteps:
     @np.errstate(over="ignore", invalid="ignore")
     def backward(self, run: BackwardRun, first: int, last: int) -> None:
         """Carry cotangents of members, as the compiled kernels do."""
-        some, forces, mark = slice(first, last), ForceFlows(self._system, self._entries, first, last), run.marked
+        some, forces, mark = slice(first, last), self._flows_of(first, last), run.marked
         x, groups = run.momenta[some], run.groups[some].reshape(run.group_cotangents[some].shape)
         starts, steps = [], []
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
-            t = run.t0 + (k - 1) * run.h
-            starts.append(x)
-            steps.append(self._step(forces.apply(x, Half(t, run.h, False)), groups, t, run.h))
-            groups = self._groups_after(steps[-1])
-            x = forces.apply(steps[-1].end, Half(t, run.h, True))
+            for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
+                starts.append(x)
+                steps.append(self._step(forces.apply(x, Half(t, h, False)), groups, t, h))
+                groups = self._groups_after(steps[-1])
+                x = forces.apply(steps[-1].end, Half(t, h, True))
         of_x, of_groups = run.cotangents[some], run.group_cotangents[some]
         coefficients = np.zeros((last - first, run.coefficients.shape[1]))
         for k in range(run.k1, run.k0, -1):
             if mark > 0 and run.marks[mark - 1] == k:
                 mark -= 1
                 of_x, of_groups = of_x + run.at_points[mark, some], of_groups + run.at_groups[mark, some]
-            t, base = run.t0 + (k - 1) * run.h, steps[k - run.k0 - 1]
             by_entries = coefficients[:, self._flows]
-            of_x = forces.pull(base.end, of_x, Half(t, run.h, True), by_entries)
-            of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients)
-            of_x = forces.pull(starts[k - run.k0 - 1], of_x, Half(t, run.h, False), by_entries)
+            for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h)[::-1]:
+                base = steps.pop()
+                of_x = forces.pull(base.end, of_x, Half(t, h, True), by_entries)
+                of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients, run.deviations[some])
+                of_x = forces.pull(starts.pop(), of_x, Half(t, h, False), by_entries)
         run.cotangents[some], run.group_cotangents[some] = of_x, of_groups
         run.coefficients[some] += coefficients
+
+    def _flows_of(self, first: int, last: int) -> ForceFlows:
+        return ForceFlows(self._system, self._entries, first, last, self._scheme.order)
 
     def _step(self, x: Floats, groups: Floats, t: float, h: float) -> _Base:
         """Take a step of the Hamiltonian part."""
@@ -104,7 +113,7 @@ class ForcedSteps:
         elements = groups if self._attitudes is None else np.array(np.broadcast_to(np.eye(side), groups.shape))
         step = Stretch.of_step(t, h, np.ascontiguousarray(x), np.ascontiguousarray(elements))
         times, lengths, owners = np.full(count, t), np.full(count, h), np.zeros(count, dtype=np.int64)
-        end, after = self._parts.take(step.momenta, elements.reshape(count, -1), times, lengths, owners)
+        end, after = self._parts[h].take(step.momenta, elements.reshape(count, -1), times, lengths, owners)
         return _Base(step, end, after.reshape(groups.shape), groups)
 
     def _groups_after(self, base: _Base) -> Floats:
@@ -139,7 +148,7 @@ class ForcedSteps:
         return run.at_points[0], np.array(after)
 
     def _base_backward(
-        self, base: _Base, of_x: Floats, of_groups: Floats, coefficients: Floats
+        self, base: _Base, of_x: Floats, of_groups: Floats, coefficients: Floats, deviations: Floats
     ) -> tuple[Floats, Floats]:
         at_groups, before, of_start = of_groups, np.zeros_like(of_x), None
         if self._attitudes is not None:
@@ -159,10 +168,11 @@ class ForcedSteps:
         run = base.step.backward(of_x[None], at_groups[None], *zeros, of_inner)
         self._carry(run)
         coefficients[:, : self._flows.start] += of_inner
+        np.maximum(deviations, run.deviations, out=deviations)
         return before + run.cotangents, run.group_cotangents if of_start is None else of_start
 
     def _carry(self, run: ForwardRun | BackwardRun) -> None:
-        if not carry(self._inner, self._structure, run, 0, run.members):
+        if not carry(self._inner, self._structures[run.h], run, 0, run.members):
             raise IntegrationError(
                 f"the linear equations of the derivatives at t = {run.t0:g} are not solved; take a smaller step than "
                 f"{abs(run.h):g}",

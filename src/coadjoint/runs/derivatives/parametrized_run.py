@@ -29,15 +29,28 @@ class ParametrizedRun:
     last trajectory that was integrated for a gradient.
     """
 
-    def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any, caller: str) -> None:
+    def __init__(
+        self,
+        prepared: PreparedRun,
+        t_span: Any,
+        save_every: Any,
+        t_eval: Any,
+        caller: str,
+        *,
+        takes_inputs: bool = False,
+    ) -> None:
         if type(prepared) is not PreparedRun:
             raise TypeError(f"{caller} was given {short(prepared)}; give co.prepare(system, method, step)")
-        if prepared.takes_inputs:
+        if prepared.takes_inputs and not takes_inputs:
             raise TypeError(f"{caller} was given a run prepared with inputs; prepare without inputs=")
         if len(prepared.system.shape) > 1:
             raise TypeError(
                 f"{caller} takes states that are vectors, and those of {prepared.system.name} are matrices; use "
                 "prepared.jvp and prepared.vjp"
+            )
+        if prepared.system.is_batch and prepared.system.forces:
+            raise TypeError(
+                f"{caller} takes batches without forces, not {prepared.system.name}; use prepared.jvp and prepared.vjp"
             )
         if prepared.method.own_steps:
             raise TypeError(f"{caller} takes schemes with a given step, and {prepared.method} chooses its own steps")
@@ -53,6 +66,8 @@ class ParametrizedRun:
         group = prepared.representation
         self._side = 0 if group is None else prepared.system.dim if isinstance(group, str) else group.shape[-1]
         self._shapes = {name: parameter.value.shape for name, parameter in self._run.parameters.items()}
+        inputs = prepared.inputs
+        self._shapes |= {} if inputs is None else {name: one.shape for name, one in inputs.indices.items()}
         # One for each member: it must follow the members of an ensemble that vmap makes.
         initial = prepared.initial_attitude
         self._attitudes = initial if isinstance(initial, np.ndarray) and initial.ndim == 3 else None
@@ -67,8 +82,11 @@ class ParametrizedRun:
 
     def check(self, shapes: Mapping[str, Shape]) -> None:
         """Raise ValueError for unknown names and wrong shapes of values."""
-        n, d, x0 = self._prepared.system.dim, self._side, shapes["x0"]
+        system, d, x0 = self._prepared.system, self._side, shapes["x0"]
+        n, members = system.dim, len(system) if system.is_batch else "members"
         known: dict[str, tuple[Shape, ...]] = {"x0": ((n,), (*x0[:1], n))}
+        if system.is_batch:
+            known["x0"] = ((len(system), n),)
         if d:
             known["attitude0"] = (d, d), (*x0[:-1], d, d)
         known |= {name: (shape,) for name, shape in self._shapes.items()}
@@ -76,7 +94,11 @@ class ParametrizedRun:
             if name not in known:
                 raise unknown_name(f"parameter of {self._prepared.system.name}", name, known)
             if shape not in known[name] or 0 in shape:
-                expected = {"x0": f"({n},) or (members, {n})", "attitude0": f"({d}, {d}) or (members, {d}, {d})"}
+                single = "" if system.is_batch else f"({n},) or "
+                expected = {
+                    "x0": f"{single}({members}, {n})",
+                    "attitude0": f"({d}, {d}) or ({members}, {d}, {d})",
+                }
                 raise ValueError(
                     f"{name} has the shape {shape}; it must be {expected.get(name, known[name][0])}, as prepared"
                 )

@@ -13,6 +13,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.cotangents import FlowCotangents
 from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.stepwise_derivatives import (
     StepwiseDerivatives,
@@ -47,16 +48,18 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
     if not run.system.forces:
         return _of_scheme(run, run.system, run.inputs, h, names, by_inputs)
     plain, inputs, representation = run.system.unforced, run.inputs, run.representation
+    scheme = cast(Forced, run.scheme)
     of_plain = None if inputs is None else inputs.of_hamiltonian
     in_energy = [name for name in names if name in parameters_of(plain)]
     inner = _of_scheme(run, plain, of_plain, h, in_energy, by_inputs and of_plain is not None)
     entries = _flow_entries(run, names)
     attitudes = None if representation is None else AttitudeDerivatives(plain, inner.shift, representation)
-    loops: Any = (
-        loops_of_system(plain, run.base, h, representation)
+    loops: dict[float, Any] = {
+        c: loops_of_system(plain, run.base, c * h, representation)
         if of_plain is None
-        else InputLoops(of_plain, run.base, h, representation)
-    )
+        else InputLoops(of_plain, run.base, c * h, representation)
+        for c in dict.fromkeys(scheme.fractions)
+    }
 
     def entries_at(values: Floats) -> list[FlowEntry]:
         if inputs is None:
@@ -66,14 +69,14 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
         return moved + (_flow_entries_of_inputs(run, inputs, values, h) if by_inputs else [])
 
     def steps_at(step: float, values: Floats = NONE) -> ForcedSteps:
-        system, of_step = run.system if inputs is None else inputs.system_at(values), loops
+        system, of_steps = run.system if inputs is None else inputs.system_at(values), loops
         inner_values: tuple[Floats, ...] = ()
         if of_plain is not None:
             inner_values = (values[: len(of_plain.values)],)
-            of_step = loops.at(*inner_values)
-        structure = inner.tables_at(step, *inner_values)
-        parts = PartialSteps(system.unforced, run.base, of_step)
-        return ForcedSteps(system, inner, structure, parts, entries_at(values), attitudes)
+            of_steps = {c: one.at(*inner_values) for c, one in loops.items()}
+        structures = {c * step: inner.tables_at(c * step, *inner_values) for c in loops}
+        parts = {c * step: PartialSteps(system.unforced, run.base, one) for c, one in of_steps.items()}
+        return ForcedSteps(system, inner, scheme, structures, parts, entries_at(values), attitudes)
 
     every = entries_at(NONE if inputs is None else inputs.values)
     return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])

@@ -92,6 +92,7 @@ class Stretch(NamedTuple):
             cotangents=cotangents,
             group_cotangents=group_cotangents,
             coefficients=coefficients,
+            deviations=np.zeros(len(cotangents)),
             undone=self.undone,
             threads=threads,
         )

@@ -43,8 +43,8 @@ class Solution(SolutionOutput):
         Of an archive: whether the run has reached its end (otherwise `resume` continues it), the number of steps taken,
         and a function that raises ArchiveError if committed chunks are missing or the last ones are damaged.
     status, blocks, progress_text
-        Of `ensemble`: 0 for members that are not computed yet, 1 for those that are, 2 for those that have failed;
-        blocks of members that are run together; and the number of computed members as text.
+        Of an archive: 0 for members that are not computed yet, 1 for those that are, 2 for those that have failed;
+        blocks of members that are run together, of a run one block; and the computed members or steps as text.
 
     Notes
     -----

@@ -222,7 +222,7 @@ class SolutionAttributes:
         raise NotImplementedError
 
     # Of stored runs only.
-    path: Path
+    path: Path | str
     attributes: dict[str, Any]
     dataset: xarray.Dataset
     inputs: Callable[..., dict[str, Any]]

@@ -62,10 +62,11 @@ def initial_group_element(attitude: Any, size: int) -> Floats:
     """
     if isinstance(attitude, bool | np.bool_):
         return np.eye(size)
-    first = read_finite(group_elements(attitude, size), "attitude")
+    block = 0 if size == 3 else None
+    first = read_finite(group_elements(attitude, size, block), "attitude")
     if first.shape != (size, size):
         shape = np.shape(attitude) or first.shape  # a Rotation has none
-        raise ValueError(f"attitude has shape {shape}; give True or a finite {expected_elements(size)}")
+        raise ValueError(f"attitude has shape {shape}; give True or a finite {expected_elements(size, block)}")
     return first
 
 

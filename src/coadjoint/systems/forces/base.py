@@ -60,7 +60,7 @@ class Force(metaclass=ExplainedCalls):
     """Whether every Casimir is preserved, to round-off."""
 
     reversible: ClassVar[bool] = True
-    """Whether it can run backward in time."""
+    """Whether it can run backward in time, as schemes of order above two require in some substeps."""
 
     random: ClassVar[bool] = False
     """Whether it is random, and therefore has no field."""
@@ -164,6 +164,24 @@ class Force(metaclass=ExplainedCalls):
         -------
         (n,) array
         """
+
+    def flow_of_order(self, system: Any, x: NDArray[Any], t: Any, tau: Any, order: int) -> NDArray[Any]:
+        """Return the flow in schemes of this order.
+
+        By default it is `flow`, which must then be exact, or symmetric: undone by the flow over ``-tau``.
+
+        Parameters
+        ----------
+        system, x, t, tau
+            As for `flow`.
+        order : int
+            Order of the scheme, from 1 to 10.
+
+        Returns
+        -------
+        (n,) array
+        """
+        return self.flow(system, x, t, tau)
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
         """Return the derivative of `flow` by the state, or None if no formula for it is known.

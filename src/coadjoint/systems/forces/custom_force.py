@@ -29,14 +29,15 @@ class OwnForce(Force):
     ----------
     function : callable
         Pure function of ``(x, t, tau)`` that returns the flow of the force: the state reached from x, shape (n,) or
-        (N, N), at time t after the duration tau, which is negative in runs backward. For tau = 0 it returns x. Compiled
-        by Numba.
+        (N, N), at time t after the duration tau, which is negative in runs backward and in some substeps of schemes of
+        order above two. Such schemes keep their order if it is exact, or undone by the flow over -tau. For tau = 0 it
+        returns x. Compiled by Numba.
     name : str
         Name in balances and messages.
     keeps_casimirs : bool
         Whether it preserves every Casimir; balances then omit the Casimirs for it.
     backward : bool
-        Whether it can run backward in time.
+        Whether it can run backward in time. If not, schemes of order above two are refused.
 
     Raises
     ------

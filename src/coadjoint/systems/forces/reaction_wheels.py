@@ -95,13 +95,10 @@ class ReactionWheels(Sampled):
 
         def act(y: Any, t: Any, tau: Any) -> None:
             for i in range(count):
-                change = tau * y[begin + i]
-                room = most[i] - y[start + i] if change > 0.0 else -most[i] - y[start + i]
-                if change > 0.0:
-                    change = min(change, max(room, 0.0))
-                else:
-                    change = max(change, min(room, 0.0))
-                y[start + i] += change
+                change, k = tau * y[begin + i], y[start + i]
+                up = np.minimum(np.maximum(change, 0.0), np.maximum(most[i] - k, 0.0))
+                down = np.maximum(np.minimum(change, 0.0), np.minimum(-most[i] - k, 0.0))
+                y[start + i] += up + down
 
         return act
 

@@ -1,38 +1,30 @@
-"""Forces by name, as in configuration files and records."""
+"""Forces by name, each defined in a file of this folder, as in configuration files and records."""
 
 from __future__ import annotations
 
+import importlib
+import inspect
+import pkgutil
+from functools import cache
 from typing import Any
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.forces.beta_plane import BetaPlane
-from coadjoint.systems.forces.control_moment_gyros import ControlMomentGyros
-from coadjoint.systems.forces.custom_force import OwnForce
-from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
-from coadjoint.systems.forces.friction import Friction
-from coadjoint.systems.forces.gravity_gradient import GravityGradient
-from coadjoint.systems.forces.heat_bath import HeatBath
-from coadjoint.systems.forces.linear_damping import LinearDamping
-from coadjoint.systems.forces.magnetic_dipole import MagneticDipole
-from coadjoint.systems.forces.plates import Drag, SolarPressure
-from coadjoint.systems.forces.pointing import Pointing
-from coadjoint.systems.forces.random_forcing import RandomForcing
-from coadjoint.systems.forces.reaction_wheels import ReactionWheels
-from coadjoint.systems.forces.sampled import Sampled
-from coadjoint.systems.forces.thrusters import Thrusters
-from coadjoint.systems.forces.torque import Torque
-from coadjoint.systems.forces.viscosity import Viscosity
 from coadjoint.validation import construct
 
-FORCES: tuple[type[Force], ...] = (
-    *(BetaPlane, DoubleBracketDamping, Friction, HeatBath, LinearDamping),
-    *(OwnForce, RandomForcing, Torque, Viscosity),
-    *(GravityGradient, MagneticDipole, Drag, SolarPressure, Pointing),
-    *(Sampled, ReactionWheels, ControlMomentGyros, Thrusters),
-)
 
-KINDS: dict[str, type[Force]] = {kind.__name__: kind for kind in FORCES}
+@cache
+def kinds() -> dict[str, type[Force]]:
+    """Return the concrete forces defined in the files of this folder, by name."""
+    package = importlib.import_module("coadjoint.systems.forces")
+    kinds: dict[str, type[Force]] = {}
+    for module_info in pkgutil.iter_modules(package.__path__):
+        module = importlib.import_module(f"{package.__name__}.{module_info.name}")
+        for name, value in vars(module).items():
+            defined = isinstance(value, type) and value.__module__ == module.__name__ and not name.startswith("_")
+            if defined and issubclass(value, Force) and not inspect.isabstract(value):
+                kinds[name] = value
+    return kinds
 
 
 @suggest_keywords
@@ -48,7 +40,7 @@ def names() -> tuple[str, ...]:
     >>> names()[:3]
     ('BetaPlane', 'ControlMomentGyros', 'DoubleBracketDamping')
     """
-    return tuple(sorted(KINDS))
+    return tuple(sorted(kinds()))
 
 
 @suggest_keywords
@@ -76,4 +68,4 @@ def get(name: str, /, **parameters: Any) -> Force:
     >>> get("LinearDamping", rate=0.5)
     LinearDamping(rate=0.5, toward=0.0)
     """
-    return construct("force", KINDS, name, parameters)  # type: ignore[no-any-return]
+    return construct("force", kinds(), name, parameters)  # type: ignore[no-any-return]

@@ -25,7 +25,8 @@ class StateTorque(Force):
     """Base class of torques that are functions of the time, of the state, or of both.
 
     The flow of a function of the time is its integral by the five-point Gauss-Legendre rule, exact for polynomials of
-    degree nine; that of a function of the state is a step of the classical fourth-order Runge-Kutta method.
+    degree nine; that of a function of the state is a step of the classical fourth-order Runge-Kutta method, and in
+    schemes of higher order an extrapolated midpoint rule of at least that order.
     """
 
     @abstractmethod
@@ -74,12 +75,39 @@ class StateTorque(Force):
         k4 = self.field(system, x + tau * k3, t + tau)
         return np.asarray(x + tau * (k1 + 2.0 * k2 + 2.0 * k3 + k4) / 6.0)
 
+    def flow_of_order(self, system: Any, x: NDArray[Any], t: Any, tau: Any, order: int) -> NDArray[Any]:
+        columns = extrapolation_columns(order)
+        if not columns or self.tangent(system, x, t, tau) is not None:
+            return self.flow(system, x, t, tau)
+        first, change = self.field(system, x, t), np.zeros_like(x)
+        for k, weight in enumerate(extrapolation_weights(columns), 1):
+            length = tau / (2 * k)
+            before, now = np.zeros_like(x), length * first
+            for m in range(1, 2 * k):
+                before, now = now, before + 2.0 * length * self.field(system, x + now, t + m / (2 * k) * tau)
+            change = change + weight * now
+        return np.asarray(x + change)
+
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
         """Return one, or None for a function of the state."""
         return np.array(1.0) if self.on_state(system)[1] == "t" else None
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.function(*self.on_state(system))
+
+
+def extrapolation_columns(order: int) -> int:
+    """Return the columns of the extrapolated flow of a function of the state in schemes of this order, 0 without it.
+
+    Column k is Gragg's midpoint rule in 2 k substeps.
+    """
+    return 0 if order <= 4 else (order + 1) // 2
+
+
+def extrapolation_weights(columns: int) -> list[float]:
+    """Return the weights of the columns, which cancel the terms tau^2, tau^4, ... of their errors."""
+    numbers = range(1, columns + 1)
+    return [float(np.prod([k * k / (k * k - i * i) for i in numbers if i != k])) for k in numbers]
 
 
 def constant_in_time(torque: NDArray[np.float64]) -> Callable[..., Any]:

@@ -66,12 +66,8 @@ class Thrusters(Sampled):
         period = self.period
 
         def command(torque: Any, x: Any) -> Any:
-            durations = 0.0 * full
-            for i in range(3):
-                impulse = min(abs(torque[i]), full[i]) * period
-                if impulse >= least[i]:
-                    durations[i] = impulse / full[i] if torque[i] >= 0.0 else -impulse / full[i]
-            return durations
+            impulse = np.minimum(np.abs(torque), full) * period
+            return np.where(impulse >= least, np.copysign(impulse / full, torque), 0.0)
 
         return command
 
@@ -81,8 +77,8 @@ class Thrusters(Sampled):
         def act(y: Any, t: Any, tau: Any) -> None:
             since = t - period * np.floor((t + 0.25 * tau) / period)
             for i in range(3):
-                length = abs(y[begin + i])
-                burning = min(length, since + tau) - min(length, since)
-                y[i] += full[i] * burning if y[begin + i] >= 0.0 else -full[i] * burning
+                length = np.abs(y[begin + i])
+                burning = np.minimum(length, since + tau) - np.minimum(length, since)
+                y[i] += np.copysign(full[i] * burning, y[begin + i])
 
         return act

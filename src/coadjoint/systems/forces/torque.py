@@ -24,6 +24,9 @@ from coadjoint.systems.forces.state_torque import (
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
 from coadjoint.validation import read_numbers
 
+ATTITUDES = ("attitude", "r", "rotation", "q", "quaternion", "orientation", "dcm")
+"""Names of a second argument that is meant to be an attitude, in small letters."""
+
 
 @dataclass(frozen=True)
 class Torque(StateTorque):
@@ -84,6 +87,7 @@ class Torque(StateTorque):
         if (of_attitude := attitude_arguments(self.torque)) is not None:
             return of_attitude
         if takes_time(self.torque, "the torque"):
+            _check_second_argument(self.torque)
             return "x, t"
         try:
             first = next(iter(inspect.signature(getattr(self.torque, "py_func", self.torque)).parameters), "x")
@@ -113,9 +117,16 @@ class Torque(StateTorque):
                 return
             torque = read_numbers(value, "the value of the torque")
             if torque.shape != shape:
-                raise ValueError(f"the torque returns shape {torque.shape}; {system.name} needs {shape}")
+                has_attitude = "A" not in arguments and getattr(system, "has_attitude", False)
+                hint = f", or {torque_shape(system)} of a function of (x, A)" if has_attitude else ""
+                raise ValueError(
+                    f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
+                    f"{shape}{hint}"
+                )
             return
-        raise ValueError(f"the torque fails at every sample point ({failure}); correct the function")
+        raise ValueError(
+            f"the torque, called with ({arguments}), fails at every sample point ({failure}); correct the function"
+        )
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         if not callable(self.torque):
@@ -157,6 +168,19 @@ def is_constant_torque(force: Any) -> bool:
     return isinstance(force, Torque) and not callable(force.torque)
 
 
+def _check_second_argument(torque: Callable[..., Any]) -> None:
+    """Raise TypeError if the second argument, which is the time, has a name of an attitude."""
+    try:
+        names = list(inspect.signature(getattr(torque, "py_func", torque)).parameters)
+    except (TypeError, ValueError):
+        return
+    if names[1:] and names[1].lower() in ATTITUDES:
+        raise TypeError(
+            f"the torque is a function of ({', '.join(names)}); its second argument is the time t, unless it is named "
+            "A: name the attitude A, of systems such as co.systems.body, and the time t"
+        )
+
+
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
     if "A" in arguments:
         A = system.attitudes(x)
@@ -178,9 +202,14 @@ def attitude_arguments(torque: Callable[..., Any]) -> str | None:
         return None
     parameters = list(signature.parameters.values())
     if len(parameters) < 2 or parameters[1].name != "A":
+        if any(one.name == "A" and one.default is one.empty for one in parameters):
+            raise TypeError(f"the torque is a function of {_names(parameters)}; give one of (x, A) or (x, A, t)")
         return None
     more = [one for one in parameters[2:] if one.default is one.empty or one.name == "t"]
     if [one.name for one in more] not in ([], ["t"]) or any(one.kind is one.VAR_POSITIONAL for one in parameters):
-        names = ", ".join(one.name for one in parameters)
-        raise TypeError(f"the torque is a function of ({names}); give one of (x, A) or (x, A, t)")
+        raise TypeError(f"the torque is a function of {_names(parameters)}; give one of (x, A) or (x, A, t)")
     return "x, A, t" if more else "x, A"
+
+
+def _names(parameters: list[inspect.Parameter]) -> str:
+    return f"({', '.join(one.name for one in parameters)})"

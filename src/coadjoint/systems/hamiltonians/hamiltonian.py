@@ -36,6 +36,7 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import (
 )
 from coadjoint.systems.user_functions import (
     MultipleOf,
+    SumOfShares,
     all_take_time,
     callable_from_compiled,
     check_derivative,
@@ -277,19 +278,27 @@ class Hamiltonian(Summable):
 
 
 class FunctionOfConstants(NamedTuple):
-    """value(y, c) of y = x[coordinates] and constants c (k,), with its derivatives by y, analytic in both."""
+    """value(y, c) of y = x[coordinates] and constants c (k,), with its derivatives by y, analytic in both.
+
+    If there are several `shares`, value(y, c, number) and gradient(y, c, number) are those of one.
+    """
 
     coordinates: npt.NDArray[np.int64]
     constants: npt.NDArray[Any]
-    value: Callable[[Any, Any], Any]
-    gradient: Callable[[Any, Any], Any]
-    hessian: Callable[[Any, Any], Any]
+    value: Callable[..., Any]
+    gradient: Callable[..., Any]
+    hessian: Callable[..., Any]
+    shares: int = 1
 
     def hamiltonian(self) -> Hamiltonian:
         """Return the function of y, bound without a check of the derivatives, which takes minutes for 200 bodies."""
         c = self.constants
         value, gradient, hessian = map(callable_from_compiled, (self.value, self.gradient, self.hessian))
-        energy = Hamiltonian(lambda y: value(y, c), lambda y: gradient(y, c), lambda y: hessian(y, c))
+        functions: tuple[Callable[..., Any], ...] = (lambda y: value(y, c)), (lambda y: gradient(y, c))
+        if self.shares > 1:
+            shares = (lambda y, k: value(y, c, k)), (lambda y, k: gradient(y, c, k))
+            functions = tuple(SumOfShares(share, self.shares) for share in shares)
+        energy = Hamiltonian(functions[0], functions[1], lambda y: hessian(y, c))
         energy.dim = len(self.coordinates)
         return energy
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity_fourth import fourth_order_terms
-from coadjoint.systems.user_functions import callable_from_compiled
+from coadjoint.systems.user_functions import ALL_SHARES, bodies_of_shares, callable_from_compiled, number_of_shares
 
 Numbers = npt.NDArray[Any]
 
@@ -27,20 +27,23 @@ def mutual_gravity(
     attitudes, (k, 3, 3), then the positions, (k, 3). For order 4 see `fourth_order_terms`. The constants are G, the
     masses, D, and the sums of the squares of the entries of each D.
     """
-    squares = np.array([(one * one).sum() for one in anisotropic])
+    count, squares = len(masses), np.array([(one * one).sum() for one in anisotropic])
     constants = np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares])
-    return FunctionOfConstants(coordinates, constants, *_functions(len(masses), order))
+    value, gradient, hessian = _functions(count, order)
+    return FunctionOfConstants(coordinates, constants, value, gradient, hessian, number_of_shares(count))
 
 
 @lru_cache(maxsize=64)
 def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
     """Return V and its first and second derivatives as functions of y and of the constants; compiled code is reused."""
     axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
+    bodies_of = bodies_of_shares(count)
 
-    def value(y: Any, constants: Any) -> Any:
+    def value(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
         G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
         total, R, w = 0.0 * y[0], 0.0 * y[:3], 0.0 * y[:3]
-        for i in range(count):
+        for i in range(begin, count, step):
             for j in range(i):
                 square = 0.0 * y[0]
                 for a in range(3):
@@ -59,10 +62,11 @@ def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
                     total += 1.5 * G * m[other] * form / (square * square * s)
         return total
 
-    def gradient(y: Any, constants: Any) -> Any:
+    def gradient(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
         G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
         result, R, w, e = 0.0 * y, 0.0 * y[:3], 0.0 * y[:3], 0.0 * y[:3]
-        for i in range(count):
+        for i in range(begin, count, step):
             for j in range(i):
                 square = 0.0 * y[0]
                 for a in range(3):
@@ -161,10 +165,10 @@ def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
     functions = value, gradient, hessian
     if order < 4:
         return functions
-    return tuple(_sum(*pair) for pair in zip(functions, fourth_order_terms(count), strict=True))
-
-
-def _sum(first: Callable[..., Any], second: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the sum of two functions, which compiled functions can call."""
-    one, other = callable_from_compiled(first), callable_from_compiled(second)
-    return lambda y, constants: one(y, constants) + other(y, constants)
+    v, g, h = map(callable_from_compiled, functions)
+    more_v, more_g, more_h = map(callable_from_compiled, fourth_order_terms(count))
+    return (
+        lambda y, constants, share=ALL_SHARES: v(y, constants, share) + more_v(y, constants, share),
+        lambda y, constants, share=ALL_SHARES: g(y, constants, share) + more_g(y, constants, share),
+        lambda y, constants: h(y, constants) + more_h(y, constants),
+    )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.systems.user_functions import callable_from_compiled
+from coadjoint.systems.user_functions import ALL_SHARES, bodies_of_shares, callable_from_compiled
 
 STEP = 2.0**-200  # of complex derivatives, which are exact to rounding: its square vanishes beside one
 
@@ -21,6 +21,7 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
     of a homogeneous ellipsoid are 5/(7 m) times the products of its second moments; isotropic parts have no effect.
     """
     axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
+    bodies_of = bodies_of_shares(count)
 
     def parts(y: Any, D: Any, i: int, j: int) -> Any:
         """Return R, s^2, and of both bodies w, e, g, D e, A D and A D A^T, by rows."""
@@ -50,11 +51,12 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
 
     found = callable_from_compiled(parts)
 
-    def value(y: Any, constants: Any) -> Any:
+    def value(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
         G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
         squares = constants[squares_at:]
         total = 0.0 * y[0]
-        for i in range(count):
+        for i in range(begin, count, step):
             for j in range(i):
                 _, square, w, e, g, _, _, S = found(y, D, i, j)
                 fifth = 1.0 / (square * square * np.sqrt(square))
@@ -75,11 +77,12 @@ def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
                 total -= G * weighted * fifth / 24.0
         return total
 
-    def gradient(y: Any, constants: Any) -> Any:
+    def gradient(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
         G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
         squares = constants[squares_at:]
         result = 0.0 * y
-        for i in range(count):
+        for i in range(begin, count, step):
             for j in range(i):
                 R, square, w, e, g, u, AD, S = found(y, D, i, j)
                 fifth = 1.0 / (square * square * np.sqrt(square))

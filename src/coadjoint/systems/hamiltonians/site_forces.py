@@ -8,7 +8,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
-from coadjoint.systems.user_functions import callable_from_compiled
+from coadjoint.systems.user_functions import (
+    ALL_SHARES,
+    bodies_of_shares,
+    callable_from_compiled,
+    number_of_shares,
+    shared,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -48,6 +54,7 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
     """
     molecules, types, places, qq, repulsion, attraction, box, near, cutoff, field, shift = tables
     kinds, count, periodic = len(molecules), int(molecules.sum()), bool(box.any())
+    shares, bodies_of = number_of_shares(count), bodies_of_shares(count)
     begins, first_type = (np.concatenate([[0], np.cumsum(array)]) for array in (molecules, types))
     kind_of, first_r = np.repeat(np.arange(kinds), molecules), 9 * count
     # Sites are stored by type, for all molecules of its kind.
@@ -169,10 +176,10 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
     gather, copy, add_energies = (callable_from_compiled(f) for f in (gathered, copied, energies))
     set_slopes, add_up = (callable_from_compiled(f) for f in (slopes, added_up))
 
-    def value(y: Any) -> Any:
+    def value(y: Any, share: Any = ALL_SHARES) -> Any:
         s, total, seen = sites(y), 0.0 * y[0], np.zeros(longest, dtype=np.int64)
-        rows = np.zeros(18 * longest) + total
-        for m in range(count - 1):
+        rows, (begin, step) = np.zeros(18 * longest) + total, bodies_of(share)
+        for m in range(begin, count - 1, step):
             own = kind_of[m]
             for kind in range(own, kinds):
                 n = gather(y, m, kind, seen, rows)
@@ -189,10 +196,11 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                     total += rows[W + k] * rows[E + k] if cutoff > 0.0 else rows[E + k]
         return total
 
-    def gradient(y: Any) -> Any:
+    def gradient(y: Any, share: Any = ALL_SHARES) -> Any:
         s, result, seen = sites(y), 0.0 * y, np.zeros(longest, dtype=np.int64)
+        begin, step = bodies_of(share)
         f, rows = 0.0 * s, np.zeros(18 * longest) + result[0]
-        for m in range(count - 1):
+        for m in range(begin, count - 1, step):
             own = kind_of[m]
             for kind in range(own, kinds):
                 n = gather(y, m, kind, seen, rows)
@@ -293,6 +301,6 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
                         result[row, column] += second[c, e]
         return result
 
-    energy = Hamiltonian(value, gradient, hessian)
+    energy = Hamiltonian(shared(value, shares), shared(gradient, shares), hessian)
     energy.dim = 12 * count  # bound without a check of the derivatives, which takes minutes for many molecules
     return energy

@@ -29,7 +29,7 @@ DEFAULT_DEGREES = (2, 10)
 
 @suggest_keywords
 def random(
-    system: FluidSystem,
+    self: FluidSystem,
     seed: int,
     *,
     degrees: tuple[int, int] | None = None,
@@ -75,23 +75,23 @@ def random(
     (array([1., 1., 1., 1.]), 2.0)
     """
     generator = np.random.default_rng(read_integer(seed, "seed", 0))
-    first, last = _read_degrees(degrees, spectrum, system)
-    modes = system.random_modes(generator, last)
+    first, last = _read_degrees(degrees, spectrum, self)
+    modes = self.random_modes(generator, last)
     if spectrum is None:
-        weights = 0.5 * system.squares
-        target = np.asarray(np.bincount(system.degrees.ravel(), system.squares.ravel())[first : last + 1], dtype=float)
+        weights = 0.5 * self.squares
+        target = np.asarray(np.bincount(self.degrees.ravel(), self.squares.ravel())[first : last + 1], dtype=float)
         if energy is None and enstrophy is None:
-            enstrophy = system.area / 2
+            enstrophy = self.area / 2
     else:
-        weights = system.energy_weights
+        weights = self.energy_weights
         target = _read_spectrum(spectrum, first, last)
-    factors = np.zeros(int(system.degrees.max()) + 1)
-    factors[first : last + 1] = np.sqrt(target / system.spectrum_of_modes(modes, weights)[1][first - 1 : last])
-    return system.absolute(system.from_modes(_scaled(system, modes * factors[system.degrees], energy, enstrophy)))
+    factors = np.zeros(int(self.degrees.max()) + 1)
+    factors[first : last + 1] = np.sqrt(target / self.spectrum_of_modes(modes, weights)[1][first - 1 : last])
+    return self.absolute(self.from_modes(_scaled(self, modes * factors[self.degrees], energy, enstrophy)))
 
 
 @suggest_keywords
-def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Complexes:
+def blobs(self: FluidSystem, places: Any, strengths: Any, widths: Any) -> Complexes:
     """Return the state of round blobs of vorticity, diffused point vortices.
 
     On the torus, and approximately on the sphere, each is a Gaussian. The vorticity of a flow on a closed surface has
@@ -124,12 +124,12 @@ def blobs(system: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comp
     >>> s.to_grid(W).shape
     (33, 33)
     """
-    modes = _sum_about_points(system, ("blobs", "strengths", "widths"), places, strengths, widths, lambda width: 1.0)
-    return system.absolute(system.from_modes(modes))
+    modes = _sum_about_points(self, ("blobs", "strengths", "widths"), places, strengths, widths, lambda width: 1.0)
+    return self.absolute(self.from_modes(modes))
 
 
 @suggest_keywords
-def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
+def patches(self: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
     """Return the state of round patches of constant vorticity.
 
     The mean of the vorticity is subtracted, so that the total is zero.
@@ -164,17 +164,17 @@ def patches(system: FluidSystem, places: Any, radii: Any, vorticities: Any, *, e
     >>> bool(np.ptp(s.to_grid(W)) < 2.01 and np.ptp(s.to_grid(W)) > 1.99)
     True
     """
-    sigma = np.pi / system.resolved_degree if edge is None else read_number(edge, "edge")
+    sigma = np.pi / self.resolved_degree if edge is None else read_number(edge, "edge")
     if sigma < 0.0:
         raise ValueError(f"edge is {sigma:g}; give a width of at least 0")
     names = "patches", "vorticities", "radii"
-    modes = _sum_about_points(system, names, places, vorticities, radii, system.disc_profile, sigma)
-    return system.absolute(system.from_modes(modes))
+    modes = _sum_about_points(self, names, places, vorticities, radii, self.disc_profile, sigma)
+    return self.absolute(self.from_modes(modes))
 
 
 @suggest_keywords
 def from_file(
-    system: FluidSystem, path: str | Path, *, variable: str | None = None, select: Mapping[str, int] | None = None
+    self: FluidSystem, path: str | Path, *, variable: str | None = None, select: Mapping[str, int] | None = None
 ) -> Complexes:
     """Return the state read from a file.
 
@@ -202,10 +202,10 @@ def from_file(
     """
     values, coordinates = read_field(path, variable, select)
     if np.iscomplexobj(values):
-        return system.algebra.read(values, short(str(path)))
+        return self.algebra.read(values, short(str(path)))
     if coordinates is None:
-        return system.absolute(system.from_grid(values))
-    return system.absolute(system.from_coordinates(values, *coordinates))
+        return self.absolute(self.from_grid(values))
+    return self.absolute(self.from_coordinates(values, *coordinates))
 
 
 def _sum_about_points(

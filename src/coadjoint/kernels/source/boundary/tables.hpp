@@ -46,6 +46,10 @@ TABLE(Terms, TERMS_FIELDS)
     _(integers, begin) _(integers, coordinate)
 TABLE(Forms, FORMS_FIELDS)
 
+// A function of the user that is a sum of shares: the compiled one at `address` takes the number of a share as its time.
+#define SHARED_FIELDS(_) _(integer, address) _(integer, shares) _(integer, results)
+TABLE(SharedFunction, SHARED_FIELDS)
+
 #define ACTION_FIELDS(_)                                                                                             \
     _(integer, size) _(indices, run) _(bytes, kind) _(indices, angles) _(indices, repeat) _(indices, angle)          \
     _(indices, position) _(indices, constant) _(indices, width) _(indices, entries) _(indices, degree)              \
@@ -140,7 +144,8 @@ TABLE(StepTables, STEP_FIELDS)
 // For a force on modes of a matrix of `extent` rows, at `position` of a state, `shape` selects the modes; on the
 // diagonal d they are those with the numbers direction[begin[d]] to direction[begin[d + 1] - 1], with as many entries
 // of `rate`, and of `turning` if they may rotate. If `sets` is one, they are those of the matrix minus that of `aim`.
-// `basis` is described in matrices/modes.hpp.
+// `basis` is described in matrices/modes.hpp. The flow of a function of the state is extrapolated in `extent` columns, or
+// is a step of the classical Runge-Kutta method if that is zero.
 #define FORCE_FIELDS(_)                                                                                              \
     _(integer, kind) _(integer, account) _(integer, accounts) _(integer, shape) _(numbers, rate) _(numbers, aim)     \
     _(integers, function) _(number, amplitude) _(integer, seed) _(integer, stream) _(integer, sets)                  \
@@ -198,11 +203,13 @@ TABLE(ForwardRun, FORWARD_RUN_FIELDS)
 // `at_points` (marked, members, n) and `at_groups` (marked, members, d, d) of the states finished after the steps
 // `marks`, ascending. Accumulated are `cotangents` (members, n) and `group_cotangents` (members, d, d) of the
 // unfinished states, and the derivatives by the offsets, weights and coefficients of the terms (members, their number).
+// `deviations` (members), which may be null, become at least the largest distance, relative to its size, of a state from
+// which flows were undone to that before the step.
 #define BACKWARD_RUN_FIELDS(_)                                                                                       \
     _(integer, size) _(integer, square) _(integer, members) _(number, t0) _(number, h) _(integer, k0) _(integer, k1)  \
     _(numbers, momenta) _(numbers, errors) _(numbers, groups) _(numbers, group_errors) _(integer, marked)            \
     _(integers, marks) _(numbers, at_points) _(numbers, at_groups) _(numbers, cotangents)                            \
-    _(numbers, group_cotangents) _(numbers, coefficients) _(flag, undone) _(integer, threads)
+    _(numbers, group_cotangents) _(numbers, coefficients) _(numbers, deviations) _(flag, undone) _(integer, threads)
 TABLE(BackwardRun, BACKWARD_RUN_FIELDS)
 
 #define UNSHIFT_FIELDS(_)                                                                                            \

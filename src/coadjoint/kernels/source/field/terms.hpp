@@ -33,12 +33,28 @@ inline int64_t work_of_terms(const Terms& terms, int64_t first, int64_t last) {
 
 typedef void (*UserFunction)(const double* y, double t, double* out);
 
-// Call the function at an address: a compiled function of the user, or, for a negative address, a table of `Forms`.
+// The sum of all shares in their order; the threads of a team compute them side by side.
+NOINLINE inline void add_shares(const SharedFunction& function, const double* y, double* out) {
+    const int64_t results = function.results;
+    AlignedArray<double> shares(function.shares * results);
+    share_blocks(function.shares, [&](int64_t first, int64_t last) {
+        for (int64_t k = first; k < last; ++k)
+            reinterpret_cast<UserFunction>(function.address)(y, double(k), shares.at + k * results);
+    });
+    for (int64_t i = 0; i < results; ++i) out[i] = shares.at[i];
+    for (int64_t k = 1; k < function.shares; ++k)
+        for (int64_t i = 0; i < results; ++i) out[i] += shares.at[k * results + i];
+}
+
+// Call the function at an address: a compiled function of the user, or, for a negative address, a table: of
+// `SharedFunction` if the address is odd, otherwise of `Forms`.
 inline void call(int64_t address, const double* y, double t, double* out) {
-    if (address < 0)
-        *out = value_of_forms(*reinterpret_cast<const Forms*>(-address), y);
-    else
+    if (address >= 0)
         reinterpret_cast<UserFunction>(address)(y, t, out);
+    else if (address & 1)
+        add_shares(*reinterpret_cast<const SharedFunction*>(-address - 1), y, out);
+    else
+        *out = value_of_forms(*reinterpret_cast<const Forms*>(-address), y);
 }
 
 // Call a compiled function of the user, lane by lane: it reads `count` numbers and fills `results`.

@@ -144,8 +144,9 @@ class Force {
         return defined(x);
     }
 
-    // A step of the classical Runge-Kutta method, whose local error is of fifth order in tau.
+    // A step of the classical Runge-Kutta method, whose local error is of fifth order in tau, or of higher order.
     int64_t push_by_state(double* x, double t, double tau) {
+        if (table.extent) return extrapolate(x, t, tau);
         constexpr double NODE[] = {0.0, 0.5, 0.5, 1.0}, WEIGHT[] = {1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0};
         std::fill_n(two.data(), n, 0.0);
         std::copy_n(x, n, three.data());
@@ -155,6 +156,30 @@ class Force {
             for (int64_t i = 0; i < n; ++i) two[i] = fma(WEIGHT[k], one[i], two[i]);
         }
         for (int64_t i = 0; i < n; ++i) x[i] = fma(tau, two[i], x[i]);
+        return defined(x);
+    }
+
+    // Gragg's midpoint rule in 2, 4, ..., 2 k substeps for k = `extent`, extrapolated to the order 2 k.
+    int64_t extrapolate(double* x, double t, double tau) {
+        double *first = two.data(), *at = three.data(), *even = four.data(), *odd = five.data(), *change = six.data();
+        call_at(x, t, first);
+        std::fill_n(change, n, 0.0);
+        for (int64_t k = 1; k <= table.extent; ++k) {
+            const double count = 2.0 * double(k), length = tau / count;
+            double weight = 1.0;
+            for (int64_t i = 1; i <= table.extent; ++i)
+                if (i != k) weight *= double(k * k) / double(k * k - i * i);
+            for (int64_t i = 0; i < n; ++i) even[i] = 0.0, odd[i] = length * first[i];
+            for (int64_t m = 1; m < 2 * k; ++m) {
+                const double* last = m % 2 ? odd : even;
+                double* next = m % 2 ? even : odd;
+                for (int64_t i = 0; i < n; ++i) at[i] = x[i] + last[i];
+                call_at(at, fma(double(m) / count, tau, t), one.data());
+                for (int64_t i = 0; i < n; ++i) next[i] = fma(2.0 * length, one[i], next[i]);
+            }
+            for (int64_t i = 0; i < n; ++i) change[i] = fma(weight, even[i], change[i]);
+        }
+        for (int64_t i = 0; i < n; ++i) x[i] += change[i];
         return defined(x);
     }
 

@@ -115,6 +115,7 @@ class StepsBackward {
             backward.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated,
                            {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
                             {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
+            if (run.deviations && !run.undone) compare_with(states.at + (k - 1 - run.k0) * size);
             run.undone ? shared_steps.end() : shared_steps.end_as_measured();
         }
         each_number(cotangents.at, size, used,
@@ -123,6 +124,10 @@ class StepsBackward {
                     [&](A& entry, int lane, int64_t position) { run.coefficients[position] += lane_of(entry, lane); });
         each_entry(group_cotangents.at, used,
                    [&](G& entry, int lane, int64_t position) { run.group_cotangents[position] = lane_of(entry, lane); });
+        for (int64_t lane = 0; run.deviations && lane < used; ++lane) {
+            double& deviation = run.deviations[member_of(lane)];
+            deviation = std::max(deviation, lane_of(largest_deviation, int(lane)));
+        }
     }
 
   private:
@@ -145,6 +150,21 @@ class StepsBackward {
     const int64_t work;
     size_t longest;
     AlignedArray<AppliedRotations<A>> rotations{0};
+    A largest_deviation{0.0};
+
+    // Compare the state, from which the flows of a step were undone, with that before the step.
+    void compare_with(const A* before) {
+        const auto sum_of = [&](const auto& distance) {
+            return shared_sum<A>(size, [&](int64_t first, int64_t last) {
+                A sum(0.0);
+                for (int64_t i = first; i < last; ++i) sum = sum + absolute(distance(i));
+                return sum;
+            });
+        };
+        const A off = sum_of([&](int64_t i) { return x.at[i] - before[i]; });
+        const A whole = sum_of([&](int64_t i) { return before[i]; });
+        largest_deviation = larger(largest_deviation, select(A(0.0) < off, off / whole, A(0.0)));
+    }
 
     // A row of the program, unless it is the added one.
     template <Summation summation>

@@ -114,9 +114,11 @@ inline std::vector<double> forecast_of(const RungeKuttaTables& tables, bool tran
     return forecast;
 }
 
-// Whether an iteration has converged: the next change, predicted from the last two, would be rounding.
+// Whether an iteration has converged: the next change, predicted from the last two, would be rounding. In an iteration
+// that diverges, the products overflow.
 INLINE bool converged(double change, double earlier, double largest) {
-    return change <= DERIVATIVE_ROUNDING * largest || change * change <= DERIVATIVE_ROUNDING * largest * earlier ||
+    const double bound = DERIVATIVE_ROUNDING * largest * earlier;
+    return change <= DERIVATIVE_ROUNDING * largest || (bound - bound == 0.0 && change * change <= bound) ||
            (earlier > 0.0 && change >= earlier && change <= DERIVATIVE_STAGNATION * largest);
 }
 

@@ -1,0 +1,209 @@
+"""Figures of results of the analysis: phase errors, dynamic structure factors, deviations of modified energies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.optional_packages import require_packages
+from coadjoint.pictures.style import colour, colour_bar, legend, plain_axes, with_figure_settings
+from coadjoint.runs.results.solution import Solution, check_solution
+from coadjoint.validation import read_integer, read_list
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+DECADES = 4.0
+"""Range of intensities shown, in powers of ten."""
+BRIGHTEST = 10.0
+"""Largest intensity shown, in units of the median of the maxima of the wave vectors."""
+MARGIN = 1.15
+"""Highest frequency shown, in units of the highest visible one."""
+LARGEST_DENOMINATOR = 64  # of wave vectors written as fractions
+
+MAX_POINTS = 5000
+"""Largest number of points drawn; a printed line does not resolve more."""
+
+
+@with_figure_settings
+def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
+    """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line.
+
+    Examples
+    --------
+    >>> from coadjoint.analysis.phase_drift import drift_of_series
+    >>> t = np.arange(400) * 0.5
+    >>> [axes.get_ylabel() for axes in draw_phase_drift(drift_of_series(t, 0.1 * t + np.cos(t))).axes]
+    ['lead [unit of time]', 'lead - line']
+    """
+    require_packages("drawing a phase error", "matplotlib")
+    from coadjoint.pictures.figure import ShownFigure
+    from coadjoint.pictures.layout import PanelLayout
+
+    figure = ShownFigure(figsize=(7.2, 5.4), layout=PanelLayout())
+    lead, rest = figure.subplots(2, 1, sharex=True)
+    line = drift.intercept + drift.slope * drift.t
+    lead.plot(drift.t, drift.lead, color=colour(0), linewidth=0.9, label="measured")
+    label = f"slope {with_error(drift.slope, drift.uncertainty)}"
+    lead.plot(drift.t, line, color=colour(1), linewidth=1.1, linestyle="--", label=label)
+    if predicted is not None:
+        predicted_line = line.mean() + predicted * (drift.t - drift.t.mean())
+        lead.plot(
+            drift.t, predicted_line, color=colour(2), linewidth=1.4, linestyle=":", label=f"predicted {predicted:.6g}"
+        )
+    unit = "rad" if drift.unit == "radians" else "unit of time"
+    lead.set(ylabel=f"lead [{unit}]")
+    lead.set_title(f"phase error: {drift.growth}")
+    legend(lead)
+    rest.plot(drift.t, drift.lead - line, color=colour(0), linewidth=0.7)
+    rest.set(xlabel="time $t$", ylabel="lead - line")
+    rest.set_title(f"rest without the line: rms {drift.deviation:.2g}, growing like $t^{{{drift.exponent:.2f}}}$")
+    for axes in (lead, rest):
+        plain_axes(axes)
+        axes.ticklabel_format(axis="y", style="sci", scilimits=(-3, 4), useMathText=True)
+    return figure
+
+
+def with_error(value: float, error: float) -> str:
+    r"""Format a value with its (nonnegative) error as mathematical text, with two digits of the error.
+
+    Examples
+    --------
+    >>> with_error(-0.00123456, 1.2e-6)
+    '$(-1.2346 \\pm 0.0012) \\times 10^{-3}$'
+    """
+    scale = max(abs(value), error)
+    if not scale > 0.0 or not np.isfinite(scale):
+        return f"${value:.3g}$"
+    power = int(np.floor(np.log10(scale)))
+    digits = power - int(np.floor(np.log10(error))) + 1 if error > 0.0 else 6
+    return rf"$({value / 10.0**power:.{digits}f} \pm {error / 10.0**power:.{digits}f}) \times 10^{{{power}}}$"
+
+
+@with_figure_settings
+def draw_structure_factor(spectrum: Any) -> Figure:
+    """Return a figure of a `StructureFactor`: intensity on a logarithmic scale, corners of the path as ticks."""
+    require_packages("drawing a structure factor", "matplotlib")
+    from matplotlib.colors import LogNorm
+
+    from coadjoint.pictures.figure import ShownFigure
+    from coadjoint.pictures.layout import PanelLayout
+
+    figure = ShownFigure(figsize=(7.2, 4.2), layout=PanelLayout())
+    axes = figure.add_subplot()
+    shown = spectrum.omega >= 0.0
+    intensity = spectrum.intensity[:, shown].T
+    # Elastic lines may be stronger by orders of magnitude than all others.
+    top = BRIGHTEST * float(np.median(intensity.max(axis=0))) or 1.0
+    lowest, omega = top * 10.0**-DECADES, spectrum.omega[shown]
+    mesh = axes.pcolormesh(
+        _edges(spectrum.distance),
+        _edges(omega),
+        np.clip(intensity, lowest, top),
+        norm=LogNorm(lowest, top),
+        cmap="viridis",
+        rasterized=True,
+    )
+    colour_bar(axes, mesh, r"$S(q, \omega)$", extend="both")
+    visible = omega[np.any(intensity > lowest, axis=1)]
+    axes.set_ylim(0.0, min(omega[-1], MARGIN * visible.max(initial=omega[1])))
+    names = [corner_name(spectrum.q[corner]) for corner in spectrum.corners]
+    axes.set_xticks(spectrum.distance[spectrum.corners], names)
+    for corner in spectrum.corners[1:-1]:
+        axes.axvline(spectrum.distance[corner], color="white", linewidth=0.6)
+    axes.set(
+        xlabel="wave vector $q$ [reciprocal edges]", ylabel=r"frequency $\omega$", title="dynamic structure factor"
+    )
+    plain_axes(axes)
+    axes.grid(False)
+    return figure
+
+
+def corner_name(q: Any) -> str:
+    """Return the components of a wave vector as fractions.
+
+    >>> corner_name([0.5, 0.0]), corner_name([1 / 3]), corner_name([-2 / 3, 1.0])
+    ('(1/2, 0)', '1/3', '(-2/3, 1)')
+    """
+    parts = [str(Fraction(float(part)).limit_denominator(LARGEST_DENOMINATOR)) for part in q]
+    return parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
+
+
+def _edges(centres: Any) -> Any:
+    """Return the borders between cells around values; a single value has a width of one."""
+    if len(centres) < 2:
+        return np.array([centres[0] - 0.5, centres[0] + 0.5])
+    middle = 0.5 * (centres[1:] + centres[:-1])
+    return np.concatenate([[2.0 * centres[0] - middle[0]], middle, [2.0 * centres[-1] - middle[-1]]])
+
+
+@suggest_keywords
+@with_figure_settings
+def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
+    r"""Return a figure of the deviations of the energy and of modified energies from their initial values.
+
+    If the run is the motion of a nearby Hamiltonian system, the deviation of each order is below that of the previous
+    one by a factor of about the square of the step, down to round-off, and none grows.
+
+    Parameters
+    ----------
+    solution : Solution
+        By a splitting; of an ensemble the first member is drawn.
+    orders : sequence of int
+        Orders of the modified Hamiltonians; see `coadjoint.modified_hamiltonian`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Neither shown nor saved.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
+    >>> [line.get_label() for line in draw_modified_energy(sol, orders=(4, 6)).axes[0].lines]
+    ['energy $H$', '$\\tilde H$ of order 4', '$\\tilde H$ of order 6']
+    """
+    check_solution(solution)
+    require_packages("drawing modified energies", "matplotlib")
+    from coadjoint.pictures.figure import ShownFigure
+    from coadjoint.pictures.layout import PanelLayout
+
+    listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
+    checked = [read_integer(order, "an order") for order in listed]
+    figure = ShownFigure(figsize=(7.2, 4.2), layout=PanelLayout())
+    axes = figure.add_subplot()
+    draw_deviations(axes, solution, checked)
+    axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
+    legend(axes, beside=True)
+    return figure
+
+
+def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> None:
+    """Draw the deviations of energy and modified energies of the first member from their initial values into axes."""
+    series = {"energy $H$": solution.energy}
+    series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
+    at_start = [values.reshape(len(values), -1)[0, 0] for values in series.values()]
+    if solution.t[0] != solution.t_span[0]:  # t_eval does not save the start
+        at_start = _energies_at_start(solution, orders)
+    every = max(1, -(-len(solution.t) // MAX_POINTS))
+    for line, ((label, values), initial) in enumerate(zip(series.items(), at_start, strict=True)):
+        energy = values.reshape(len(values), -1)[:, 0]
+        deviation = np.abs(energy - initial)[::every]
+        # Zero deviations have no logarithm, and leave gaps.
+        visible = np.where(deviation > 0.0, deviation, np.nan)
+        axes.plot(solution.t[::every], visible, color=colour(line), linewidth=0.9, label=label)
+    axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")
+    plain_axes(axes)
+
+
+def _energies_at_start(solution: Solution, orders: Sequence[int]) -> list[Any]:
+    """Return the energy and the modified energies of the initial state of the first member."""
+    # As if it were the only saved point.
+    start = type(solution)({**vars(solution), "x": np.asarray(solution.x0)[None]})
+    return [np.ravel(solution.initial["energy"])[0], *(np.ravel(start.modified_energy(order))[0] for order in orders)]

@@ -1,0 +1,277 @@
+"""Splittings and compositions of higher order keep their order with forces, and refuse forces that act forward only."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import coadjoint as co
+from drawn_matrices import full
+from long import long_beyond
+from matrix.cases import value_of
+from matrix.forces import force_text
+from refusals import refused
+
+SPAN = (0.5, 2.5)
+TOP = np.array([1.0, 0.5, 0.3, 0.2, 0.3, 0.9])
+SPINS = np.array([0.6, 0.0, 0.8, 0.0, -0.6, 0.8, 0.8, 0.6, 0.0])
+DAMPING = co.forces.LinearDamping(np.array([0.1, 0.2, 0.15, 0.0, 0.0, 0.0]))
+GAUSS = co.GaussLegendre(1)
+
+
+def of_time(t):
+    """Return a torque of time."""
+    return np.array([np.sin(t), 0.0, np.cos(2.0 * t), 0.0, 0.0, 0.0])
+
+
+def of_state(x):
+    """Return a torque of the state."""
+    return np.array([0.2 * x[4] - 0.1 * x[0], -0.2 * x[1] * x[2], 0.1 * np.sin(x[3]), 0.0, 0.0, 0.0])
+
+
+def of_both(x, t):
+    """Return a torque of state and time, for every system."""
+    y = 0.2 * np.cos(x + t)
+    y[0] -= 0.3 * x[1] * x[2]
+    return y
+
+
+def of_attitude(x, A, t):
+    """Return a torque of state, attitude and time."""
+    return np.array([0.4 * A[2, 1] - 0.2 * x[0], np.sin(t) * A[0, 2], -0.3 * x[2] * A[1, 0]])
+
+
+def of_matrix(W, t):
+    """Return a torque on a skew matrix."""
+    return 0.3 * np.cos(t) * W + 0.2 * W @ W @ W
+
+
+def on(algebra, seed):
+    """Return a system with a full quadratic energy and a linear one, and a state."""
+    n = algebra.dim
+    energy = co.Quadratic(full(n, seed), linear=np.linspace(-0.3, 0.4, n))
+    return co.LiePoissonSystem(algebra, energy), np.linspace(0.7, -0.5, n)
+
+
+def body_in_space():
+    """Return a body with an attitude in its state, and a state."""
+    body = co.systems.body((1.0, 2.0, 2.5)).with_forces(co.forces.Torque(of_attitude))
+    return body, body.state((0.6, 0.0, 0.0, 0.8), angular_velocity=(0.6, -0.4, 0.5))
+
+
+def top(*forces):
+    """Return a heavy top with forces, and a state."""
+    return co.systems.heavy_top().with_forces(*forces), TOP
+
+
+def forced(system, *forces):
+    """Return a system with forces, and the state."""
+    return system[0].with_forces(*forces), system[1]
+
+
+def splittings(*orders):
+    """Return splittings of these orders."""
+    return [co.Splitting(order=order) for order in orders]
+
+
+CHAIN = co.systems.spin_lattice("chain", 3), SPINS
+CASES = {
+    "damped and pushed": (*top(DAMPING, co.forces.Torque((0.3, 0, -0.2, 0, 0, 0))), splittings(4, 6, 8, 10)),
+    "driven": (*top(co.forces.LinearDamping(0.1), co.forces.Torque(of_time)), splittings(4, 6, 8, 10)),
+    "torque of the state": (*top(co.forces.Torque(of_state), DAMPING), splittings(4, 6, 8, 10)),
+    "so(4)": (*forced(on(co.algebras.so(4), 1), co.forces.Torque(of_both)), splittings(4, 6, 8)),
+    "A3,7": (*forced(on(co.algebras.A3_7(0.7), 2), co.forces.Torque(of_both), co.forces.LinearDamping(0.3)),
+        splittings(4, 6)),
+    "su(3)": (*forced(on(co.algebras.su(3), 3), co.forces.Torque(of_both)), splittings(4, 6)),
+    "spins": (*forced(CHAIN, co.forces.DoubleBracketDamping(0.1)), splittings(4, 6, 8)),
+    "midpoints": (*forced(CHAIN, co.forces.DoubleBracketDamping(0.1)), [
+        co.methods.even_order(co.SphericalMidpoint(), 4, "suzuki")]),
+    "body in space": (*body_in_space(), splittings(4, 6, 8)),
+    "other splittings": (*top(co.forces.Torque(of_state), co.forces.Torque(of_time)), [
+        co.Splitting(scheme="yoshida4"), co.Splitting(order=6, parts="free_body"),
+        co.Splitting(order=6, compensated=True)]),
+    "stages": (*forced(on(co.algebras.so(4), 4), co.forces.Torque(of_both), co.forces.LinearDamping(0.1)), [
+        co.methods.even_order(GAUSS, 4, "suzuki"), co.methods.even_order(GAUSS, 6, "suzuki")]),
+}  # fmt: skip
+EACH = [(name, method) for name, (*_, methods) in CASES.items() for method in methods]
+
+
+def reference(system, x0, span):
+    """Return the end of the motion to some 1e-13."""
+    found = solve_ivp(lambda t, x: system.vector_field(x, t), span, x0, method="DOP853", rtol=1e-13, atol=1e-15)
+    return found.y[:, -1]
+
+
+def ends(system, x0, span, method, steps):
+    """Return the last states of runs of these steps."""
+    return [co.integrate(system, x0, span, h, method).x[-1] for h in steps]
+
+
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize(("name", "method"), EACH, ids=[f"{name}, {method}" for name, method in EACH])
+@pytest.mark.parametrize("backward", [False, True])
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+def test_orders_against_another_solver(name, method, backward):
+    """The error falls by 2^order when the step is halved, less half an order for higher terms."""
+    system, x0, _ = CASES[name]
+    span = SPAN[::-1] if backward else SPAN
+    assert co.prepare(system, method, step=0.125).scheme.order == method.order
+    steps = (0.25, 0.125, 0.0625) if method.order < 8 else (0.5, 0.25, 0.125)
+    errors = np.abs(np.array(ends(system, x0, span, method, steps)) - reference(system, x0, span)).max(axis=1)
+    # The reference has an error of some 1e-13; above it there must be a pair of steps.
+    above = errors[1:] > 2e-12
+    assert errors[-1] < 1e-3 and (errors[1] < 2e-12 or above.any())
+    assert np.all(np.log2(errors[:-1] / errors[1:])[above][-1:] > method.order - 0.5)
+
+
+@pytest.mark.parametrize("order", [4, 6])
+def test_torques_on_matrices_keep_the_order(order):
+    body = co.systems.matrix_body((1.0, 2.0, 3.0)).with_forces(co.forces.Torque(of_matrix))
+    W, method = np.array([[0.0, 0.7, -0.5], [-0.7, 0.0, 0.6], [0.5, -0.6, 0.0]]), co.IsospectralGauss(1)
+    wanted = solve_ivp(
+        lambda t, x: np.ravel(body.vector_field(x.reshape(3, 3), t)),
+        SPAN, W.ravel(), method="DOP853", rtol=1e-13, atol=1e-15,
+    ).y[:, -1].reshape(3, 3)  # fmt: skip
+    found = ends(body, W, SPAN, co.methods.even_order(method, order, "suzuki"), (0.5, 0.25))
+    errors = [np.abs(end - wanted).max() for end in found]
+    assert errors[0] < 1e-3 and np.log2(errors[0] / errors[1]) > order - 0.5
+
+
+SATELLITE, POINTING = "co.systems.body((1.0, 2.0, 2.5)", "co.forces.Pointing(0.1, 0.2), period=0.25"
+FIRST_FITTING = (f"{SATELLITE})", "co.systems.torus_euler(N=3)", "co.systems.spin_lattice('chain', 3)")
+SAMPLED = {
+    "Sampled": f"{SATELLITE}).with_forces(co.forces.Sampled({POINTING}))",
+    "Thrusters": f"{SATELLITE}).with_forces(co.forces.Thrusters({POINTING}, max_torque=0.2, min_impulse=0.004))",
+    "ReactionWheels": f"{SATELLITE}, wheels=0.1 * np.eye(3)).with_forces(co.forces.ReactionWheels({POINTING}))",
+    "ControlMomentGyros": f"{SATELLITE}, gyros=np.eye(3)[[(0, 1), (1, 2), (2, 0)]]).with_forces("
+    f"co.forces.ControlMomentGyros({POINTING}))",
+}
+
+
+def first_fitting(name):
+    """Return a system with a registered force."""
+    if name in SAMPLED:
+        return value_of(SAMPLED[name])
+    for text in FIRST_FITTING:
+        try:
+            return value_of(f"{text}.with_forces({force_text(name, value_of(text))})")
+        except (TypeError, ValueError):
+            continue
+    raise ValueError(f"no system takes {name}")
+
+
+@pytest.mark.parametrize("name", co.forces.names())
+def test_every_force_acts_backward_or_is_refused_by_name(name):
+    system = first_fitting(name)
+    (force,), base = system.forces, co.IsospectralGauss(1) if system.has_matrices else co.Splitting()
+    method = co.methods.even_order(base, 4)
+    assert co.prepare(system, base, step=0.125).scheme.order == co.prepare(system, step=0.125).scheme.order == 2
+    if force.reversible:
+        assert co.prepare(system, method, step=0.125).scheme.order == 4
+        return
+    for call in (
+        lambda: co.prepare(system, method, step=0.125),
+        lambda: co.stepper(system, method, 0.125),
+        lambda: co.methods.Forced(method).properties(system),
+        lambda: co.prepare(system if system.has_matrices else co.batch([system, system]), method, step=0.125),
+    ):
+        with refused(ValueError, force.label, "backward", "take", base):
+            call()
+
+
+@pytest.mark.parametrize(
+    ("method", "named"),
+    [
+        (co.Splitting(scheme="blanes_moan4"), ("blanes_moan4", "Splitting(order=4)")),
+        (co.Splitting(scheme="blanes_casas_murua6"), ("blanes_casas_murua6", "Splitting(order=6)")),
+        (co.methods.even_order(co.GaussLegendre(2), 6), ("GaussLegendre(stages=2)", "order two", "even_order")),
+    ],
+    ids=str,
+)
+def test_orders_that_hold_without_forces_only_are_refused(method, named):
+    system, x0 = top(DAMPING)
+    for call in (
+        lambda: co.integrate(system, x0, SPAN, 0.125, method),
+        lambda: co.stepper(system, method, 0.125),
+        lambda: co.methods.Forced(method),
+    ):
+        with refused(ValueError, *named):
+            call()
+
+
+def test_a_scheme_that_is_not_composed_has_order_two():
+    system, x0 = top(DAMPING, co.forces.Torque(of_state))
+    for method in (co.GaussLegendre(3), co.Taylor(8), co.Composition(co.Splitting(), (0.25, 0.5, 0.25))):
+        assert co.prepare(system, method, step=0.125).scheme.order == 2
+        errors = np.array(ends(system, x0, SPAN, method, (0.125, 0.0625))) - reference(system, x0, SPAN)
+        assert abs(np.log2(np.abs(errors).max(axis=1)[0] / np.abs(errors).max(axis=1)[1]) - 2.0) < 0.5
+
+
+@pytest.mark.parametrize("name", long_beyond(4, CASES))
+def test_members_steppers_times_and_derivatives(name):
+    """Members have the bits of runs alone; tangents are differences; cotangents are transposed tangents."""
+    system, x0, methods = CASES[name]
+    ready, span = co.prepare(system, methods[-1], step=0.125), (0.5, 1.5)
+    members = np.array([x0, 0.75 * x0, -x0])
+    together, alone = ready.run(members, span, save_every=2), ready.run(x0, span, save_every=2)
+    for m, x in enumerate(members):
+        np.testing.assert_array_equal(np.asarray(together.x)[:, m], ready.run(x, span, save_every=2).x)
+    step = co.stepper(system, methods[-1], 0.125)
+    np.testing.assert_array_equal(step(x0, 0.5), ready.run(x0, (0.5, 0.625)).x[-1])
+    plain = co.methods.Forced(methods[-1]).step(system, x0, 0.5, 0.125)
+    # A step has less than 1e5 operations, each of which rounds by u.
+    np.testing.assert_allclose(step(x0, 0.5), plain, rtol=0, atol=1e-11)
+    between = ready.run(x0, span, t_eval=[0.5, 0.8125, 1.5])
+    np.testing.assert_array_equal(np.asarray(between.x)[[0, 2]], np.asarray(alone.x)[[0, -1]])
+    v = np.linspace(-1.0, 1.0, len(x0))
+    sol, tangents = ready.jvp(x0, span, {"x0": v}, save_every=2)
+    np.testing.assert_array_equal(sol.x, alone.x)
+    shift = 1e-4
+    wanted = (ready.run(x0 + shift * v, span).x[-1] - ready.run(x0 - shift * v, span).x[-1]) / (2 * shift)
+    change = np.asarray(tangents.x)[-1].reshape(-1)
+    # Differences have errors of shift^2 and u / shift, a few 1e-9 with third derivatives of size one.
+    np.testing.assert_allclose(change, wanted, atol=1e-7)
+    _, pullback = ready.vjp(x0, span, save_every=2)
+    weights = np.zeros(alone.x.shape)
+    weights[-1] = v[::-1]
+    assert abs(pullback(weights)["x0"] @ v - weights[-1] @ change) < 1e-8
+
+
+def test_members_of_a_batch_have_the_bits_of_single_runs():
+    """Their energies, dampings and torques differ; so do attitudes of forward and backward substeps."""
+    tops = [
+        co.systems.heavy_top((1.0, 2.0, third)).with_forces(
+            co.forces.LinearDamping(third / 20), co.forces.Torque(torque)
+        )
+        for third, torque in ((2.25, 0.1 * TOP), (2.5, -0.2 * TOP), (2.75, 0.3 * TOP[::-1]))
+    ]
+    run = {"t_span": SPAN, "step": 0.125, "method": co.Splitting(order=4), "attitude": True}
+    together = co.integrate(co.batch(tops), TOP, **run)
+    for m, one in enumerate(tops):
+        alone = co.integrate(one, TOP, **run)
+        np.testing.assert_array_equal(np.asarray(together.x)[:, m], alone.x)
+        np.testing.assert_array_equal(np.asarray(together.attitude)[:, m], alone.attitude)
+
+
+def test_inputs_are_those_of_each_substep():
+    system = co.systems.rigid_body((1, 2, 3)).with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 0)))
+    x0, given = (0.3, 1.0, 0.2), {"spin": (1,), "push": "Torque"}
+    ready = co.prepare(system, co.Splitting(order=6), step=0.125, inputs=given)
+    spin, push = np.array([0.3]), np.array([0.1, -0.2, 0.3])
+    fixed = co.LiePoissonSystem(
+        system.algebra, co.Quadratic([1.0, 1 / 2, 1 / 3], linear=(0.0, 0.3, 0.0)), sign=system.sign
+    )
+    fixed = fixed.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque(push))
+    found = ready.run(x0, SPAN, spin=spin, push=push).x[-1]
+    wanted = co.integrate(fixed, x0, SPAN, 0.125, co.Splitting(order=6)).x[-1]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-9)
+    assert np.abs(found - ready.run(x0, SPAN, spin=0 * spin, push=push).x[-1]).max() > 0.01
+
+
+def test_crossings_have_the_order():
+    system, x0 = top(co.forces.Torque(of_state), DAMPING)
+    event = co.Event(lambda x: x[1] - 0.2)
+    times = [
+        co.integrate(system, x0, SPAN, h, co.Splitting(order=6), events=event).events.t[0]
+        for h in (0.25, 0.125, 1 / 32)
+    ]
+    assert np.log2(abs(times[0] - times[2]) / abs(times[1] - times[2])) > 5.5
