@@ -6,6 +6,7 @@ The loops are compiled once; each call writes its inputs into copies of their ta
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -289,8 +290,9 @@ class Inputs:
 
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
-    what = f"the coordinates of {name}"
-    numbers = None if to_array(value, what).dtype.kind in "bUS" else read_numbers(value, what)
+    what, numbers = f"the coordinates of {name}", None
+    with suppress(TypeError):
+        numbers = None if to_array(value, what).dtype.kind == "b" else read_numbers(value, what)
     if numbers is None or not numbers.size or numbers.ndim == 0 or np.any(numbers != np.floor(numbers)):
         raise TypeError(
             f"inputs has {short(value)} for {name}; give coordinates, whole numbers from 0 to {n - 1}, or True"
