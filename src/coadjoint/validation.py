@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import math
 import numbers
+import pkgutil
 from collections.abc import Callable, Collection, Iterable, Mapping, Sized
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 Floats = NDArray[np.float64]
+Kind = TypeVar("Kind")
 
 REAL_KINDS = "iuf"
 FLOAT64 = np.dtype(np.float64)
@@ -382,6 +385,18 @@ def read_choice(value: Any, what: str, known: Collection[str]) -> str:
     if not isinstance(value, str) or value not in known:
         raise unknown_name(what, value, known)
     return str(value)
+
+
+def classes_in(package: str, base: type[Kind]) -> dict[str, type[Kind]]:
+    """Return the concrete classes with a base that are defined in the files of a package, by name."""
+    found: dict[str, type[Kind]] = {}
+    for module_info in pkgutil.iter_modules(importlib.import_module(package).__path__):
+        module = importlib.import_module(f"{package}.{module_info.name}")
+        for name, value in vars(module).items():
+            defined = isinstance(value, type) and value.__module__ == module.__name__ and not name.startswith("_")
+            if defined and issubclass(value, base) and not inspect.isabstract(value):
+                found[name] = value
+    return found
 
 
 def construct(what: str, kinds: Mapping[str, Callable[..., Any]], name: Any, parameters: Mapping[str, Any]) -> Any:

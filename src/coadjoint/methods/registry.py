@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import importlib.metadata
 import inspect
-import pkgutil
 import warnings
 from collections.abc import Mapping
 from functools import cache
@@ -15,7 +13,7 @@ from typing import Any, TypeVar
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import plain, short
-from coadjoint.validation import construct, read_choice
+from coadjoint.validation import classes_in, construct, read_choice
 from coadjoint.validation import from_description as described
 
 Scheme = TypeVar("Scheme", bound=type[Method])
@@ -107,15 +105,8 @@ def _entry_point_schemes() -> dict[str, type[Method]]:
 @cache
 def _built_in() -> dict[str, type[Method]]:
     """Return the concrete schemes defined in the files of this folder, by name."""
-    package = importlib.import_module("coadjoint.methods")
-    schemes: dict[str, type[Method]] = {}
-    for module_info in pkgutil.iter_modules(package.__path__):
-        module = importlib.import_module(f"{package.__name__}.{module_info.name}")
-        for name, value in vars(module).items():
-            defined = isinstance(value, type) and value.__module__ == module.__name__ and not name.startswith("_")
-            if defined and issubclass(value, Method) and not inspect.isabstract(value) and value.offered:
-                schemes[name] = value
-    return schemes
+    found = classes_in("coadjoint.methods", Method)  # type: ignore[type-abstract]
+    return {name: scheme for name, scheme in found.items() if scheme.offered}
 
 
 @suggest_keywords

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
-import inspect
-import pkgutil
 from functools import cache
 from typing import Any
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.forces.base import Force
-from coadjoint.validation import construct
+from coadjoint.validation import classes_in, construct
 
 
 @cache
 def kinds() -> dict[str, type[Force]]:
     """Return the concrete forces defined in the files of this folder, by name."""
-    package = importlib.import_module("coadjoint.systems.forces")
-    kinds: dict[str, type[Force]] = {}
-    for module_info in pkgutil.iter_modules(package.__path__):
-        module = importlib.import_module(f"{package.__name__}.{module_info.name}")
-        for name, value in vars(module).items():
-            defined = isinstance(value, type) and value.__module__ == module.__name__ and not name.startswith("_")
-            if defined and issubclass(value, Force) and not inspect.isabstract(value):
-                kinds[name] = value
-    return kinds
+    return classes_in("coadjoint.systems.forces", Force)  # type: ignore[type-abstract]
 
 
 @suggest_keywords
