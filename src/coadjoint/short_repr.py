@@ -32,6 +32,12 @@ def short(value: Any, limit: int = 80) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text)
 
 
+def short_rest(text: str, limit: int) -> str:
+    """Return where a text cannot be parsed, in words for a message, by its rest from there."""
+    rest = text.strip()
+    return f"from {short(rest, limit)} on" if rest else "at its end"
+
+
 def distinct(*values: float) -> tuple[str, ...]:
     """Return numbers as text of six digits, or of as many as show which of them differ.
 

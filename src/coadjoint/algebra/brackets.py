@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from coadjoint.algebra.exact.numbers import NUMBER, PLAIN_NUMBER, TOO_LARGE, parse_number, quotient
-from coadjoint.short_repr import short
+from coadjoint.short_repr import short, short_rest
 
 if TYPE_CHECKING:
     from coadjoint.algebra.constants import Triples
@@ -121,8 +121,7 @@ def _parse_sum(line: str, position: int, names: _Names, basis: Sequence[str]) ->
     while first or position < len(line):
         term = names.parse_term(line, position)
         if term is None or not (first or term[0]["sign"]):
-            rest = line[position:].strip()
-            where = f"from {short(rest, MAX_QUOTED)} on" if rest else "at its end"
+            where = short_rest(line[position:], MAX_QUOTED)
             raise ValueError(
                 f"{short(line, MAX_QUOTED)} cannot be parsed {where}; write a sum of {_format_names(basis)}, "
                 f"each with a number before it, such as 2 {basis[0][:MAX_QUOTED]}"

@@ -46,10 +46,13 @@ class SplittingScheme(NamedTuple):
 
     def sweeps(self, number: Callable[[Any], Any]) -> list[Sweep]:
         """Return the sweeps of one step (of the kernel K of a processed scheme), first to last."""
+        fractions = self.fractions(number)
+        return _sweeps_of_steps(fractions, number) if self.of_second_order else _alternating(fractions, number)
+
+    def fractions(self, number: Callable[[Any], Any]) -> list[Any]:
+        """Return the fractions of all steps or sweeps: the palindrome."""
         half = [number(c) for c in self.half]
-        if self.of_second_order:
-            return _sweeps_of_steps([*half, *half[-2::-1]], number)
-        return _alternating([*half, *half[::-1]], number)
+        return [*half, *(half[-2::-1] if self.of_second_order else half[::-1])]
 
     def processor(self, number: Callable[[Any], Any]) -> list[Sweep]:
         """Return the sweeps of the processor P, first to last; empty without a processor."""
@@ -355,8 +358,7 @@ class Splitting(FlowMethod):
                 f"{self} does not consist of steps of order two, between which forces act; with forces take "
                 f"Splitting(order={self.order}), or Splitting(order=2)"
             )
-        half = [float(c) for c in self._named.half]
-        return replace(self, order=2, scheme=None), (*half, *half[-2::-1])
+        return replace(self, order=2, scheme=None), tuple(self._named.fractions(float))
 
     @property
     def _named(self) -> SplittingScheme:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.algebra.exact.numbers import NUMBER, Constant, parse_number
-from coadjoint.short_repr import short
+from coadjoint.short_repr import short, short_rest
 
 MAX_CHARACTERS = 250_000
 MAX_NESTING = 60
@@ -226,6 +226,5 @@ class _Scanner:
         return ValueError(f"{short(self._text, MAX_QUOTED)} {reason}")
 
     def _syntax_error(self, begin: int) -> ValueError:
-        rest = self._text[begin:].strip()
-        where = f"from {short(rest, MAX_QUOTED)} on" if rest else "at its end"
+        where = short_rest(self._text[begin:], MAX_QUOTED)
         return ValueError(f"{short(self._text, MAX_QUOTED)} cannot be parsed {where}; {self._notation}")

@@ -86,14 +86,15 @@ class Torque(StateTorque):
         """Return the arguments of the function: "t", "x", "x, t", "x, A" or "x, A, t"."""
         if (of_attitude := attitude_arguments(self.torque)) is not None:
             return of_attitude
+        parameters = _parameters(self.torque)
         if takes_time(self.torque, "the torque"):
-            _check_second_argument(self.torque)
+            if len(parameters) > 1 and parameters[1].name.lower() in ATTITUDES:
+                raise TypeError(
+                    f"the torque is a function of {_names(parameters)}; its second argument is the time t, unless it "
+                    "is named A: name the attitude A, of systems such as co.systems.body, and the time t"
+                )
             return "x, t"
-        try:
-            first = next(iter(inspect.signature(getattr(self.torque, "py_func", self.torque)).parameters), "x")
-        except ValueError:  # a built-in function without a signature takes no time
-            first = "x"
-        return "t" if first == "t" else "x"
+        return "t" if parameters and parameters[0].name == "t" else "x"
 
     def check(self, system: Any) -> None:
         if not callable(self.torque):
@@ -168,19 +169,6 @@ def is_constant_torque(force: Any) -> bool:
     return isinstance(force, Torque) and not callable(force.torque)
 
 
-def _check_second_argument(torque: Callable[..., Any]) -> None:
-    """Raise TypeError if the second argument, which is the time, has a name of an attitude."""
-    try:
-        names = list(inspect.signature(getattr(torque, "py_func", torque)).parameters)
-    except (TypeError, ValueError):
-        return
-    if names[1:] and names[1].lower() in ATTITUDES:
-        raise TypeError(
-            f"the torque is a function of ({', '.join(names)}); its second argument is the time t, unless it is named "
-            "A: name the attitude A, of systems such as co.systems.body, and the time t"
-        )
-
-
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
     if "A" in arguments:
         A = system.attitudes(x)
@@ -196,11 +184,7 @@ def attitude_arguments(torque: Callable[..., Any]) -> str | None:
     >>> attitude_arguments(lambda x, A, t: A[2]), attitude_arguments(lambda x, t: x)
     ('x, A, t', None)
     """
-    try:
-        signature = inspect.signature(getattr(torque, "py_func", torque))
-    except (TypeError, ValueError):
-        return None
-    parameters = list(signature.parameters.values())
+    parameters = _parameters(torque)
     if len(parameters) < 2 or parameters[1].name != "A":
         if any(one.name == "A" and one.default is one.empty for one in parameters):
             raise TypeError(f"the torque is a function of {_names(parameters)}; give one of (x, A) or (x, A, t)")
@@ -209,6 +193,14 @@ def attitude_arguments(torque: Callable[..., Any]) -> str | None:
     if [one.name for one in more] not in ([], ["t"]) or any(one.kind is one.VAR_POSITIONAL for one in parameters):
         raise TypeError(f"the torque is a function of {_names(parameters)}; give one of (x, A) or (x, A, t)")
     return "x, A, t" if more else "x, A"
+
+
+def _parameters(torque: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Return the parameters of a function; none of a built-in one without a signature."""
+    try:
+        return list(inspect.signature(getattr(torque, "py_func", torque)).parameters.values())
+    except (TypeError, ValueError):
+        return []
 
 
 def _names(parameters: list[inspect.Parameter]) -> str:
