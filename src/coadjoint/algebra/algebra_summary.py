@@ -21,14 +21,7 @@ MAX_FORMULA_LENGTH = 300  # letters, three lines
 
 
 def listed_algebras() -> list[str]:
-    """Return one line per name of the catalogue: name with parameters, dimension, aliases.
-
-    Examples
-    --------
-    >>> lines = listed_algebras()
-    >>> [line for line in lines if line.startswith(("A4_9", "so(n)"))]
-    ['A4_9(b)         dimension 4, -1 < b <= 1', 'so(n)           a family; give the numbers, such as so(3)']
-    """
+    """Return one line per name of the catalogue: name with parameters, dimension, aliases."""
     known, patterns = entries(), families()
     return [f"{_signature(name, known):16}{_summary_line(name, known, patterns)}" for name in names()]
 
@@ -54,36 +47,14 @@ def _example(pattern: str) -> str:
 
 
 def algebra_of(name: str, parameters: Mapping[str, Any]) -> LieAlgebra:
-    """Return an algebra of the catalogue; a family without numbers is refused with an example of the notation.
-
-    Examples
-    --------
-    >>> algebra_of("so(5)", {}).dim
-    10
-    >>> algebra_of("so(n)", {})
-    Traceback (most recent call last):
-    ValueError: so(n) is a family; give its numbers, such as so(3)
-    """
+    """Return an algebra of the catalogue; a family without numbers is refused with an example of the notation."""
     if name in families() and not parameters:
         raise ValueError(f"{name} is a family; give its numbers, such as {_example(name)}")
     return get(name, **parameters)
 
 
 def algebra_text(algebra: LieAlgebra) -> str:
-    """Describe an algebra (dimension, basis, brackets, Casimirs) in lines of at most 100 characters.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> print(algebra_text(co.algebras.get("A3,7", a=2)))
-    A3_7(a=2)
-    dimension     3
-    basis         e1, e2, e3
-    brackets      [e1, e3] = 2 e1 - e2
-                  [e2, e3] = e1 + 2 e2
-    casimirs      log C = log|x1^2 + x2^2| - 4 atan2(x2, x1)
-    matrices      3 x 3
-    """
+    """Describe an algebra (dimension, basis, brackets, Casimirs) in lines of at most 100 characters."""
     return "\n".join(_lines(algebra))
 
 

@@ -21,10 +21,7 @@ Brackets = dict[tuple[int, int], dict[int, float]]
 
 
 def parse_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
-    """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}`` with indices from 0.
-
-    Coefficients are ``2``, ``0.5``, ``1/3``, optionally followed by ``*``. A ValueError names the invalid line.
-    """
+    """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}``."""
     names = _Names(basis)
     result: Brackets = {}
     for line in lines:
@@ -46,13 +43,7 @@ def parse_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
 
 
 def names_in(lines: Sequence[str]) -> tuple[str, ...]:
-    """Return the names in bracket lines in order of first appearance.
-
-    Examples
-    --------
-    >>> names_in(["[h, e] = 2 e", "[e, f] = h"])
-    ('h', 'e', 'f')
-    """
+    """Return the names in bracket lines in order of first appearance."""
     names: dict[str, None] = {}
     for line in lines:
         if not isinstance(line, str):

@@ -43,39 +43,20 @@ class Triples(NamedTuple):
 
 
 def triple_name(indices: Sequence[int], names: Sequence[str]) -> str:
-    """Format basis elements for a message.
-
-    Examples
-    --------
-    >>> triple_name((0, 1, 3), ("e1", "e2", "e3", "e4"))
-    '(e1, e2, e4) = indices (0, 1, 3)'
-    """
+    """Format basis elements for a message: "(e1, e2) = indices (0, 1)"."""
     return f"({', '.join(names[q] for q in indices)}) = indices ({', '.join(str(q) for q in indices)})"
 
 
 def check_algebra_memory(name: str, dim: int, constants: int) -> None:
-    """Raise a ValueError if an algebra with about `constants` nonzero c_ij^k (i < j) does not fit in memory.
-
-    Examples
-    --------
-    >>> check_algebra_memory("so(3)", 3, 3)
-    """
+    """Raise a ValueError if an algebra with about `constants` nonzero c_ij^k (i < j) does not fit in memory."""
     parts = min(BYTES_OF_PARTS * constants, MAX_BYTES_OF_PARTS)
     need = BYTES_PER_DIMENSION * dim + BYTES_PER_CONSTANT * constants + parts
     check_available_memory(need, f"{name}, of dimension {short(dim)},", "take a smaller one")
 
 
 def parse_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool]:
-    """Parse structure constants in any accepted form; return dim, unsorted triples, and whether they are complete.
-
-    Complete (dense input): constants not listed are zero. Otherwise (sparse input) they follow from antisymmetry.
-
-    Examples
-    --------
-    >>> dim, triples, complete = parse_constants([(0, 1, 1, 1.0)], 2)
-    >>> dim, triples.c, complete
-    (2, array([1.]), False)
-    """
+    """Parse structure constants in any accepted form to dim, unsorted triples, and whether they are complete."""
+    # Complete (dense input): constants not listed are zero; otherwise they follow from antisymmetry.
     if dim is not None:
         dim = read_integer(dim, "dim")
         check_algebra_memory("the Lie algebra", dim, 0)
@@ -142,10 +123,8 @@ def _check_finite_constants(i: Integers, j: Integers, k: Integers, c: Floats) ->
 
 
 def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
-    """Convert ``{(i, j): {k: c}}`` to rows (i, j, k, c); basis names may replace indices.
-
-    An empty bracket is retained: the pair commutes, which contradicts a nonzero bracket in the opposite order.
-    """
+    """Convert ``{(i, j): {k: c}}`` to rows (i, j, k, c); basis names may replace indices."""
+    # An empty bracket is kept: the pair commutes, which contradicts a nonzero bracket in the opposite order.
     if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
         brackets = bracket_text.parse_brackets(brackets, read_basis(basis, dim))
     if not isinstance(brackets, Mapping):
@@ -188,13 +167,7 @@ def _basis_index(argument: Any, names: Sequence[str]) -> Any:
 
 
 def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
-    """Validate the names of the basis elements; the default is ``e1, e2, ...``.
-
-    Examples
-    --------
-    >>> read_basis(None, 2)
-    ('e1', 'e2')
-    """
+    """Validate the names of the basis elements; the default is ``e1, e2, ...``."""
     if basis is None:
         return tuple(f"e{i}" for i in range(1, dim + 1))
     names = (basis,) if isinstance(basis, str) else read_list(basis, "basis", "it must be a sequence of names")
@@ -211,17 +184,9 @@ def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:
 
 
 def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bool) -> Triples:
-    """Check antisymmetry and return the constants with i < j, sorted, unique and nonzero.
-
-    Opposite values may differ by 64 u times the largest constant that involves e_i, or e_j if that is smaller (u =
-    2^-53). If not `complete`, a pair listed in one order only defines the other; otherwise unlisted constants are zero.
-
-    Examples
-    --------
-    >>> given = Triples(np.array([1]), np.array([0]), np.array([1]), np.array([2.0]))
-    >>> antisymmetric(given, 2, ("e1", "e2"), False).c
-    array([-2.])
-    """
+    """Check antisymmetry and return the constants with i < j, sorted, unique and nonzero."""
+    # Opposite values may differ by 64 u times the largest constant that involves e_i, or e_j if that is smaller.
+    # If not `complete`, a pair listed in one order only defines the other; otherwise unlisted constants are zero.
     order, starts = groups(triples.i, triples.j, triples.k)
     i, j, k, c = triples.rows(order)
     first = np.repeat(starts, np.diff(np.append(starts, order.size)))
@@ -273,29 +238,15 @@ def antisymmetric(triples: Triples, dim: int, names: Sequence[str], complete: bo
 
 
 def both_orders(triples: Triples) -> Triples:
-    """Return the constants of i < j followed by those of i > j.
-
-    Examples
-    --------
-    >>> both_orders(Triples(np.array([0]), np.array([1]), np.array([1]), np.array([2.0]))).c
-    array([ 2., -2.])
-    """
+    """Return the constants of i < j followed by those of i > j."""
     i, j, k, c = triples
     return Triples(np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k]), np.concatenate([c, -c]))
 
 
 def check_jacobi(triples: Triples, dim: int, names: Sequence[str]) -> None:
-    """Check the Jacobi identity sum_m (c_ab^m c_md^l + c_bd^m c_ma^l + c_da^m c_mb^l) = 0 for all a < b < d and l.
-
-    The tolerance is 64 u times the sum of the absolute products, each constant taken as the largest in its bracket.
-    Only products of nonzero constants are formed, in runs of bounded memory; the worst defect of the first bad run is
-    reported.
-
-    Examples
-    --------
-    >>> so3 = Triples(*np.array([[0, 0, 1], [1, 2, 2], [2, 1, 0]]), np.array([1.0, -1.0, 1.0]))
-    >>> check_jacobi(so3, 3, ("e1", "e2", "e3"))
-    """
+    """Check the Jacobi identity sum_m (c_ab^m c_md^l + c_bd^m c_ma^l + c_da^m c_mb^l) = 0 for all a < b < d and l."""
+    # The tolerance is 64 u times the sum of the absolute products, each constant taken as the largest in its bracket.
+    # Products of nonzero constants are formed in runs of bounded memory; the first bad run is reported.
     both = both_orders(triples)
     order, _ = groups(both.i, both.j, both.k)
     outer = both.rows(order)  # by first, then second index

@@ -144,13 +144,7 @@ def _recognized(parts: list[Any]) -> dict[Any, Roots] | None:
 
 
 def _square_root(value: float) -> Roots:
-    """Return {m: q} if a float is q sqrt(m) to round-off, with a square q^2 m that is a simple fraction; else empty.
-
-    Examples
-    --------
-    >>> _square_root(-2 / np.sqrt(3.0)), _square_root(np.pi)
-    ({3: Fraction(-2, 3)}, {})
-    """
+    """Return {m: q} if a float is q sqrt(m) to round-off, with a square q^2 m that is a simple fraction; else empty."""
     square = (Fraction(value) ** 2).limit_denominator(MAX_SQUARE)
     if not 0 < square.numerator <= MAX_SQUARE:
         return {}
@@ -207,10 +201,7 @@ def commutator(left: Entries, right: Entries) -> Entries:
 
 
 class ExactSpan:
-    """The span of matrices over a field of square roots: coordinates of a matrix, or None outside of the span.
-
-    Every matrix times every root is a vector over the rationals.
-    """
+    """The span of matrices over a field of square roots: coordinates of a matrix, or None outside of the span."""
 
     def __init__(self, matrices: Sequence[Entries], size: int) -> None:
         self._size, found = size, {1}
@@ -249,10 +240,7 @@ class ExactSpan:
 
 
 class NearestSpan:
-    """The span of matrices of floats: coordinates by least squares in 1024 bits, the same on every machine.
-
-    Each matrix is scaled by a power of two, so that the units of the matrices do not matter.
-    """
+    """The span of matrices of floats: coordinates by least squares in 1024 bits, the same on every machine."""
 
     def __init__(self, matrices: Sequence[Entries], size: int) -> None:
         self._size = size

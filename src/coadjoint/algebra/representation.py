@@ -27,13 +27,7 @@ REDUCED_ROWS = 1 << 12  # equations reduced to triangular form at a time
 
 
 def read_representation(representation: Any, dim: int | None = None) -> Floats:
-    """Validate the matrices of a representation and return a float64 copy, shape (n, d, d).
-
-    Examples
-    --------
-    >>> read_representation([[[1, 0], [0, 1]]]).shape
-    (1, 2, 2)
-    """
+    """Validate the matrices of a representation and return a float64 copy, shape (n, d, d)."""
     rho = read_numbers(representation, "representation")
     if rho.ndim != 3 or rho.shape[1] != rho.shape[2] or 0 in rho.shape or dim not in (None, rho.shape[0]):
         count = "n" if dim is None else dim
@@ -48,10 +42,8 @@ def read_representation(representation: Any, dim: int | None = None) -> Floats:
 
 
 def check_representation(representation: Any, triples: Triples, dim: int, names: Sequence[str]) -> Floats:
-    """Check [rho_i, rho_j] = sum_k c_ij^k rho_k for every pair, sparsely; return a read-only float64 array (n, d, d).
-
-    Each entry must be below 64 u times the sum of the absolute values of its products (u = 2^-53).
-    """
+    """Check [rho_i, rho_j] = sum_k c_ij^k rho_k for every pair; return a read-only float64 array (n, d, d)."""
+    # Each entry must be below 64 u times the sum of the absolute values of its products (u = 2^-53).
     rho = read_representation(representation, dim)
     d = rho.shape[1]
     i, a, b = (index.astype(np.int64) for index in np.nonzero(rho))
@@ -122,10 +114,7 @@ def _solutions(left: Floats, right: Floats) -> Floats:
 
 
 def _generic_of_full_rank(basis: Floats) -> Floats | None:
-    """Return a seeded random combination of full rank with largest entry 1, or None if all are singular.
-
-    A generic combination has the maximal rank.
-    """
+    """Return a seeded random combination of full rank with largest entry 1, or None if all are singular."""
     if basis.shape[0] == 0:
         return None
     combination = np.tensordot(np.random.default_rng(0).standard_normal(basis.shape[0]), basis, axes=1)
@@ -137,11 +126,7 @@ def _generic_of_full_rank(basis: Floats) -> Floats | None:
 
 
 def invariant_form(rho: Any) -> NDArray[np.float64] | None:
-    """Find a nonsingular P with rho_i^T P + P rho_i = 0 for all i, a bilinear form preserved by the group; else None.
-
-    The identity if all rho_i (n, d, d) are skew-symmetric, otherwise scaled to largest entry 1. Ranks are decided at 64
-    u times the size of the linear system (u = 2^-53).
-    """
+    """Find a nonsingular P with rho_i^T P + P rho_i = 0 for all i, a bilinear form that the group keeps; else None."""
     matrices = read_representation(rho)
     transposed = matrices.transpose(0, 2, 1)
     if np.array_equal(transposed, -matrices):
@@ -150,10 +135,7 @@ def invariant_form(rho: Any) -> NDArray[np.float64] | None:
 
 
 def intertwiner(rho: Any, D: Any) -> NDArray[np.float64] | None:
-    """Find T (m, d) of full row rank with T rho_i = D_i T for all i, rho (n, d, d) and D (n, m, m); else None.
-
-    For D the coadjoint matrices D_{e_i}, T maps vectors of rho to the dual. Ranks are decided as in `invariant_form`.
-    """
+    """Find T (m, d) of full row rank with T rho_i = D_i T for all i, rho (n, d, d) and D (n, m, m); else None."""
     matrices = read_representation(rho)
     actions = read_representation(D, matrices.shape[0])
     if actions.shape[1] > matrices.shape[1]:

@@ -33,10 +33,7 @@ def _actions(triples: Triples, dim: int) -> tuple[Integers, Triples]:
 def coadjoint_entries(
     starts: Integers, entries: Triples, indices: Integers, coefficients: NDArray[Any]
 ) -> tuple[Integers, Integers, NDArray[Any]]:
-    """Return sorted unique rows, columns and values of sum_i u_i D_{e_i}, without exact zeros.
-
-    `starts`, `entries` are from `actions`; `indices`, `coefficients` (m,) are the nonzero u_i.
-    """
+    """Return sorted unique rows, columns and nonzero values of sum_i u_i D_{e_i}; `starts`, `entries`: `actions`."""
     element, index = expand(starts[indices], starts[indices + 1])
     constants = exact_numbers(entries.c[index].tolist()) if coefficients.dtype == object else entries.c[index]
     products = coefficients[element] * constants
@@ -77,10 +74,7 @@ def _neighbours(triples: Triples, dim: int) -> tuple[Integers, Integers]:
 
 
 class Structure:
-    """Base class of `LieAlgebra` with the operations of its structure constants.
-
-    A subclass sets `_dim` and `_triples`, the constants with i < j, sorted, unique and nonzero.
-    """
+    """Operations of the structure constants; a subclass sets `_dim` and `_triples`, sorted, unique, i < j."""
 
     _dim: int
     _triples: Triples
@@ -212,44 +206,11 @@ class Structure:
 
     @cached_if_small
     def actions(self) -> tuple[Integers, Triples]:
-        """Return starts and sorted entries (i, row, column, value) of all matrices D_{e_i}; read-only.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> starts, entries = co.LieAlgebra([(0, 1, 1, 2.0)], dim=2).actions
-        >>> starts.tolist(), entries.c.tolist()
-        ([0, 1, 2], [-2.0, 2.0])
-        """
+        """Return starts and sorted entries (i, row, column, value) of all matrices D_{e_i}; read-only."""
         return _actions(self._triples, self._dim)
 
     def coadjoint_entries(self, u: Any) -> tuple[Integers, Integers, NDArray[Any]]:
-        """Return the nonzero entries of D_u.
-
-        Parameters
-        ----------
-        u : (n,) array, or mapping of index to number
-            Element of the algebra; dtype object is allowed. A mapping {i: u_i} costs time proportional to its length.
-
-        Returns
-        -------
-        rows, columns : (m,) integer arrays
-            Sorted by row, then column; each position once.
-        values : (m,) array
-            Entries; exact zeros are omitted.
-
-        Raises
-        ------
-        TypeError, ValueError
-            u does not hold numbers, has another shape, or an index out of range.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> g = co.LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 1.0), (2, 0, 1, 1.0)], dim=3)
-        >>> [part.tolist() for part in g.coadjoint_entries({2: 2.0})]
-        [[0, 1], [1, 0], [-2.0, 2.0]]
-        """
+        """Return sorted rows, columns and values of the nonzero entries of D_u; u is (n,) or a mapping {i: u_i}."""
         if isinstance(u, Mapping):
             for i in u:
                 read_integer(i, "an index of u", 0, self._dim - 1)
@@ -264,29 +225,7 @@ class Structure:
         return coadjoint_entries(*self.actions, indices, coefficients)
 
     def structure_operator(self, x: Any) -> LinearOperator:
-        """Return J(x) as a SciPy linear operator without an n x n array, for large n.
-
-        Parameters
-        ----------
-        x : (n,) real array
-            Point of the dual.
-
-        Returns
-        -------
-        scipy.sparse.linalg.LinearOperator of shape (n, n)
-
-        Raises
-        ------
-        TypeError, ValueError
-            x does not hold real numbers, or has another shape.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> g = co.LieAlgebra([(0, 1, 1, 1.0)], dim=2)
-        >>> g.structure_operator([5.0, 7.0]) @ np.array([0.0, 1.0])
-        array([7., 0.])
-        """
+        """Return J(x) as a SciPy linear operator without an n x n array, for large n."""
         point, _ = self._vector(x, "x")
         if point.dtype.kind != "f":
             raise TypeError(f"x must hold real floats, not {point.dtype}: use structure_matrix for other numbers")
@@ -345,46 +284,11 @@ class Structure:
         return _neighbours(self._triples, self._dim)
 
     def neighbours(self) -> tuple[Integers, Integers]:
-        """Return the noncommuting pairs of basis elements in compressed sparse rows.
-
-        Returns
-        -------
-        indptr : (n + 1,) integer array, read-only
-        indices : integer array, read-only
-            ``indices[indptr[i]:indptr[i + 1]]`` are the j with [e_i, e_j] != 0, sorted.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> [part.tolist() for part in co.LieAlgebra([(0, 2, 0, 1.0)], dim=3).neighbours()]
-        [[0, 1, 1, 2], [2, 0]]
-        """
+        """Return the noncommuting pairs of basis elements in compressed sparse rows (indptr, indices), read-only."""
         return self._neighbours
 
     def commuting(self, i: int, j: int) -> bool:
-        """Return whether [e_i, e_j] = 0.
-
-        Parameters
-        ----------
-        i, j : int
-            Indices of basis elements, from 0.
-
-        Returns
-        -------
-        bool
-
-        Raises
-        ------
-        ValueError
-            An index is out of range.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> g = co.LieAlgebra([(0, 2, 0, 1.0)], dim=3)
-        >>> g.commuting(0, 1), g.commuting(2, 0)
-        (True, False)
-        """
+        """Return whether [e_i, e_j] = 0."""
         i, j = (read_integer(index, "the index of a basis element", 0, self._dim - 1) for index in (i, j))
         indptr, indices = self._neighbours
         row = indices[indptr[i] : indptr[i + 1]]

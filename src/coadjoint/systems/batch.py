@@ -33,13 +33,7 @@ class Axis(NamedTuple):
 
 
 class Batch:
-    """Systems of the same structure with different constants, one for each member of an ensemble; `batch` makes it.
-
-    `systems` is the tuple of the members; `dim` and `sign` are common to all of them. `distinct` are the different
-    systems in the order of their first members, and `owners` (members,) the number of that of each member. `axes` are
-    the named axes, name -> `Axis`, of which the members are all combinations, the last one the fastest; mostly empty.
-    `combined` is whether each member has its own state, and not every system every state.
-    """
+    """Systems of the same structure, one for each member of an ensemble; `batch` makes it."""
 
     is_batch: Literal[True] = True
     has_matrices = False

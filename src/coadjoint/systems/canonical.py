@@ -15,21 +15,8 @@ from coadjoint.validation import read_finite
 
 
 def with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
-    """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g.
-
-    At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time. The
-    Casimirs are ``"z"`` and the known ones of g.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> g = with_canonical_pairs(1, co.algebras.so(3))
-    >>> g.basis, list(g.casimirs_known)
-    (('q1', 'p1', 'z', 'e1', 'e2', 'e3'), ['z', '|x|^2'])
-    >>> H = co.Quadratic([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
-    >>> co.LiePoissonSystem(g, H).vector_field(canonical_state(0.25, 0.5, [1.0, 2.0, 3.0]))
-    array([ 0.5 , -0.25,  0.  ,  0.  ,  0.  ,  0.  ])
-    """
+    """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g."""
+    # At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time.
     algebra = direct_sum(heisenberg(pairs), g)
     casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in algebra.casimirs_known.items()}
     return LieAlgebra._from_valid(

@@ -22,10 +22,9 @@ CODE_BITS = 31
 
 
 class Monomials(NamedTuple):
-    """Distinct monomials, sorted: those up to the second degree by their codes, and then the others.
+    """Distinct monomials, sorted: those up to the second degree by their codes, and then the others."""
 
-    The code of x_i x_j, i <= j, is (i + 1) 2^31 + j + 1, that of x_i is i + 1, and that of a constant zero.
-    """
+    # The code of x_i x_j, i <= j, is (i + 1) 2^31 + j + 1, that of x_i is i + 1, and that of a constant zero.
 
     codes: Integers
     others: tuple[Key, ...] = ()

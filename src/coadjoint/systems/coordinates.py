@@ -22,15 +22,7 @@ SPREAD = 256.0  # ratio of sizes of groups of coordinates from which each has it
 
 
 def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
-    """Return `count` (default: `dim`) coordinate names as plain text: those that the system or its algebra declares,
-    else x1, x2, ...
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
-    >>> coordinate_names(rigid_body((1, 2, 3)))
-    ('x1', 'x2', 'x3')
-    """
+    """Return `count` (default: `dim`) names that the system or its algebra declares, else x1, x2, ..."""
     system = system.unforced
     count = system.dim if count is None else count
     entry = gallery_entry_of(system.name)
@@ -63,19 +55,11 @@ def all_in_coordinates_of(system: Any, functions: Mapping[str, Any]) -> dict[str
 
 
 class CoordinateGroups:
-    """The coordinates of a system in groups whose sizes may differ by any factor: momentum, position, each spin.
+    """The coordinates of a system in groups whose sizes may differ by any factor: momentum, position, each spin."""
 
-    Brackets with basis elements turn the coordinates of a group into each other, as rotations do those of a vector;
-    they lead from one group to others never both ways. The groups are the finest sets between successive ideals that
-    basis elements span. Without structure constants, and for matrices, all coordinates are one group.
-
-    Attributes
-    ----------
-    labels : ndarray, shape (dim,)
-        The number of the group of each coordinate, in the order of their first coordinates.
-    count : int
-        Number of groups.
-    """
+    # Brackets with basis elements turn the coordinates of a group into each other; they lead from one group to others
+    # never both ways. The groups are the finest sets between successive ideals that basis elements span. Without
+    # structure constants, and for matrices, all coordinates are one group.
 
     def __init__(self, system: Any) -> None:
         self._system = system.unforced

@@ -32,11 +32,10 @@ class FunctionDerivative(NamedTuple):
 
 
 class EnergyDerivative(NamedTuple):
-    """dH/dp for the entries p of a parameter: monomials of first and second degree by columns, others, and functions.
+    """dH/dp for the entries p of a parameter: monomials of degree 1 and 2 by columns, others, and functions."""
 
-    There are `size` entries. Monomial k of the first degree is linear_factor[k] x[linear[k]], in the derivative by
-    linear_entry[k]; of the second quadratic_factor[k] x[quadratic[k, 0]] x[quadratic[k, 1]], by quadratic_entry[k].
-    """
+    # Monomial k of the first degree is linear_factor[k] x[linear[k]], in the derivative by linear_entry[k]; of the
+    # second quadratic_factor[k] x[quadratic[k, 0]] x[quadratic[k, 1]], by quadratic_entry[k].
 
     size: int
     linear: Integers

@@ -15,15 +15,7 @@ Floats = NDArray[np.float64]
 
 @ignore_overflow
 def gradients_at(system: Any, x: Floats, times: Floats) -> Floats:
-    """Return grad H at states (points, members, n) and times (points,).
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(2, 2, 4))
-    >>> gradients_at(body, np.ones((1, 2, 3)), np.zeros(1)).tolist()
-    [[[0.5, 0.5, 0.25], [0.5, 0.5, 0.25]]]
-    """
+    """Return grad H at states (points, members, n) and times (points,)."""
     if system.is_batch:
         members = [gradients_at(member, x[:, m : m + 1], times) for m, member in enumerate(system)]
         return np.concatenate(members, axis=1)

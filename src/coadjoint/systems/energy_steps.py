@@ -30,11 +30,8 @@ SEED = 1993
 def derivative_by_steps(
     coefficients_at: Callable[[NDArray[np.complex128]], Coefficients], value: Floats, symmetric: bool
 ) -> EnergyDerivative:
-    """Return the derivative of an energy by the entries of a parameter, exact to round-off.
-
-    The coefficients are an analytic function of the parameter. Of a symmetric matrix, half of a change is that of the
-    mirror image.
-    """
+    """Return the derivative of an energy by the entries of a parameter, exact to round-off, from complex steps."""
+    # Of a symmetric matrix, half of a change is that of the mirror image.
     steps = _steps(value)
 
     def changes(directions: Floats) -> Coefficients:
@@ -97,11 +94,9 @@ def _steps(value: Floats) -> Floats:
 
 
 def _changes_together(changes: Callable[[Floats], Coefficients], steps: Floats) -> tuple[Integers, Coefficients] | None:
-    """Return the entry on which each coefficient depends, and its change; None if some depend on several entries.
-
-    The coefficients that change with all entries change as much with half of them, or not at all: those with one binary
-    digit of their numbers. Random changes confirm the entries that are found.
-    """
+    """Return the entry on which each coefficient depends, and its change; None if some depend on several entries."""
+    # The coefficients that change with all entries change as much with half of them, or not at all: those with one
+    # binary digit of their numbers. Random changes confirm the entries that are found.
     found, numbers = changes(steps), np.arange(steps.size)
     entries = np.zeros(len(found.values), dtype=np.int64)
     for digit in range((steps.size - 1).bit_length()):

@@ -1,8 +1,4 @@
-"""Evaluation points of functions: validation and number types.
-
-Every evaluation in this folder uses these functions, so that floats, complex numbers (for complex steps) and arrays
-of Python objects (fractions, multiprecision numbers) are treated alike.
-"""
+"""Evaluation points of functions: floats, complex numbers and arrays of Python objects are treated alike."""
 
 from __future__ import annotations
 
@@ -20,15 +16,7 @@ MethodT = TypeVar("MethodT", bound=Callable[..., Any])
 
 
 def ignore_overflow(method: MethodT) -> MethodT:
-    """Decorate a method to return infinity or NaN without a warning on overflow of float64.
-
-    Python integers too large for floats raise an OverflowError with an explanation.
-
-    Examples
-    --------
-    >>> ignore_overflow(np.exp)(1000.0)
-    np.float64(inf)
-    """
+    """Decorate a method to return infinity or NaN without a warning on overflow of float64."""
     quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")(method)
 
     @functools.wraps(method)
@@ -51,10 +39,7 @@ def read_point(x: npt.ArrayLike, n: int | None) -> npt.NDArray[Any]:
 
 
 def vectorized_over_states(method: MethodT) -> MethodT:
-    """Extend a method of a state (n,) and a time to several states (..., n), bit-identical to separate calls.
-
-    The time is a scalar, or one value for each entry of the first axis.
-    """
+    """Extend a method of a state (n,) and a time to several states (..., n), bit-identical to separate calls."""
 
     @functools.wraps(method)
     def vectorized(self: Any, x: npt.ArrayLike, t: Any = 0.0) -> Any:
@@ -83,10 +68,7 @@ def vectorized_over_states(method: MethodT) -> MethodT:
 
 
 def lossless_coefficients(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return `coefficients` in a number type whose products with `x` are lossless.
-
-    In Python a Fraction times a float is a float, so for x of objects coefficients are converted to exact rationals.
-    """
+    """Return `coefficients` in a number type whose products with `x` are lossless: exact ones for objects."""
     if x.dtype != object:
         return coefficients
     return exact_numbers(coefficients.tolist())

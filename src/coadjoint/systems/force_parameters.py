@@ -51,17 +51,7 @@ def with_value(force: Any, field: str, value: Floats) -> Force:
 
 
 def force_parameters(system: System) -> dict[str, ForceParameter]:
-    """Return the parameters of the forces by name, the label of the force and that of its parameter.
-
-    They are real numbers and arrays of them, of which every entry may change a little in both directions.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3)).with_forces(co.forces.LinearDamping(0.1))
-    >>> list(force_parameters(body))
-    ['LinearDamping.rate', 'LinearDamping.toward']
-    """
+    """Return the real parameters of the forces, which may change in both directions, by "label.parameter"."""
     return {name: one for name, one in force_numbers(system).items() if _may_change(one, system)}
 
 

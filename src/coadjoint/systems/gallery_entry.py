@@ -171,13 +171,7 @@ def _as_tuple(argument: Any, what: str) -> tuple[Any, ...]:
 
 
 def points_on_sphere(count: int, radius: float = 1.0) -> npt.NDArray[np.float64]:
-    """Return `count` points, (count, 3), distributed about evenly on a sphere, along a spiral of the golden angle.
-
-    Examples
-    --------
-    >>> np.linalg.norm(points_on_sphere(5, 2.0), axis=1)
-    array([2., 2., 2., 2., 2.])
-    """
+    """Return `count` points, (count, 3), distributed about evenly on a sphere, along a spiral of the golden angle."""
     k = np.arange(count)
     height = 1.0 - (2.0 * k + 1.0) / count
     angle = math.pi * (3.0 - math.sqrt(5.0)) * k

@@ -31,10 +31,7 @@ def real_array(argument: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
 
 
 def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], bool]:
-    """Return n, rows, columns and values of a SciPy sparse matrix, sorted by rows, and whether it is exactly symmetric.
-
-    SciPy is not imported.
-    """
+    """Return n, rows, columns and values of a SciPy sparse matrix, sorted by rows, and whether it is symmetric."""
     if M.ndim != 2 or M.shape[0] != M.shape[1]:
         raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
     check_available_memory(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")

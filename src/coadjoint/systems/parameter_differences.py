@@ -49,10 +49,7 @@ def moved_entry(value: Floats, index: tuple[int, ...], by: float, symmetric: boo
 
 
 class NearbySystems:
-    """Systems in which one entry of a parameter is moved by some distances, for a central difference of order 8.
-
-    They are functions of the change, `moved`, and are made on first use: formulas may need none of them.
-    """
+    """Systems in which one entry of a parameter is moved by some distances, made on first use."""
 
     def __init__(self, name: str, distance: float, moved: Callable[[float], Any]) -> None:
         self._name, self._distance, self._moved = name, distance, cache(moved)
@@ -66,11 +63,7 @@ class NearbySystems:
         return self._moved(0.0)
 
     def difference(self, function: Callable[[Any], Floats], here: Floats) -> Floats:
-        """Return the derivative of a function of the system by the entry, with about twelve digits.
-
-        `here` is the function of the unchanged system. Raises ValueError if no values near that of the entry are
-        accepted on both sides.
-        """
+        """Return the derivative of a function of the system by the entry, with about twelve digits."""
         distance, found, refusal = self._distance, None, None
         for _ in range(MOST_DISTANCES):
             by, distance = NODES * distance, NEARER * distance

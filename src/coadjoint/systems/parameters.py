@@ -35,10 +35,9 @@ MAX_DENSE_DIMENSION = 128
 
 
 class Parameter(NamedTuple):
-    """Value of a parameter, a function of no argument for the derivative of the energy by its entries, and its kind.
+    """Value of a parameter, a function of no argument for the derivative of the energy by its entries, and its kind."""
 
-    A symmetric matrix enters the energy by its symmetric part only.
-    """
+    # A symmetric matrix enters the energy by its symmetric part only.
 
     value: Floats
     energy: Callable[[], EnergyDerivative]
@@ -50,21 +49,16 @@ _PARAMETERS: WeakKeyDictionary[Any, dict[str, Parameter]] = WeakKeyDictionary()
 
 
 def parameters_of(system: Any) -> Mapping[str, Parameter]:
-    """Return the parameters of a system by name; none for Hamiltonians that are functions of the user.
-
-    Those of a ready-made system are those of the energy that it declares. Otherwise they are `M` and `linear` of a
-    `Quadratic`, and `coefficients` of a polynomial. Those of forces follow, each after its label.
-    """
+    """Return the parameters of a system by name; none for Hamiltonians that are functions of the user."""
+    # Those of a ready-made system are those of the energy that it declares. Otherwise they are `M` and `linear` of a
+    # `Quadratic`, and `coefficients` of a polynomial. Those of forces follow, each after its label.
     if system not in _PARAMETERS:
         _PARAMETERS[system] = _find_parameters(system)
     return _PARAMETERS[system]
 
 
 def parameters_at(system: Any, values: Mapping[str, Floats]) -> dict[str, Parameter]:
-    """Return the parameters in `values` of the system that `with_parameters` returns.
-
-    They have the shapes of `values` also where coefficients of that system are zero.
-    """
+    """Return the parameters in `values` of the system that `with_parameters` returns, also if they are zero."""
     found = _find_parameters(system, values)
     return {name: found[name] for name in values}
 
@@ -118,11 +112,7 @@ def parameter_of(system: Any, name: str) -> Parameter:
 
 
 def with_parameters(system: Any, values: Mapping[str, Floats]) -> Any:
-    """Return the system with these values of its parameters, those of `parameters_of`, in their shapes.
-
-    M counts with its symmetric part, as in the energy. Raises the errors of the builder or the Hamiltonian for values
-    that these refuse.
-    """
+    """Return the system with these values of its parameters, those of `parameters_of`, in their shapes."""
     if system.forces:
         of_forces = {name: value for name, value in values.items() if name in force_numbers(system)}
         rest = {name: value for name, value in values.items() if name not in of_forces}
@@ -196,10 +186,8 @@ def _of_quadratic(H: Quadratic, n: int) -> dict[str, Parameter]:
 
 
 def _declaration(system: Any, values: Mapping[str, Floats]) -> DeclaredEnergy | None:
-    """Return the declared energy of a ready-made system; None if it is not that of the system, or not of these values.
-
-    A system may have the name of a ready-made one, and arguments as a note.
-    """
+    """Return the declared energy of a ready-made system; None if not that of the system or of these values."""
+    # A system may have the name of a ready-made one, and arguments as a note.
     declared = energy_of(system.name)
     arguments = system.parameters or {}
     if declared is None or not {*declared.parameters, *declared.others} <= {*arguments}:

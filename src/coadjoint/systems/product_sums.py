@@ -29,16 +29,9 @@ class _IntegerTable(NamedTuple):
 
 
 class ProductSums:
-    """The sums over equal rows of c_k x_(i_k) u_(j_k) ..., shape (n,), in the number type of the factors.
+    """The sums over equal rows of c_k x_(i_k) u_(j_k) ..., shape (n,), in the number type of the factors."""
 
-    Sums of mpmath numbers are rounded once, to their precision.
-
-    >>> from mpmath import mp
-    >>> sums = ProductSums(np.array([0, 1, 0]), np.array([1.0, 0.5, 2.0]), 3)
-    >>> x = np.array([mp.mpf(3), mp.mpf(5)], dtype=object)
-    >>> [float(value) for value in sums((x, np.array([0, 1, 1])))]
-    [13.0, 2.5, 0.0]
-    """
+    # Sums of mpmath numbers are rounded once, to their precision.
 
     def __init__(self, rows: npt.NDArray[Any], coefficients: npt.NDArray[Any], n: int) -> None:
         self._rows, self._coefficients, self._n = rows, coefficients, n

@@ -46,11 +46,9 @@ class KnownInvariants(Mapping[str, Any]):
 
 
 def read_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
-    """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points.
-
-    ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
-    times the number of operations times that sum for polynomials; gradients of an `Invariant` may lose 20 bits.
-    """
+    """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points."""
+    # ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
+    # times the number of operations times that sum for polynomials; gradients of an `Invariant` may lose 20 bits.
     if isinstance(casimirs, KnownInvariants):
         return dict(casimirs)
     result = read_invariants(casimirs, n, "Casimir")
@@ -61,10 +59,7 @@ def read_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: P
 
 
 def read_invariants(argument: Any, n: int, kind: str) -> dict[str, Any]:
-    """Validate invariants in n coordinates by name: `Polynomial`, `Quadratic`, `Invariant` or a function (wrapped).
-
-    `kind` is their name in messages.
-    """
+    """Validate invariants in n coordinates by name; functions are wrapped. `kind` is their name in messages."""
     if not isinstance(argument, Mapping):
         raise TypeError(
             f"{kind.lower()}s is a {type(argument).__name__}; give a mapping from name to Polynomial or Invariant"
@@ -99,17 +94,7 @@ _CASIMIR_CACHE: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDi
 
 
 def known_or_found_casimirs(algebra: LieAlgebra) -> Mapping[str, Any]:
-    """Return the known Casimirs of an algebra or, if some are missing, those of a quick search.
-
-    ``algebra.casimirs(max_degree)`` searches further.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra.lie_algebra import LieAlgebra
-    >>> g = LieAlgebra.from_brackets(3, {(0, 1): {2: 1.0}, (1, 2): {0: 1.0}, (2, 0): {1: 1.0}})
-    >>> dict(known_or_found_casimirs(g))
-    {'C2': x1^2 + x2^2 + x3^2}
-    """
+    """Return the known Casimirs of an algebra or, if some are missing, those of a quick search."""
     known = algebra.casimirs_known
     constants = len(algebra.triples.c)
     # A nonzero bracket has rank at least two.
@@ -137,10 +122,7 @@ def _search_size(dim: int, degree: int, constants: int) -> float:
 def gradient_and_scale(
     name: str, invariant: Polynomial | Quadratic | Invariant, x: npt.NDArray[np.float64], kind: str = "Casimir"
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], int] | None:
-    """Return gradient (n,) at a point, sums of its absolute products (n,), and their number; None if it is not finite.
-
-    `name` and `kind` are for messages.
-    """
+    """Return gradient (n,) at a point, sums of its absolute products (n,), and their number; None if not finite."""
     n = x.size
     with np.errstate(all="ignore"):
         gradient = np.asarray(cast(Any, invariant.gradient)(x), dtype=np.float64)
@@ -182,11 +164,7 @@ TIMES = (0.0, 1.0)  # at which integrals are checked: a field may rest at time z
 
 @ignore_overflow
 def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> Mapping[str, Any]:
-    """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known.
-
-    ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
-    times the number of operations times that sum for polynomials.
-    """
+    """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known."""
     if isinstance(integrals, KnownInvariants):
         return integrals
     result = read_invariants(integrals, n, "integral")

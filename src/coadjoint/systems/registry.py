@@ -24,10 +24,7 @@ FOLDERS = ("bodies", "fluids", "lattices", "examples")
 
 
 class DeclaredEnergy(NamedTuple):
-    """A function from parameters, by name, to the energy; it may need `others` of the arguments of the builder.
-
-    `potential` is a function of the same arguments, or None.
-    """
+    """A function from parameters, by name, to the energy; it may need `others` of the arguments of the builder."""
 
     function: Callable[..., Any]
     parameters: tuple[str, ...]
@@ -168,15 +165,7 @@ def unit_coordinate(system: Any) -> int | None:
 
 
 def check_unit_coordinate(system: Any, states: npt.NDArray[np.float64]) -> None:
-    """Raise ValueError if a coordinate of states (..., n) must be 1 in this ready-made system, and is not.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.satellite import satellite
-    >>> check_unit_coordinate(satellite(), np.zeros(10))
-    Traceback (most recent call last):
-    ValueError: x0[..., 9] is 0, and z of satellite must be 1; ...
-    """
+    """Raise ValueError if a coordinate of states (..., n) must be 1 in this ready-made system, and is not."""
     coordinate = unit_coordinate(system)
     if coordinate is None:
         return
@@ -203,13 +192,7 @@ def _import_folders() -> None:
 
 
 def gallery_entry_of(name: str) -> GalleryEntry | None:
-    """Return the example run and pictures of a ready-made system; None for any other system, or if it declares none.
-
-    Examples
-    --------
-    >>> gallery_entry_of("rigid_body").attitude, gallery_entry_of("a system of mine")
-    (True, None)
-    """
+    """Return the example run and pictures of a ready-made system; None for any other system, or if it declares none."""
     ready_made_systems()
     return _GALLERY_ENTRIES.get(name)
 

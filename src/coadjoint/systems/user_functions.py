@@ -29,13 +29,7 @@ MANY_COORDINATES = 1 << 16
 
 @dataclass(frozen=True)
 class MultipleOf:
-    """A multiple of a user function of (x) or (x, t), compiled if the function is; `scalar` if it returns a number.
-
-    Examples
-    --------
-    >>> float(MultipleOf(np.cosh, 2, True)(0.0))
-    2.0
-    """
+    """A multiple of a user function of (x) or (x, t), compiled if the function is; `scalar` if it returns a number."""
 
     function: Callable[..., Any]
     factor: int | float
@@ -49,15 +43,9 @@ class MultipleOf:
 
 @dataclass(frozen=True)
 class SumOfShares:
-    """A function of x as a sum: ``share(x, k)`` for each k below `shares`, which threads compute side by side.
+    """A function of x as a sum: ``share(x, k)`` for each k below `shares`, which threads compute side by side."""
 
-    The sum has a fixed order, so that its bits depend on the number of shares and not on that of threads.
-
-    Examples
-    --------
-    >>> SumOfShares(lambda x, k: x[int(k)] ** 2, 2)([3.0, 4.0])
-    25.0
-    """
+    # The sum has a fixed order, so that its bits depend on the number of shares and not on that of threads.
 
     share: Callable[..., Any]
     shares: int
@@ -76,13 +64,7 @@ def shared(function: Callable[..., Any], shares: int) -> Any:
 
 
 def number_of_shares(bodies: int) -> int:
-    """Return into how many shares the pairs of so many bodies are divided, every so many bodies with their partners.
-
-    Examples
-    --------
-    >>> [number_of_shares(bodies) for bodies in (2, 56, 64, 1000)]
-    [1, 1, 4, 32]
-    """
+    """Return into how many shares the pairs of so many bodies are divided, every so many bodies with their partners."""
     return min(bodies // BODIES_OF_A_SHARE, MAX_SHARES) if bodies >= LEAST_SHARED_BODIES else 1
 
 
@@ -90,28 +72,14 @@ ALL_SHARES = -1.0
 
 
 def bodies_of_shares(bodies: int) -> Callable[[Any], tuple[int, int]]:
-    """Return a function, for compiled ones, from a share to the first of its bodies and the step to the next.
-
-    Examples
-    --------
-    >>> bodies_of_shares(64)(3.0), bodies_of_shares(64)(ALL_SHARES)
-    ((3, 4), (0, 1))
-    """
+    """Return a function, for compiled ones, from a share to the first of its bodies and the step to the next."""
     shares = number_of_shares(bodies)
     return callable_from_compiled(lambda share: (int(share), shares) if share >= 0.0 else (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """A function of x with the same function as tables, which the kernels evaluate without compiling the function.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra.invariants.invariant import LogarithmicSum
-    >>> from coadjoint.algebra.polynomials.polynomial import Polynomial
-    >>> Formula(np.log, LogarithmicSum.logarithm(Polynomial.variable(0, 1)).forms())(1.0).item()
-    0.0
-    """
+    """A function of x with the same function as tables, which the kernels evaluate without compiling the function."""
 
     function: Callable[..., Any]
     forms: Forms
@@ -144,11 +112,8 @@ def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
 
 
 def takes_time(function: Callable[..., Any], name: str) -> bool:
-    """Return whether `function` takes ``(x, t)`` rather than ``(x)``; raise TypeError otherwise.
-
-    A second argument counts as the time if it has no default, or if its name is ``t``
-    (``lambda x, m=m: ...`` is a function of x alone).
-    """
+    """Return whether `function` takes ``(x, t)`` rather than ``(x)``; raise TypeError otherwise."""
+    # A second argument counts as the time if it has no default, or if its name is ``t``.
     while isinstance(function, MultipleOf | Formula):
         function = function.function
     if not callable(function):
@@ -179,13 +144,7 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
 
 
 def callable_from_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a Python function that compiled functions can call, compiled by Numba; without Numba unchanged.
-
-    Examples
-    --------
-    >>> callable_from_compiled(abs)(-1)
-    1
-    """
+    """Return a Python function that compiled functions can call, compiled by Numba; without Numba unchanged."""
     if not (installed("numba") and inspect.isfunction(function)):
         return function
     from numba.extending import register_jitable
@@ -195,12 +154,7 @@ def callable_from_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def check_arguments(function: Callable[..., Any], name: str, arguments: str) -> None:
-    """Raise TypeError if a function cannot be called with arguments such as ``"x, h"``; one without a signature passes.
-
-    Examples
-    --------
-    >>> check_arguments(np.sin, "signal", "x")
-    """
+    """Raise TypeError if a function cannot be called with arguments such as ``"x, h"``; no signature passes."""
     try:
         if isinstance(function, type) or not callable(function):
             raise TypeError
@@ -222,10 +176,8 @@ def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
 
 
 def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
-    """Return seeded sample points of different kinds: mixed signs, all positive, small, and larger than one.
-
-    Of many coordinates, which are a sample themselves, only the first.
-    """
+    """Return seeded sample points of different kinds: mixed signs, all positive, small, and larger than one."""
+    # Of many coordinates, which are a sample themselves, only the first.
     count = 1 if n > MANY_COORDINATES else 4
     draw = np.random.default_rng(SEED).uniform(0.25, 1.0, size=(count, n))
     signs = np.where(np.random.default_rng(SEED + 1).uniform(size=n) < 0.5, -1.0, 1.0)
@@ -233,10 +185,7 @@ def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
 
 
 def evaluate(function: Callable[..., Any], x: Any, timed: bool, *, convert: bool = True) -> Any:
-    """Return the value of a function at a sample point, or its exception: the point may lie outside its domain.
-
-    The value is an array of float64, or with `convert` false what the function returns.
-    """
+    """Return the value of a function at a sample point, or its exception: the point may lie outside its domain."""
     with np.errstate(all="ignore"):
         try:
             result = function(x, SAMPLE_TIME) if timed else function(x)
@@ -256,11 +205,9 @@ def check_derivative(
     n: int | None,
     timed: bool,
 ) -> None:
-    """Raise an error if `derivative` has the wrong shape, or disagrees with the central difference of `function`.
-
-    The difference of the central differences for steps e and e/2 estimates 3/4 of the truncation error; round-off is
-    u |f| / e. Factors 16 and 2^10 allow for higher orders and a loss of ten bits. Non-finite points are skipped.
-    """
+    """Raise an error if `derivative` has the wrong shape, or disagrees with the central difference of `function`."""
+    # The difference of the central differences for steps e and e/2 estimates 3/4 of the truncation error; round-off is
+    # u |f| / e. Factors 16 and 2^10 allow for higher orders and a loss of ten bits. Non-finite points are skipped.
     evaluated, failure = False, ""
     for x in sample_points(1 if n is None else n):
         argument = x if n is not None else float(x[0])

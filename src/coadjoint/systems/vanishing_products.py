@@ -1,8 +1,5 @@
-"""Products of J(x) grad H that cancel identically, such as those of r cross dV/dr for a central force.
-
-Sums of such products are zero, but their rounding errors are not: they are of the size of the products, which may be
-much larger than the coordinate that they are added to. They are left out of flows and vector fields.
-"""
+"""Products of J(x) grad H that cancel identically, such as those of r cross dV/dr for a central force."""
+# They are left out of flows and vector fields: their sums are zero, but not their rounding errors.
 
 from __future__ import annotations
 
@@ -58,10 +55,9 @@ class Products(NamedTuple):
 
 
 class Monomial(NamedTuple):
-    """A monomial of a component of a gradient: a coefficient times the product of coordinates and of a factor.
+    """A monomial of a component of a gradient: a coefficient times the product of coordinates and of a factor."""
 
-    The factor is a function that occurs in several components, such as the derivative of a function of a polynomial.
-    """
+    # The factor is a function that occurs in several components, such as the derivative of a function of a polynomial.
 
     factor: Any
     coordinates: tuple[int, ...]
@@ -96,11 +92,9 @@ def _products(algebra: LieAlgebra, chosen: NDArray[np.bool_]) -> Products:
 
 
 def cancelling(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> list[int]:
-    """Return for each product the number of the set that cancels identically in x, -1 if it does not cancel.
-
-    Each product is (row, state, monomials of its component of the gradient, constant). Products of a row that share a
-    monomial are linked, and cancel together if all of their monomials do.
-    """
+    """Return for each product the number of the set that cancels identically in x, -1 if it does not cancel."""
+    # Each product is (row, state, monomials of its component of the gradient, constant). Products of a row that share a
+    # monomial are linked, and cancel together if all of their monomials do.
     first: dict[Any, int] = {}
     links: list[tuple[int, int]] = []
     total: dict[Any, Any] = {}
@@ -134,11 +128,8 @@ class DividedGradient(NamedTuple):
 
 
 def divided_gradient(term: FunctionTerm, products: Mapping[int, Product]) -> DividedGradient:
-    """Separate a function where products of a part of its gradient vanish, as those of a central force do.
-
-    `products` are numbered. The parts of the gradient are those by different polynomials
-    of the coordinates, found by recording the function.
-    """
+    """Separate a function where products of a part of its gradient vanish, as those of a central force do."""
+    # The parts of the gradient are those by different polynomials of the coordinates, found by recording the function.
     index = {int(k): a for a, k in enumerate(term.coordinates)}
     own = {q: each for q, each in products.items() if each.state in index and each.column in index}
     arguments = polynomial_arguments(term.value, len(index), term.timed) if own and not term.scalar else None
@@ -161,19 +152,10 @@ def divided_gradient(term: FunctionTerm, products: Mapping[int, Product]) -> Div
 
 
 class FieldProducts(NamedTuple):
-    """The products of J(x) grad H(x) without those that cancel.
+    """The products of J(x) grad H(x) without those that cancel."""
 
-    Parameters
-    ----------
-    terms : tuple of Term
-        The terms of H, with separated functions.
-    changed : ndarray of int64, shape (k, 4)
-        Products (row, state, column) that are omitted, -1, or that take a partial component of the gradient, numbered
-        from n on, in place of the whole one.
-    partial : tuple
-        For each partial component the entries that are added: the number of a term, and the entry of its gradient, of
-        functions among their own coordinates.
-    """
+    # Rows (row, state, column, new column) of `changed`: -1 omits the product, from n on it takes a partial component
+    # of the gradient: the sum of the entries of gradients (term, entry) in `partial`.
 
     terms: tuple[QuadraticTerm | PolynomialTerm | FunctionTerm, ...]
     changed: Integers

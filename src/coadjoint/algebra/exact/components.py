@@ -13,10 +13,7 @@ from coadjoint.algebra.exact.sparse_sums import CHUNK, Integers, groups
 
 
 def connected(size: int, first: NDArray[Any], second: NDArray[Any]) -> Integers:
-    """Label each of `size` nodes with the smallest node connected to it by the edges (first[m], second[m]).
-
-    Each round joins every component to its smallest neighbour and shortens the chains.
-    """
+    """Label each of `size` nodes with the smallest node connected to it by the edges (first[m], second[m])."""
     label = np.arange(size, dtype=np.int64)
     while True:
         joined = label.copy()
@@ -38,15 +35,8 @@ def connected(size: int, first: NDArray[Any], second: NDArray[Any]) -> Integers:
 
 
 def strongly_connected(size: int, first: NDArray[Any], second: NDArray[Any]) -> Integers:
-    """Label each of `size` nodes with the smallest one that edges first -> second lead to from it, and back.
-
-    Pairs that are connected both ways are joined first, which leaves little of most algebras to the search.
-
-    Examples
-    --------
-    >>> strongly_connected(6, np.array([0, 1, 2, 2, 3, 4, 5]), np.array([1, 2, 1, 3, 4, 5, 3])).tolist()
-    [0, 1, 1, 3, 3, 3]
-    """
+    """Label each of `size` nodes with the smallest node of its strongly connected component (edges first -> second)."""
+    # Pairs connected both ways are joined first, which leaves little of most algebras to the search.
     both = np.isin(first * size + second, second * size + first)
     label = connected(size, first[both], second[both])
     first, second = label[first], label[second]

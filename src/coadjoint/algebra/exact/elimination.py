@@ -17,13 +17,7 @@ Vector = dict[int, Number]
 
 
 def read_vector(argument: Any, dim: int, what: str) -> Vector:
-    """Return the nonzero components of a vector as exact rational numbers; floats are converted exactly.
-
-    Examples
-    --------
-    >>> read_vector([0, 0.5, Fraction(1, 3)], 3, "v")
-    {1: Fraction(1, 2), 2: Fraction(1, 3)}
-    """
+    """Return the nonzero components of a vector as exact rational numbers; floats are converted exactly."""
     reject_lossy_conversion(argument, what)
     if not isinstance(argument, Iterable):
         raise TypeError(f"{what} is {short(argument)}; it must be a sequence of numbers")
@@ -40,15 +34,7 @@ def read_vector(argument: Any, dim: int, what: str) -> Vector:
 
 
 def add_multiple(left: Vector, factor: Number, right: Mapping[int, Number]) -> None:
-    """Add factor * right to left in place, dropping entries that cancel.
-
-    Examples
-    --------
-    >>> v = {0: 1, 1: 2}
-    >>> add_multiple(v, -2, {1: 1, 2: 1})
-    >>> v
-    {0: 1, 2: -2}
-    """
+    """Add factor * right to left in place, dropping entries that cancel."""
     for i, value in right.items():
         total = left.get(i, 0) + factor * value
         if total:
@@ -58,18 +44,7 @@ def add_multiple(left: Vector, factor: Number, right: Mapping[int, Number]) -> N
 
 
 class Span:
-    """The span of independent sparse vectors {index: number}, with membership tests and coordinates by elimination.
-
-    A ValueError is raised if a vector depends on those before it.
-
-    Examples
-    --------
-    >>> span = Span([{0: 1, 1: 1}, {1: 2}])
-    >>> span.combination({0: 3})
-    {0: 3, 1: Fraction(-3, 2)}
-    >>> span.combination({2: 1}) is None
-    True
-    """
+    """The span of independent sparse vectors {index: number}; a dependent vector raises ValueError."""
 
     def __init__(self, vectors: Sequence[Mapping[int, Number]]) -> None:
         self._rows: dict[int, tuple[Vector, Vector]] = {}  # pivot -> row with 1 there, and its combination

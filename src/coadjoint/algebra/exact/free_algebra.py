@@ -1,8 +1,5 @@
-"""Truncated series in the free associative algebra on weighted letters: exponentials, logarithms, Lie elements.
-
-A series is a list whose entry w maps the words of weight w to coefficients, which may be of any type that has +, - and
-*; the empty word is 1.
-"""
+"""Truncated series in the free associative algebra on weighted letters: exponentials, logarithms, Lie elements."""
+# A series is a list whose entry w maps the words of weight w to coefficients of any type with +, - and *.
 
 from __future__ import annotations
 
@@ -100,10 +97,7 @@ def expand_bracket(word: Word) -> Mapping[Word, int]:
 
 
 def lie_coordinates(element: Mapping[Word, Any], words: Sequence[Word]) -> tuple[dict[Word, Any], dict[Word, Any]]:
-    """Expand a Lie element of one weight in brackets of the (ascending) Lyndon `words`.
-
-    Returns the coordinates by Lyndon word, and the remaining coefficients, zero up to rounding for a Lie element.
-    """
+    """Expand a Lie element of one weight in brackets of ascending Lyndon `words`: coordinates by word, and the rest."""
     rest = dict(element)
     coordinates = {}
     for word in words:

@@ -20,15 +20,7 @@ TOO_LARGE = "is too large for float64, or has too many digits"
 
 
 def exact_number(value: Any) -> Any:
-    """Convert a finite float or any rational number exactly to int or Fraction; return other numbers unchanged.
-
-    Products with Fraction or mpmath numbers then stay exact or retain their precision.
-
-    Examples
-    --------
-    >>> exact_number(2.0), exact_number(0.5), exact_number(3), exact_number(np.int8(100)) * 2
-    (2, Fraction(1, 2), 3, 200)
-    """
+    """Convert a finite float or any rational number exactly to int or Fraction; return other numbers unchanged."""
     if isinstance(value, float):
         return int(value) if value.is_integer() else Fraction(value)
     if isinstance(value, int | Fraction) or not isinstance(value, Rational):
@@ -59,13 +51,7 @@ def rounded(value: int | float | Fraction) -> float:
 
 
 def exact_numbers(values: Iterable[Any]) -> NDArray[Any]:
-    """Return an object array of exact numbers.
-
-    Examples
-    --------
-    >>> exact_numbers([1.0, 0.25])
-    array([1, Fraction(1, 4)], dtype=object)
-    """
+    """Return an object array of exact numbers."""
     exact = [exact_number(value) for value in values]
     result = np.empty(len(exact), dtype=object)
     result[:] = exact
@@ -73,13 +59,7 @@ def exact_numbers(values: Iterable[Any]) -> NDArray[Any]:
 
 
 def is_finite(value: int | float | Fraction) -> bool:
-    """Return whether a number, possibly exact, is finite in float64.
-
-    Examples
-    --------
-    >>> is_finite(10**308), is_finite(10**309), is_finite(float("inf")), is_finite(Fraction(1, 10**2000))
-    (True, False, False, True)
-    """
+    """Return whether a number, possibly exact, is finite in float64."""
     try:
         return math.isfinite(value)
     except OverflowError:

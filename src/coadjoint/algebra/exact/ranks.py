@@ -33,24 +33,15 @@ def as_fraction(value: float) -> Fraction | None:
 
 
 def clear_denominators(values: list[Fraction]) -> NDArray[Any]:
-    """Multiply fractions by their common denominator; return integers in the same ratios.
-
-    Examples
-    --------
-    >>> clear_denominators([Fraction(1, 2), Fraction(1, 3)])
-    array([3, 2], dtype=object)
-    """
+    """Multiply fractions by their common denominator; return integers in the same ratios."""
     common = math.lcm(*(value.denominator for value in values))
     return exact_numbers(value.numerator * (common // value.denominator) for value in values)
 
 
 def jacobi_exact(triples: Triples, integers: NDArray[Any], dim: int) -> bool:
-    """Return whether integer constants fulfil the Jacobi identity exactly.
-
-    The trilinear form is evaluated at two seeded random triples of vectors with entries below 2^62; if it is not
-    identically zero, both vanish with probability <= (3/2^62)^2 < 2^-120 (Schwartz and Zippel). Small constants pass by
-    `check_jacobi`.
-    """
+    """Return whether integer constants fulfil the Jacobi identity exactly."""
+    # Two random evaluations of a trilinear form that is not zero both vanish with probability < 2^-120 (Schwartz,
+    # Zippel).
     i, j, k, c = triples
     if integers.size == 0:
         return True
@@ -73,11 +64,8 @@ def jacobi_exact(triples: Triples, integers: NDArray[Any], dim: int) -> bool:
 
 
 def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return integers in the ratios of the simple fractions that the constants round, or None.
-
-    Every constant must be the float nearest to a simple fraction (`as_fraction`), and the fractions must fulfil the
-    Jacobi identity exactly. A common factor changes neither Casimirs nor ranks.
-    """
+    """Return integers in the ratios of the simple fractions that the constants round, or None if there are none."""
+    # A common factor changes neither Casimirs nor ranks.
     distinct, inverse = np.unique(triples.c, return_inverse=True)
     fractions = [as_fraction(value) for value in distinct.tolist()]
     known = [value for value in fractions if value is not None]
@@ -88,13 +76,7 @@ def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
 
 
 def _dyadic_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return integers in the exact ratios of the floats if they fulfil the Jacobi identity exactly, else None.
-
-    Examples
-    --------
-    >>> _dyadic_constants(Triples(*np.array([[0, 1], [2, 2], [0, 1]]), np.array([1.0, 0.375])), 3)
-    array([8, 3], dtype=object)
-    """
+    """Return integers in the exact ratios of the floats if they fulfil the Jacobi identity exactly, else None."""
     distinct, inverse = np.unique(triples.c, return_inverse=True)
     integers = clear_denominators([Fraction(value) for value in distinct.tolist()])[inverse]
     return integers if jacobi_exact(triples, integers, dim) else None
@@ -125,21 +107,12 @@ def random_prime(rng: np.random.Generator) -> int:
 
 
 def residues(integers: NDArray[Any], prime: int) -> NDArray[Any]:
-    """Return whole numbers modulo a prime, as an object array.
-
-    Examples
-    --------
-    >>> residues(np.array([-1, 8], dtype=object), 7)
-    array([6, 1], dtype=object)
-    """
+    """Return whole numbers modulo a prime, as an object array."""
     return np.asarray(integers, dtype=object) % prime
 
 
 def sparse_rank(rows: list[dict[int, int]], prime: int) -> int:
-    """Return the rank modulo a prime of a sparse matrix with rows {column: residue}, which are consumed.
-
-    Row-by-row elimination, for matrices too large to be dense.
-    """
+    """Return the rank modulo a prime of a sparse matrix with rows {column: residue}, which are consumed."""
     pivots: dict[int, dict[int, int]] = {}
     for original in rows:
         row = {column: value for column, value in original.items() if value % prime}
@@ -178,17 +151,9 @@ def skew_rank(i: Integers, j: Integers, entries: list[int], size: int, prime: in
 def structure_rank(
     i: Integers, j: Integers, k: Integers, integers: NDArray[Any], dim: int, points: int = 2, seed: int = 0
 ) -> int:
-    """Return the largest rank of J(x) at seeded random points, each modulo its own random prime; never too large.
-
-    One point fails with probability <= n/2^61 (Schwartz and Zippel), one prime with b/61 of > 2^55 primes for minors
-    with coefficients < 2^b; two points fail together with probability < 2^-60 for n, b < 2^30. The constants are
-    integers, sorted, with i < j.
-
-    Examples
-    --------
-    >>> structure_rank(*np.array([[0, 0, 1], [1, 2, 2], [2, 1, 0]]), np.array([1, -1, 1], dtype=object), 3)
-    2
-    """
+    """Return the largest rank of J(x) at seeded random points, each modulo its own random prime; never too large."""
+    # One point fails with probability <= n/2^61 (Schwartz and Zippel), one prime with b/61 of > 2^55 primes for minors
+    # with coefficients < 2^b; two points fail together with probability < 2^-60 for n, b < 2^30.
     rng = np.random.default_rng(seed)
     order, starts = groups(i, j)
     label = connected(dim, i, j)
@@ -218,11 +183,7 @@ def structure_rank(
 
 
 def rank_from_gap(singular: Floats, roundoff: float, what: str) -> int:
-    """Return the number of nonzero singular values (descending), or raise a ValueError if there is no clear gap.
-
-    Values up to `roundoff`, a bound of the spectral norm of the error, are zero; the others must exceed 2^10 times
-    that.
-    """
+    """Return the number of singular values (descending) above `roundoff`, or raise ValueError without a clear gap."""
     rank = int(np.count_nonzero(singular > roundoff))
     if rank and singular[rank - 1] < MIN_RANK_GAP * roundoff:
         raise ValueError(
@@ -234,16 +195,7 @@ def rank_from_gap(singular: Floats, roundoff: float, what: str) -> int:
 
 
 def numerical_structure_rank(triples: Triples, dim: int) -> int:
-    """Return the rank of J(x) at generic x by singular values, for constants known only to round-off.
-
-    The largest rank at two seeded normally distributed random points, block by block. Constants are taken as exact to
-    64 u times the largest of the block (u = 2^-53), as in the Jacobi check. ValueError without a clear gap.
-
-    Examples
-    --------
-    >>> numerical_structure_rank(Triples(*np.array([[0, 0, 1], [1, 2, 2], [2, 1, 0]]), np.array([1.0, -1.0, 1.0])), 3)
-    2
-    """
+    """Return the rank of J(x) at generic x by singular values, for constants known to 64 u times those of a block."""
     i, j, k, c = triples
     rng = np.random.default_rng(0)
     points = rng.standard_normal((2, dim))

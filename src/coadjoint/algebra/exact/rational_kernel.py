@@ -59,13 +59,7 @@ def _kernel_modulo(linear_equations: Equations, prime: int) -> tuple[tuple[int, 
 
 
 def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
-    """Return the fraction p/q with p^2, q^2 <= modulus/2 that has this residue, or None (Wang's algorithm).
-
-    Examples
-    --------
-    >>> fraction_modulo(2 * pow(3, -1, 10007) % 10007, 10007)
-    Fraction(2, 3)
-    """
+    """Return the fraction p/q with p^2, q^2 <= modulus/2 that has this residue, or None (Wang's algorithm)."""
     bound = math.isqrt(modulus // 2)
     previous, current = (modulus, 0), (residue, 1)
     while current[0] > bound:
@@ -77,14 +71,7 @@ def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
 
 
 def annihilated(linear_equations: Equations, vector: Vector) -> bool:
-    """Return whether a rational vector fulfils the equations exactly.
-
-    Examples
-    --------
-    >>> zero, both = np.array([0, 0]), np.array([0, 1])
-    >>> annihilated(Equations(2, zero, zero, both, np.array([1, 2])), {0: 1, 1: Fraction(-1, 2)})
-    True
-    """
+    """Return whether a rational vector fulfils the equations exactly."""
     common = math.lcm(*(Fraction(value).denominator for value in vector.values()))
     dense = np.zeros(linear_equations.unknowns, dtype=object)
     for column, value in vector.items():
@@ -96,12 +83,9 @@ def annihilated(linear_equations: Equations, vector: Vector) -> bool:
 
 
 def _block_kernel(linear_equations: Equations, rng: np.random.Generator) -> list[Vector]:
-    """Return the kernel of one block in reduced row echelon form.
-
-    Modulo a prime the kernel is at least as large as over Q, so once that many reconstructed vectors fulfil the
-    equations exactly they span it. Primes are multiplied until then; one with a larger kernel or later pivots is
-    dropped.
-    """
+    """Return the kernel of one block in reduced row echelon form."""
+    # Modulo a prime the kernel is at least as large as over Q, so once that many reconstructed vectors fulfil the
+    # equations exactly they span it. A prime with a larger kernel or later pivots is dropped.
     pivots: tuple[int, ...] = ()
     columns: list[list[int]] = []
     modulus = 1

@@ -18,14 +18,7 @@ Floats = NDArray[np.float64]
 
 
 def groups(*keys: Integers) -> tuple[Integers, Integers]:
-    """Sort rows lexicographically by several keys; return the stable permutation and the starts of equal runs.
-
-    Examples
-    --------
-    >>> order, starts = groups(np.array([1, 0, 1]), np.array([5, 7, 5]))
-    >>> order.tolist(), starts.tolist()
-    ([1, 0, 2], [0, 1])
-    """
+    """Sort rows lexicographically by several keys; return the stable permutation and the starts of equal runs."""
     order = np.lexsort(keys[::-1]).astype(np.int64)
     fresh = np.zeros(order.size, dtype=bool)
     fresh[:1] = True
@@ -35,13 +28,7 @@ def groups(*keys: Integers) -> tuple[Integers, Integers]:
 
 
 def distinct(values: NDArray[Any]) -> NDArray[Any]:
-    """Return the sorted unique values by sorting, which is faster than hashing for millions of integers.
-
-    Examples
-    --------
-    >>> distinct(np.array([3, 1, 3])).tolist()
-    [1, 3]
-    """
+    """Return the sorted unique values by sorting, which is faster than hashing for millions of integers."""
     ordered = np.sort(values)
     new = np.ones(ordered.size, dtype=bool)
     np.not_equal(ordered[1:], ordered[:-1], out=new[1:])
@@ -49,13 +36,7 @@ def distinct(values: NDArray[Any]) -> NDArray[Any]:
 
 
 def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:
-    """Enumerate all pairs (row, position) with starts[row] <= position < stops[row].
-
-    Examples
-    --------
-    >>> [a.tolist() for a in expand(np.array([4, 0]), np.array([6, 1]))]
-    [[0, 0, 1], [4, 5, 0]]
-    """
+    """Enumerate all pairs (row, position) with starts[row] <= position < stops[row]."""
     counts = stops - starts
     rows = np.repeat(np.arange(counts.size, dtype=np.int64), counts)
     offsets = np.cumsum(counts) - counts
@@ -63,13 +44,7 @@ def expand(starts: Integers, stops: Integers) -> tuple[Integers, Integers]:
 
 
 def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
-    """Split rows sorted by label into runs of about `CHUNK` total cost, never within a label.
-
-    Examples
-    --------
-    >>> list(chunks(np.array([0, 0, 1]), np.array([CHUNK, 1, 1])))
-    [slice(0, 2, None), slice(2, 3, None)]
-    """
+    """Split rows sorted by label into runs of about `CHUNK` total cost, never within a label."""
     ends = np.append(np.flatnonzero(np.diff(labels)) + 1, labels.size)
     reached = np.cumsum(costs)
     begin, spent = 0, 0
@@ -82,13 +57,7 @@ def chunks(labels: Integers, costs: Integers) -> Iterator[slice]:
 
 
 def group_max_abs(labels: Integers, values: Floats) -> Floats:
-    """Return for each row the largest absolute value among the rows with the same label.
-
-    Examples
-    --------
-    >>> group_max_abs(np.array([4, 7, 4]), np.array([1.0, 2.0, -3.0]))
-    array([3., 2., 3.])
-    """
+    """Return for each row the largest absolute value among the rows with the same label."""
     _, group = np.unique(labels, return_inverse=True)
     largest = np.zeros(group.max(initial=-1) + 1)
     np.maximum.at(largest, group, np.abs(values))
@@ -98,11 +67,9 @@ def group_max_abs(labels: Integers, values: Floats) -> Floats:
 def largest_violation(
     keys: tuple[Integers, ...], factors: tuple[Floats, Floats], sizes: tuple[Floats, Floats]
 ) -> tuple[int, float] | None:
-    """Return (row, defect) of the sum of products of equal keys farthest from zero relative to its sizes, or None.
-
-    A sum is zero if below 64 u times the summed products of `sizes`, bounds of the factors with which they were rounded
-    (u = 2^-53). Mantissas and exponents are stored separately, so that no product over- or underflows.
-    """
+    """Return (row, defect) of the sum of products of equal keys farthest from zero relative to its sizes, or None."""
+    # A sum is zero if below 64 u times the summed products of `sizes`, bounds of the factors with which they were
+    # rounded. Mantissas and exponents are separate, so that no product over- or underflows.
     if factors[0].size == 0:
         return None
     order, starts = groups(*keys)

@@ -80,18 +80,8 @@ def exact_constants(name: str, parameters: Mapping[str, Number]) -> Constants:
 
 
 def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomial | LogarithmicSum]:
-    """Return the invariants by name in exact arithmetic; the name is the formula.
-
-    An invariant that reduces to the logarithm of a polynomial is returned as this polynomial. One with dense values at
-    a point is omitted: angles in an irrational ratio, as of A5_17 with p = q = 0, whose orbits wind densely on a torus.
-
-    Examples
-    --------
-    >>> list(formulas("A4_6", {"a": 2, "b": Fraction(1, 2)}))
-    ['log|x2^2 + x3^2| - 2*b*atan2(x3, x2)', 'log|x1| - a*atan2(x3, x2)']
-    >>> list(formulas("A4_6", {"a": 2, "b": 0}))
-    ['x2^2 + x3^2', 'log|x1| - a*atan2(x3, x2)']
-    """
+    """Return the invariants {formula: invariant} in exact arithmetic; a logarithm of a polynomial becomes this."""
+    # An invariant with dense values at a point is omitted: angles in an irrational ratio, as of A5_17 with p = q = 0.
     entry = entries()[name]
     result: dict[str, Polynomial | LogarithmicSum] = {}
     for argument in entry["invariants"]:

@@ -77,14 +77,7 @@ INDEFINITE_KINDS = ("u", "su", "so")
 
 
 class Adjoint:
-    """The adjoint by a form, ``J^-1 A^T J``, conjugated if `kind.conjugate`; the last `q` signs are negative.
-
-    Examples
-    --------
-    >>> Adjoint(KINDS["so"], 2, 1)(np.array([[1.0, 2.0], [3.0, 4.0]]))
-    array([[ 1., -3.],
-           [-2.,  4.]])
-    """
+    """The adjoint by a form, ``J^-1 A^T J``, conjugated if `kind.conjugate`; the last `q` signs are negative."""
 
     def __init__(self, kind: Kind, N: int, q: int) -> None:
         self.conjugate, order, signs = kind.conjugate, np.arange(N), np.ones(N)

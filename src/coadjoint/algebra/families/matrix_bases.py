@@ -31,17 +31,9 @@ class Sparse:
 
 
 def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Triples:
-    """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for a < b, unique and nonzero, from the sparse `basis` X_a.
-
-    Coordinate k of a matrix M is the sum of w_k[r, c] M[r, c], with w_k from `coordinates`. Exact if entries and
-    weights are small multiples of a power of two.
-
-    Examples
-    --------
-    >>> affine = Sparse([(0, 0, 0, 1.0), (1, 0, 1, 1.0)])
-    >>> commutator_constants(affine, affine, 2)
-    Triples(i=array([0]), j=array([1]), k=array([1]), c=array([1.]))
-    """
+    """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for a < b, unique and nonzero, of a sparse `basis`."""
+    # Coordinate k of a matrix M is the sum of w_k[r, c] M[r, c], with w_k from `coordinates`. Exact if entries and
+    # weights are small multiples of a power of two.
     by_row, _ = groups(basis.row, basis.number)
     by_column, _ = groups(basis.column, basis.number)
     dim = int(basis.number.max(initial=0)) + 1
@@ -91,13 +83,7 @@ def matrices(basis: Sparse, count: int, size: int) -> Floats | None:
 
 
 def real_form(real: Sequence[Entry], imaginary: Sequence[Entry], size: int) -> list[Entry]:
-    """Return complex matrices A + i B as real ones (A, -B; B, A) of twice the size.
-
-    Examples
-    --------
-    >>> real_form([], [(0, 0, 0, 1.0)], 1)
-    [(0, 0, 1, -1.0), (0, 1, 0, 1.0)]
-    """
+    """Return complex matrices A + i B as real ones (A, -B; B, A) of twice the size."""
     entries: list[Entry] = []
     for number, row, column, value in real:
         entries += [(number, row, column, value), (number, row + size, column + size, value)]

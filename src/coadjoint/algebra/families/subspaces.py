@@ -99,10 +99,7 @@ def _combine_representation(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats 
 
 
 def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exact: bool) -> dict[str, Any]:
-    """Return the known Casimirs in new coordinates, x_i = sum_j rows[i][j] y_j; vanishing ones are dropped.
-
-    If the new constants are rounded (not `exact`), so are the coefficients: no more exact than the algebra.
-    """
+    """Return the known Casimirs that do not vanish in new coordinates, x_i = sum_j rows[i][j] y_j."""
 
     def changed(p: Polynomial) -> Polynomial:
         q = substituted(p, rows, dim)

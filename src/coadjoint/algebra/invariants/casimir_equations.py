@@ -18,11 +18,9 @@ Vector = dict[int, Any]  # unknown -> coefficient, sorted; the first coefficient
 
 
 class Equations(NamedTuple):
-    """Sparse linear equations for the coefficients v of a polynomial C that every derivation annihilates.
+    """Sparse linear equations for the coefficients v of a polynomial that every derivation e_i annihilates."""
 
-    In the derivative of C along e_i, i = ``along[m]``, the coefficient of monomial ``target[m]`` has the term
-    ``values[m] * v[columns[m]]``; each such coefficient must vanish. Positions are sorted and unique, values nonzero.
-    """
+    # In the derivative along e_i, i = along[m], monomial target[m] has the term values[m] v[columns[m]].
 
     unknowns: int
     along: Integers
@@ -32,13 +30,7 @@ class Equations(NamedTuple):
 
 
 def monomial_count(dim: int, degree: int) -> int:
-    """Return the number of monomials of a degree in `dim` coordinates.
-
-    Examples
-    --------
-    >>> monomial_count(8, 3)
-    120
-    """
+    """Return the number of monomials of a degree in `dim` coordinates."""
     return math.comb(dim + degree - 1, degree)
 
 
@@ -53,13 +45,7 @@ def monomials(dim: int, degree: int) -> Integers:
 
 
 def monomial_positions(basis: Integers, dim: int) -> Integers:
-    """Return the positions of sorted tuples in the list `monomials`.
-
-    Examples
-    --------
-    >>> monomial_positions(np.array([[1, 1], [0, 1]]), 2).tolist()
-    [2, 1]
-    """
+    """Return the positions of sorted tuples in the list `monomials`."""
     count, degree = basis.shape
     result = np.zeros(count, dtype=np.int64)
     previous = np.zeros(count, dtype=np.int64)
@@ -157,13 +143,7 @@ def blocks(linear_equations: Equations) -> Iterator[tuple[Integers, Equations]]:
 
 
 def check_block(part: Equations, largest: int) -> None:
-    """Raise a ValueError for a block too large to be solved as a dense matrix.
-
-    Examples
-    --------
-    >>> nothing = np.zeros(0, dtype=np.int64)
-    >>> check_block(Equations(5, nothing, nothing, nothing, nothing), 5)
-    """
+    """Raise a ValueError for a block too large to be solved as a dense matrix."""
     if part.unknowns > largest:
         raise ValueError(
             f"{part.unknowns} coefficients of a Casimir are coupled, above the limit of {largest}; "

@@ -113,18 +113,7 @@ class Term(NamedTuple):
 
 @dataclass(frozen=True)
 class LogarithmicSum:
-    """A function sum of w p/q + sum of w log|p| + sum of w atan2(p, q) with polynomials p, q and numbers w.
-
-    Every invariant of the real Lie algebras of dimension 2 to 5 is a polynomial or of this form: the logarithm of
-    |p|^w times the exponential of an angle or rational function. Terms of weight zero are dropped.
-
-    Examples
-    --------
-    >>> x, y = Polynomial.variable(0, 2), Polynomial.variable(1, 2)
-    >>> f = LogarithmicSum.logarithm(x) + LogarithmicSum.angle(y, x) * 2
-    >>> f.gradient(np.array([Fraction(1), Fraction(1)]))
-    array([Fraction(0, 1), Fraction(1, 1)], dtype=object)
-    """
+    """A function sum of w p/q + sum of w log|p| + sum of w atan2(p, q) with polynomials p, q and numbers w, not 0."""
 
     dim: int
     terms: tuple[Term, ...]
@@ -160,14 +149,7 @@ class LogarithmicSum:
         return LogarithmicSum(self.dim, tuple(term for term in scaled if term.weight != 0))
 
     def transformed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicSum:
-        """Return the same function in other coordinates: `change` maps each polynomial.
-
-        Examples
-        --------
-        >>> double = LogarithmicSum.logarithm(Polynomial.variable(0, 1)).transformed(lambda p: 2 * p)
-        >>> double.invariant().value([0.5])
-        0.0
-        """
+        """Return the same function in other coordinates: `change` maps each polynomial."""
         terms = tuple(term._replace(first=change(term.first), second=change(term.second)) for term in self.terms)
         return LogarithmicSum(terms[0].first.dim if terms else self.dim, terms)
 

@@ -18,23 +18,10 @@ Exact = Any
 
 
 class ExactPolynomials:
-    """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s (such as masses) are central.
+    """The ring Q[x1, ..., xn, s1, ..., sm] on the dual of a Lie algebra; the symbols s, such as masses, are central."""
 
-    Its elements are polynomials of python-flint, whose exact products are some hundred times faster than those of
-    `Polynomial`. Floats are converted exactly; input and output are `Polynomial`. With a `point` and a `degree`, the
-    elements are Taylor polynomials in x - point, truncated above the degree, and `about_point` makes them.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra import catalogue
-    >>> ring = ExactPolynomials(catalogue.so(3))
-    >>> x1, x2, x3 = ring.coordinates
-    >>> ring.polynomial(ring.bracket(x1 * x1, x2) / 3)
-    (2/3)*x1*x3
-    >>> jets = ExactPolynomials(catalogue.so(3), point=[0.0, 0.0, 5.0], degree=1)
-    >>> jets.polynomial(jets.bracket(x1, x2)), jets.polynomial(jets.about_point(x3 * x3))
-    (5 + x3, 25 + 10*x3)
-    """
+    # Elements are polynomials of python-flint, much faster than `Polynomial`. With a `point` and a `degree` they are
+    # Taylor polynomials in x - point, truncated above the degree, made by `about_point`.
 
     def __init__(
         self,

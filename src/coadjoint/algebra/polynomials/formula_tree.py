@@ -1,8 +1,5 @@
-"""Formulas as text, parsed by Python's `ast` after a check of every token; nothing is executed.
-
-Every name and number is replaced by a placeholder before `ast` parses the text, so that trees contain operators, calls
-and placeholders only. Length, nesting and the number of operations are bounded before.
-"""
+"""Formulas as text, parsed by Python's `ast` after a check of every token; nothing is executed."""
+# Every name and number is a placeholder before `ast` parses the text; length, nesting and operations are bounded.
 
 from __future__ import annotations
 
@@ -79,10 +76,8 @@ def factors(node: ast.expr) -> list[tuple[bool, ast.expr]]:
 def parse_tree(
     text: str, value_of: Callable[[str], Any], functions: Collection[str], notation: str, conditions: bool = False
 ) -> FormulaTree:
-    """Parse a formula; with `conditions`, comparisons joined by ``and`` and ``or``, as a single term.
-
-    `value_of` returns the number or the `Coordinate` of a name, or None for an unknown one; `notation` ends messages.
-    """
+    """Parse a formula; with `conditions`, comparisons joined by ``and`` and ``or``, as a single term."""
+    # `value_of` returns the number or the `Coordinate` of a name, or None; `notation` ends messages.
     return _Scanner(text, value_of, functions, notation, conditions).tree()
 
 

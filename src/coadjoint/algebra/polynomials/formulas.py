@@ -78,12 +78,8 @@ class NotPolynomial(ValueError):
 def parse_polynomial(
     text: str, dim: int, names: Sequence[str] | None = None, parameters: Mapping[str, Any] | None = None
 ) -> Polynomial:
-    """Parse a polynomial, such as ``"0.5*x1^2 - x2*x3 + x1/3"`` or ``"a*(x1 + x2)**2/2"``, and multiply it out.
-
-    Quotients of integers stay exact, and products with floats are rounded in the order of the text; `names` replaces
-    x1, x2, ... A ValueError names the place of a syntax error, a degree above 1024, or a number beyond float64; it is
-    `NotPolynomial` if the formula is one of another kind.
-    """
+    """Parse a polynomial, such as ``"0.5*x1^2 - x2*x3 + x1/3"`` or ``"a*(x1 + x2)**2/2"``, and multiply it out."""
+    # Quotients of integers stay exact; products with floats are rounded in the order of the text.
     tree = parse_tree(text, coordinates_and_parameters(text, dim, names, parameters), FUNCTIONS, NOTATION)
     value = Expansion(tree, dim).value()
     return value if isinstance(value, Polynomial) else Polynomial({(0,) * dim: value})
@@ -95,18 +91,7 @@ def check_syntax(text: str) -> None:
 
 
 def parse_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: str = "x") -> Formula:
-    """Parse a formula of the catalogue in exact arithmetic; `letter` is that of the coordinates.
-
-    It has sums, products, quotients and whole powers of whole numbers, parameters and coordinates, and ``log(p)`` =
-    log|p| and ``atan2(p, q)`` of polynomials. Degrees, numbers and numbers of terms are bounded (ValueError).
-
-    Examples
-    --------
-    >>> parse_formula("(a + 1)*x1**2 - x2/2", {"a": 3}, dim=2)
-    -(1/2)*x2 + 4*x1^2
-    >>> parse_formula("log(x1) - a*x2/x1", {"a": 3}, dim=2).invariant().value([1.0, 2.0])
-    -6.0
-    """
+    """Parse a formula of the catalogue in exact arithmetic; ``log(p)`` is log|p|; `letter` names coordinates."""
     tree = parse_tree(text, _names_and_parameters(text, dim, letter, parameters), ("log", "atan2"), _EXACT_NOTATION)
     if any(isinstance(symbol, float) for symbol in tree.symbols):
         raise tree.refused(f"has decimals; {_EXACT_NOTATION}")
@@ -133,10 +118,7 @@ def condition_holds(text: str, parameters: Mapping[str, Number]) -> bool:
 
 
 def names_in(text: str, dim: int, names: Sequence[str] | None) -> Sequence[str] | None:
-    """Return the names of the coordinates if a text has one that is not among x1, x2, ...; otherwise None.
-
-    A ValueError names a coordinate with two meanings.
-    """
+    """Return the names of the coordinates if a text has one that is not among x1, x2, ...; otherwise None."""
     if names is None:
         return None
     default, used = coordinate_names(dim), NAME.findall(text)

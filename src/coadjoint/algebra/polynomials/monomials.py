@@ -85,13 +85,7 @@ def differentiated(
 
 
 class ProductSum:
-    """Sums of terms (target, coefficient, {coordinate: exponent}), each added to entry `target` of a result of `size`.
-
-    Examples
-    --------
-    >>> ProductSum([(0, 2, {1: 2}), (1, 3, {})], 2)(np.array([0.0, 5.0]))
-    array([50.,  3.])
-    """
+    """Sums of terms (target, coefficient, {coordinate: exponent}), added to entry `target` of a result of `size`."""
 
     def __init__(self, terms: Iterable[tuple[int, Coefficient, dict[int, int]]], size: int) -> None:
         rows = sorted(terms, key=lambda term: not term[2])  # constants last, since they have no product

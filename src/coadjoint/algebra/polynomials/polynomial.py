@@ -168,30 +168,7 @@ class Polynomial:
         return self._names or tuple(coordinate_names(self._dim))
 
     def named(self, names: Sequence[str]) -> Polynomial:
-        """Return this polynomial with other names of the coordinates in its printed forms.
-
-        Parameters
-        ----------
-        names : sequence of str
-            One for each coordinate.
-
-        Returns
-        -------
-        Polynomial
-            Equal to this one.
-
-        Raises
-        ------
-        ValueError
-            Another number of names.
-        TypeError
-            A name that is not a nonempty string.
-
-        Examples
-        --------
-        >>> Polynomial({(2, 1): 3}).named(("q", "p"))
-        3*q^2*p
-        """
+        """Return this polynomial with other names of the coordinates in its printed forms."""
         given = read_list(names, "names", "give one name for each coordinate")
         if len(given) != self._dim:
             raise ValueError(f"names has {len(given)} entries; this Polynomial has {self._dim} coordinates")
@@ -367,15 +344,7 @@ class Polynomial:
 
     @staticmethod
     def side_by_side(polynomials: Sequence[Polynomial]) -> ProductSum:
-        """Return a function that evaluates several polynomials in the same coordinates together, `ProductSum.along`.
-
-        Examples
-        --------
-        >>> both = Polynomial.side_by_side([Polynomial({(2, 1): 3}), Polynomial({(0, 0): 1})])
-        >>> both.along(np.array([[1.0, 2.0], [2.0, 0.5]]))
-        array([[6., 1.],
-               [6., 1.]])
-        """
+        """Return a function that evaluates several polynomials in the same coordinates together, `ProductSum.along`."""
         terms = ((k, value, factors) for k, p in enumerate(polynomials) for _, value, factors in p._factors)
         return ProductSum(terms, len(polynomials))
 

@@ -21,13 +21,7 @@ def coordinate_names(dim: int) -> list[str]:
 
 
 def names_of_basis(basis: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of the coordinates for those of the basis elements; e1, e2, ... become x1, x2, ...
-
-    Examples
-    --------
-    >>> names_of_basis(("e1", "e2", "h")), names_of_basis(("e1[1]", "q1"))
-    (('x1', 'x2', 'h'), ('x1[1]', 'q1'))
-    """
+    """Return the names of the coordinates for those of the basis elements; e1, e2, ... become x1, x2, ..."""
     return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
 
 
@@ -43,13 +37,7 @@ def plain(monomials: Monomials, names: Sequence[str]) -> str:
 
 
 def latex(monomials: Monomials, names: Sequence[str]) -> str:
-    r"""Format a polynomial as LaTeX, without dollar signs.
-
-    Examples
-    --------
-    >>> print(latex({(2, 0): Fraction(1, 2), (1, 1): -1}, ["x1", "m12"]))
-    \frac{1}{2} x_{1}^{2} - x_{1} m_{12}
-    """
+    """Format a polynomial as LaTeX, without dollar signs."""
     factors = [latex_name(name) for name in names]
     braced = [f"{{{factor}}}" if "^" in factor else factor for factor in factors]
     return _format_sum(monomials, braced, "{0}^{{{1}}}", " ", _latex_size)
@@ -59,13 +47,7 @@ GREEK = ("alpha", "beta", "gamma", "theta", "phi", "psi", "omega", "mu", "rho", 
 
 
 def latex_name(name: str) -> str:
-    r"""Format the name of a coordinate or symbol: x12 as x_{12}, m1_2 as m_{1,2}; other forms of names are unchanged.
-
-    Examples
-    --------
-    >>> print(latex_name("x12"), latex_name("m1_2"), latex_name("gamma3"), latex_name("S1[7]"), latex_name("energy"))
-    x_{12} m_{1,2} \gamma_{3} S_{1}^{[7]} energy
-    """
+    """Format the name of a coordinate or symbol: x12 as x_{12}, m1_2 as m_{1,2}; other forms of names are unchanged."""
     match = re.fullmatch(r"([A-Za-z]+?)_?(\d[\d_,]*)?(\[\d+\])?", name)
     if match is None:
         return name
@@ -90,39 +72,21 @@ def sympy_of(monomials: Monomials, names: Sequence[str]) -> Any:
 
 
 def readable(monomials: Monomials, names: Sequence[str]) -> str:
-    """Format a polynomial on one line with short coefficients; only a count if it has many monomials.
-
-    Examples
-    --------
-    >>> readable({(2,): 0.1 + 0.2}, ["x"]), readable({(k,): 1 for k in range(31)}, ["x"])
-    ('0.3*x^2', '<31 monomials of degree 30 and less>')
-    """
+    """Format a polynomial on one line with short coefficients; only a count if it has many monomials."""
     if len(monomials) > MAX_SHOWN:
         return f"<{len(monomials)} monomials of degree {max(map(sum, monomials))} and less>"
     return plain(rounded_if_long(monomials), names)
 
 
 def readable_latex(monomials: Monomials, names: Sequence[str]) -> str:
-    """Format a polynomial as LaTeX with short coefficients, without dollar signs.
-
-    Examples
-    --------
-    >>> print(readable_latex({(2,): 0.1 + 0.2}, ["x1"]))
-    0.3 x_{1}^{2}
-    """
+    """Format a polynomial as LaTeX with short coefficients, without dollar signs."""
     if len(monomials) > MAX_SHOWN:
         return rf"\text{{{len(monomials)} monomials}}"
     return latex(rounded_if_long(monomials), names)
 
 
 def rounded_if_long(monomials: Monomials) -> dict[tuple[int, ...], Coefficient]:
-    """Round coefficients with more than six digits to six; keep short fractions.
-
-    Examples
-    --------
-    >>> rounded_if_long({(1,): Fraction(1, 24), (2,): 0.1 + 0.2, (3,): Fraction(0.1)})
-    {(1,): Fraction(1, 24), (2,): 0.3, (3,): 0.1}
-    """
+    """Round coefficients with more than six digits to six; keep short fractions."""
     return {exponents: _readable(value) for exponents, value in monomials.items()}
 
 

@@ -14,18 +14,7 @@ from coadjoint.validation import read_number
 
 
 class SymbolicPolynomial:
-    """A polynomial in x1, ..., xn with coefficients that are polynomials in symbols.
-
-    `polynomial` has the coordinates followed by the symbols.
-
-    Examples
-    --------
-    >>> p = SymbolicPolynomial(Polynomial({(2, 0, 1, 0): 1, (2, 0, 0, 1): -2}), ["m1", "m2"])
-    >>> p
-    x1^2*(m1 - 2*m2)
-    >>> p.with_values({"m1": 5, "m2": 1})
-    3*x1^2
-    """
+    """A polynomial in x1, ..., xn with coefficients that are polynomials in symbols, last in `polynomial`."""
 
     def __init__(self, polynomial: Polynomial, symbols: Sequence[str]) -> None:
         self._polynomial, self.symbols = polynomial, tuple(symbols)

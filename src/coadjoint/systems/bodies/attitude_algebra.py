@@ -23,13 +23,7 @@ MAX_RECORDED_BODIES = 64
 
 @cache
 def attitude_algebra() -> LieAlgebra:
-    """Return so(3) acting on X, Y, Z, the space axes seen from the body; as matrices (6, 6), the first block rotations.
-
-    Examples
-    --------
-    >>> attitude_algebra().basis
-    ('L1', 'L2', 'L3', 'X1', 'X2', 'X3', 'Y1', 'Y2', 'Y3', 'Z1', 'Z2', 'Z3')
-    """
+    """Return so(3) acting on X, Y, Z, the space axes seen from the body; its matrices are (6, 6), rotations first."""
     rotations = so(3).representation
     assert rotations is not None
     action = np.zeros((3, 9, 9))
@@ -48,13 +42,7 @@ def attitude_algebra() -> LieAlgebra:
 
 @lru_cache(maxsize=16)
 def with_carried(g: LieAlgebra, names: tuple[str, ...]) -> LieAlgebra:
-    """Return an algebra of body with further coordinates that commute with all: motion carries them unchanged.
-
-    Examples
-    --------
-    >>> with_carried(so(3), ("k1",)).basis
-    ('e1', 'e2', 'e3', 'k1')
-    """
+    """Return an algebra of body with further coordinates that commute with all: motion carries them unchanged."""
     if not names:
         return g
     assert g.representation is not None
@@ -66,15 +54,8 @@ def with_carried(g: LieAlgebra, names: tuple[str, ...]) -> LieAlgebra:
 
 @lru_cache(maxsize=16)
 def bodies_algebra(count: int) -> LieAlgebra:
-    """Return the algebra of (L, X, Y, Z) of each body, the momenta p and positions r of all centres, and z.
-
-    With the body sign, -1, the bracket z = [p, r] makes ``r' = dH/dp``.
-
-    Examples
-    --------
-    >>> bodies_algebra(2).dim, bodies_algebra(1).basis[12:]
-    (37, ('p1[1]', 'p2[1]', 'p3[1]', 'r1[1]', 'r2[1]', 'r3[1]', 'z'))
-    """
+    """Return the algebra of (L, X, Y, Z) of each body, the momenta p and positions r of all centres, and z."""
+    # With the body sign, -1, the bracket z = [p, r] makes ``r' = dH/dp``.
     g = direct_sum(copies(attitude_algebra(), count), heisenberg(3 * count))
     numbered = range(1, count + 1)
     basis = (
@@ -87,10 +68,7 @@ def bodies_algebra(count: int) -> LieAlgebra:
 
 
 def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadratic]:
-    """Return the products of the space axes of each body, which are Casimirs; none of more than 64 bodies.
-
-    A body that is `alone` has no positions, but may carry rotors.
-    """
+    """Return the products of the space axes of each body, which are Casimirs; none of more than 64 bodies."""
     found = {}
     for body in range(count if count <= MAX_RECORDED_BODIES else 0):
         for a in range(3):
@@ -102,10 +80,8 @@ def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadra
 
 
 def momentum_in_space(count: int, dim: int, alone: bool = False, turning: bool = True) -> KnownInvariants:
-    """Return the components in space of the total momentum, and if `turning` the angular momentum, sum of A L + r x p.
-
-    They are integrals at the states of bodies, where z = 1 and the axes are orthonormal, and not at others.
-    """
+    """Return the components in space of the total momentum, and if `turning` the angular one, sum of A L + r x p."""
+    # They are integrals at the states of bodies, where z = 1 and the axes are orthonormal, and not at others.
     found: dict[str, Callable[[], Quadratic]] = {}
     positions = dim > PER_BODY and not alone
     for axis in range(3) if positions else ():

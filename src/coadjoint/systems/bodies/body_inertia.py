@@ -25,10 +25,9 @@ ROD_TOLERANCE = 64 * UNIT_ROUNDOFF
 
 
 class BodyInertia(NamedTuple):
-    """The inertia of a body as given, as a tensor, and its inverse, (3,) or (3, 3), on the directions that rotate it.
+    """The inertia of a body as given, as a tensor, and its inverse, (3,) or (3, 3), on directions that rotate it."""
 
-    `rotating` is the projection on these directions for a rod or a point, and None for other bodies.
-    """
+    # `rotating` is the projection on these directions for a rod or a point, and None for other bodies.
 
     given: Any
     tensor: Floats
@@ -51,13 +50,7 @@ def anisotropic_part(tensor: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def read_body_inertia(inertia: Any, what: str = "inertia") -> BodyInertia:
-    """Validate principal moments or a tensor; the moment along a rod, and all those of a point, may be zero.
-
-    Examples
-    --------
-    >>> read_body_inertia((2.0, 2.0, 0.0)).inverse
-    array([0.5, 0.5, 0. ])
-    """
+    """Validate principal moments or a tensor; the moment along a rod, and all those of a point, may be zero."""
     array = read_numbers(inertia, what)
     if array.shape not in ((3,), (3, 3)):
         raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
@@ -80,13 +73,7 @@ def read_inertias(inertias: Any) -> tuple[BodyInertia, ...]:
 
 
 def inverse_of_moving(inertia: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return the inverse of moments, zero where they are, or of a tensor, which is not that of a rod; also complex.
-
-    Examples
-    --------
-    >>> inverse_of_moving(np.array([2.0, 2.0, 0.0]))
-    array([0.5, 0.5, 0. ])
-    """
+    """Return the inverse of moments, zero where they are, or of a tensor, which is not that of a rod; also complex."""
     if inertia.ndim == 2:
         return inverse_of(inertia, "inertia")
     inverse = np.zeros_like(inertia)

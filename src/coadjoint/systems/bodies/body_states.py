@@ -37,10 +37,7 @@ def read_vectors(values: Any, what: str, shape: tuple[int, ...]) -> Floats:
 
 
 def read_attitudes(attitude: Any, what: str, bodies: tuple[int, ...], scalar_first: bool) -> Floats:
-    """Return attitudes as matrices (..., 3, 3) or (..., bodies, 3, 3), orthogonal to rounding.
-
-    A list may mix matrices, SciPy rotations and quaternions.
-    """
+    """Return attitudes as matrices (..., 3, 3) or (..., bodies, 3, 3), orthogonal to rounding."""
     scalar_first = read_bool(scalar_first, "scalar_first")
     if isinstance(attitude, list | tuple) and bodies and any(map(is_rotation, attitude)):
         attitude = np.stack([read_attitudes(one, f"{what}[{k}]", (), scalar_first) for k, one in enumerate(attitude)])

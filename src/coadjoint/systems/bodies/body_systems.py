@@ -165,22 +165,7 @@ class BodySystem(_Bodies):
         return PER_BODY if self.has_attitude else 3
 
     def with_held(self, count: int) -> BodySystem:
-        """Return the body whose state ends with this count of numbers that forces hold.
-
-        Parameters
-        ----------
-        count : int
-            Count of numbers, at least 0.
-
-        Returns
-        -------
-        BodySystem
-
-        Raises
-        ------
-        TypeError
-            The system is not made by `co.systems.body`, or has another Hamiltonian.
-        """
+        """Return the body whose state ends with this count of numbers that forces hold."""
         if count == self.held:
             return self
         parameters = self.parameters or {}

@@ -134,11 +134,9 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
 
 
 def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
-    """Return the closed form of a symmetric gyrostat.
-
-    ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x rotates about the axis by
-    ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
-    """
+    """Return the closed form of a symmetric gyrostat."""
+    # ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x rotates about the axis
+    # by ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
     start, times = start_and_times(x0, t, 3)
     first = initial_group_element(attitude, 3)
     n = float(m[np.argmin(np.abs(axis))])

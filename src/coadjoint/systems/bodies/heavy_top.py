@@ -30,13 +30,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def energy_under_gravity(M: npt.NDArray[Any], lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return the matrix and the linear part of the energy of a top, from the inverse inertia, (3,) or (3, 3).
-
-    Examples
-    --------
-    >>> energy_under_gravity(np.array([1.0, 1.0, 2.0]), np.array([1.0, 0.0, 0.0]))[1]
-    array([0., 0., 0., 1., 0., 0.])
-    """
+    """Return the matrix and the linear part of the energy of a top, from the inverse inertia, (3,) or (3, 3)."""
     matrix = np.zeros((6, 6), dtype=M.dtype)
     matrix[:3, :3] = M if M.ndim == 2 else np.diag(M)
     return matrix, np.concatenate([np.zeros(3), lever])
@@ -128,14 +122,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
 
 
 def top_under_gravity(energy: tuple[Floats, Floats], name: str, parameters: dict[str, Any]) -> ClassicalBody:
-    """Return the top on e(3) with an energy of `energy_under_gravity`, with its integrals.
-
-    Examples
-    --------
-    >>> energy = energy_under_gravity(np.array([1.0, 1.0, 2.0]), np.array([1.0, 0.0, 0.0]))
-    >>> top_under_gravity(energy, "top", {}).integrals.keys()
-    dict_keys(['K'])
-    """
+    """Return the top on e(3) with an energy of `energy_under_gravity`, with its integrals."""
     H, M, lever = Quadratic(*energy), energy[0][:3, :3], energy[1][3:]
     integrals = momentum_along(axis_of_symmetry(M, lever), "m", 6)
     K = kovalevskaya_integral(M, lever)
@@ -145,16 +132,8 @@ def top_under_gravity(energy: tuple[Floats, Floats], name: str, parameters: dict
 
 
 def kovalevskaya_integral(M: npt.NDArray[np.float64], lever: npt.NDArray[np.float64]) -> Polynomial | None:
-    """Return ``|(m_a + i m_b)^2 / (2 A) - (l_a + i l_b)(gamma_a + i gamma_b)|^2`` in six coordinates, or None.
-
-    The top has it if the inverse inertia M, (3,) or (3, 3), is 1/A, 1/A and 2/A along coordinates a, b, c, and `lever`,
-    weight times position of the centre of mass, is orthogonal to c.
-
-    Examples
-    --------
-    >>> kovalevskaya_integral(np.array([1.0, 1.0, 2.0]), np.zeros(3))
-    0.25*x1^4 + 0.5*x1^2*x2^2 + 0.25*x2^4
-    """
+    """Return ``|(m_a + i m_b)^2 / (2 A) - (l_a + i l_b)(gamma_a + i gamma_b)|^2`` in six coordinates, or None."""
+    # The top has it if M is 1/A, 1/A and 2/A along coordinates a, b, c, and the lever is orthogonal to c.
     m = principal(M)
     if m is None:
         return None

@@ -19,15 +19,7 @@ MIN_MOMENT = 2.0**-1022  # smallest normal number: below it the inverse overflow
 
 
 def read_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> npt.NDArray[np.float64]:
-    """Return principal moments, (3,), which are positive, or a tensor, (3, 3); `what` is the name in messages.
-
-    Whether a tensor is positive definite is seen by `inverse_of`.
-
-    Examples
-    --------
-    >>> read_inertia((1, 2, 4))
-    array([1., 2., 4.])
-    """
+    """Return positive principal moments, (3,), or a tensor, (3, 3), which `inverse_of` finds positive definite."""
     array = read_numbers(inertia, what)
     if array.shape not in ((3,), (3, 3)):
         raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
@@ -41,13 +33,7 @@ def plain(array: npt.NDArray[np.float64]) -> Any:
 
 
 def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.float64]:
-    """Validate a vector of n finite numbers; `what` is its name in messages.
-
-    Examples
-    --------
-    >>> read_vector((1, 2, 3), "lever")
-    array([1., 2., 3.])
-    """
+    """Validate a vector of n finite numbers; `what` is its name in messages."""
     vector = read_finite(values, what)
     if vector.shape != (n,):
         raise ValueError(f"{what} has shape {vector.shape}; give {n} finite numbers")
@@ -55,28 +41,14 @@ def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.
 
 
 def principal(M: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-    """Return the diagonal of an inertia or its inverse, or None if it is not diagonal.
-
-    Examples
-    --------
-    >>> principal(np.diag([1.0, 2.0, 3.0]))
-    array([1., 2., 3.])
-    """
+    """Return the diagonal of an inertia or its inverse, or None if it is not diagonal."""
     if M.ndim == 1:
         return M
     return np.diag(M) if np.array_equal(M, np.diag(np.diag(M))) else None
 
 
 def axis_of_symmetry(M: npt.NDArray[np.float64], vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64] | None:
-    """Return the unit vector of the common axis of symmetry of an inverse inertia and a vector; None if there is none.
-
-    Only coordinate axes are considered: other axes are rounded.
-
-    Examples
-    --------
-    >>> axis_of_symmetry(np.array([1.0, 2.0, 1.0]), np.array([0.0, 5.0, 0.0]))
-    array([0., 1., 0.])
-    """
+    """Return the coordinate axis of symmetry, a unit vector, of an inverse inertia and a vector, or None."""
     m = principal(M)
     if m is None:
         return None
@@ -91,13 +63,7 @@ def axis_of_symmetry(M: npt.NDArray[np.float64], vector: npt.NDArray[np.float64]
 
 
 def momentum_along(axis: npt.NDArray[np.float64] | None, letter: str, n: int) -> dict[str, Polynomial]:
-    """Return the momentum along an axis of symmetry by name, as an integral in n coordinates; empty without an axis.
-
-    Examples
-    --------
-    >>> momentum_along(np.array([0.0, 1.0, 0.0]), "m", 6)
-    {'m2': x2}
-    """
+    """Return the momentum along an axis of symmetry by name, as an integral in n coordinates; empty without an axis."""
     if axis is None:
         return {}
     components = axis.tolist()
@@ -136,11 +102,8 @@ def check_symmetric_matrix(matrix: npt.NDArray[np.float64], what: str) -> None:
 
 
 def inverse_of(matrix: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
-    """Return the inverse of moments, or of a small positive definite matrix, correctly rounded by rational arithmetic.
-
-    So it has the same bits on every machine, unlike LAPACK's. Raises ValueError if not symmetric positive definite,
-    or on overflow. An imaginary part is a change, by which the inverse changes to first order.
-    """
+    """Return the inverse of moments, or of a small positive definite matrix, correctly rounded by exact arithmetic."""
+    # So it has the same bits on every machine, unlike LAPACK's. An imaginary part is a change to first order.
     if matrix.ndim == 1:
         return 1.0 / matrix
     if matrix.dtype.kind == "c":
@@ -190,19 +153,8 @@ _QUADRATIC_FORM_HINT = "for another quadratic form use co.LiePoissonSystem(co.al
 
 
 def warn_unphysical_inertia(inertia: npt.ArrayLike, algebra: str | None = "so(3)", what: str = "inertia") -> None:
-    """Warn if a principal moment exceeds the sum of the other two by more than round-off (equal in a flat body).
-
-    `inertia` is (3,) or (3, 3), validated; `algebra` is the one suggested for a quadratic form, None for bodies only.
-
-    Examples
-    --------
-    >>> warn_unphysical_inertia((1.0, 2.0, 3.0))
-    >>> with warnings.catch_warnings(record=True) as noticed:
-    ...     warnings.simplefilter("always")
-    ...     warn_unphysical_inertia((1.0, 1.0, 5.0))
-    >>> len(noticed)
-    1
-    """
+    """Warn if a principal moment exceeds the sum of the other two by more than round-off (equal in a flat body)."""
+    # `algebra` is the one suggested for a quadratic form, None for bodies only.
     array = np.asarray(inertia, dtype=np.float64)
     tensor = np.diag(array) if array.ndim == 1 else array
     # Scaling keeps the ratios of the moments, and their sum does not overflow.
@@ -214,12 +166,7 @@ def warn_unphysical_inertia(inertia: npt.ArrayLike, algebra: str | None = "so(3)
 
 
 def warn_negative_mass(second_moments: npt.NDArray[np.float64]) -> None:
-    """Warn if a second moment of the mass, (n,) principal or (n, n), is negative by more than round-off.
-
-    Examples
-    --------
-    >>> warn_negative_mass(np.array([0.0, 1.0, 2.0]))
-    """
+    """Warn if a second moment of the mass, (n,) principal or (n, n), is negative by more than round-off."""
     principal = second_moments if second_moments.ndim == 1 else np.linalg.eigvalsh(second_moments)
     if principal.min() < -ROUNDING_TOLERANCE * np.abs(principal).max():
         _warn(

@@ -90,10 +90,8 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> ClassicalBody:
 
 
 def so3_body(kind: type[Kind], M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: dict[str, Any]) -> Kind:
-    """Return the system on so(3) with ``H = x . M x / 2``, M (3,) or (3, 3), and its closed form.
-
-    Sign -1 gives the body equations, +1 the convention of Reich (1993).
-    """
+    """Return the system on so(3) with ``H = x . M x / 2``, M (3,) or (3, 3), and its closed form."""
+    # Sign -1 gives the body equations, +1 the convention of Reich (1993).
     exact = partial(exact_solution, M, sign)
     return kind(rotations(), Quadratic(M), sign=sign, name=name, parameters=parameters, exact=exact)
 

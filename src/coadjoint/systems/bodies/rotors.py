@@ -19,10 +19,9 @@ GYRO_TOLERANCE = 1e-9
 
 
 class Rotors(NamedTuple):
-    """Wheels, each its moment times its axis, (m, 3), and gyros, each two momenta, (g, 2, 3).
+    """Wheels, each its moment times its axis, (m, 3), and gyros, each two momenta, (g, 2, 3)."""
 
-    A state carries the momentum of each wheel about its axis, then the cosine and the sine of each gimbal angle.
-    """
+    # A state carries the momentum of each wheel about its axis, then the cosine and the sine of each gimbal angle.
 
     wheels: Floats
     gyros: Floats
@@ -53,14 +52,7 @@ NO_ROTORS = Rotors(np.zeros((0, 3)), np.zeros((0, 2, 3)))
 
 
 def read_rotors(wheels: Any, gyros: Any, inertia: BodyInertia) -> Rotors:
-    """Validate wheels and gyros of a body.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.body_inertia import read_body_inertia
-    >>> read_rotors([(0, 0, 0.1)], (), read_body_inertia((1, 2, 2.5))).moments
-    array([0.1])
-    """
+    """Validate wheels and gyros of a body."""
     turning, steering = read_finite(wheels, "wheels"), read_finite(gyros, "gyros")
     turning = turning.reshape(0, 3) if turning.shape == (0,) else turning
     steering = steering.reshape(0, 2, 3) if steering.shape == (0,) else steering
@@ -103,11 +95,9 @@ def without_wheels(tensor: npt.NDArray[Any], wheels: npt.NDArray[Any]) -> npt.ND
 def energy_with_rotors(
     tensor: npt.NDArray[Any], wheels: npt.NDArray[Any], gyros: npt.NDArray[Any], first: int, dim: int
 ) -> npt.NDArray[Any]:
-    """Return the matrix of the energy of body and rotors, whose numbers in the state begin at `first`.
-
-    With the momentum L of all and R y of the rotors, ``(L - R y) . M (L - R y) / 2`` and that of the wheels, y^2 over
-    twice the moment, y the momentum about the axis in space.
-    """
+    """Return the matrix of the energy of body and rotors, whose numbers in the state begin at `first`."""
+    # With the momentum L of all and R y of the rotors, ``(L - R y) . M (L - R y) / 2`` and that of the wheels, y^2 over
+    # twice the moment, y the momentum about the axis in space.
     M, R = without_wheels(tensor, wheels), _momenta(wheels, gyros)
     matrix = np.zeros((dim, dim), dtype=np.result_type(M, R))
     crossed = np.einsum("ij,qj->iq", M, R)

@@ -223,10 +223,8 @@ def _potential_of_tensor(inertia: tuple[tuple[float, ...], ...], mass: float, gr
 
 
 def _spherical_motion(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the torque-free motion for equal moments: a Kepler orbit in a uniformly rotating body frame.
-
-    At a value z of the central coordinate the orbit evolves in the time z t.
-    """
+    """Return the torque-free motion for equal moments: a Kepler orbit in a uniformly rotating body frame."""
+    # At a value z of the central coordinate the orbit evolves in the time z t.
     reject_attitude(attitude, "satellite")
     start, times = start_and_times(x0, t, 10)
     L, p, r, z = start[:3], start[3:6], start[6:9], start[9]

@@ -227,10 +227,8 @@ def satellite_on_orbit(
 
 
 def _eccentric_anomaly(mean: float, e: float) -> float:
-    """Solve Kepler's equation E - e sin E = mean, reduced to (-pi, pi), from above by Newton's method.
-
-    The left side is convex from 0 to pi, and each of the starting values is an upper bound of the solution.
-    """
+    """Solve Kepler's equation E - e sin E = mean, reduced to (-pi, pi), from above by Newton's method."""
+    # The left side is convex from 0 to pi, and each of the starting values is an upper bound of the solution.
     reduced = mean - 2.0 * np.pi * np.floor(mean / (2.0 * np.pi) + 0.5)  # in every direction of rounding
     positive = abs(reduced)
     E = min(positive + e, positive / (1.0 - e), np.pi)

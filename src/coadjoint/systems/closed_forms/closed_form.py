@@ -23,13 +23,7 @@ def require_closed_form(exact: Callable[..., Any] | None, name: str) -> Callable
 
 
 def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
-    """Validate the arguments of a closed form: the state at time zero, shape (n,), and the times, shape () or (k,).
-
-    Examples
-    --------
-    >>> start_and_times((1, 2), 3, 2)
-    (array([1., 2.]), array(3.))
-    """
+    """Validate the arguments of a closed form: the state at time zero, shape (n,), and the times, shape () or (k,)."""
     start, times = read_finite(x0, "x0"), read_finite(t, "t")
     if start.shape != (n,):
         raise ValueError(f"x0 has shape {start.shape}; give {n} finite numbers")
@@ -39,27 +33,13 @@ def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
 
 
 def reject_attitude(attitude: Any, name: str) -> None:
-    """Raise TypeError if an attitude is requested from a closed form that has none.
-
-    Examples
-    --------
-    >>> reject_attitude(True, "toda")
-    Traceback (most recent call last):
-    TypeError: toda has a closed form of the state alone; leave attitude out, or integrate
-    """
+    """Raise TypeError if an attitude is requested from a closed form that has none."""
     if not isinstance(attitude, bool | np.bool_) or attitude:
         raise TypeError(f"{name} has a closed form of the state alone; leave attitude out, or integrate")
 
 
 def initial_group_element(attitude: Any, size: int) -> Floats:
-    """Return the group element at time zero: the identity, or the one given as `attitude`.
-
-    Examples
-    --------
-    >>> initial_group_element(True, 2)
-    array([[1., 0.],
-           [0., 1.]])
-    """
+    """Return the group element at time zero: the identity, or the one given as `attitude`."""
     if isinstance(attitude, bool | np.bool_):
         return np.eye(size)
     block = 0 if size == 3 else None
@@ -71,13 +51,7 @@ def initial_group_element(attitude: Any, size: int) -> Floats:
 
 
 def with_group_element(x: Floats, g: Floats, attitude: Any) -> Any:
-    """Return the states, or the pair (states, group elements) if `attitude` requests it.
-
-    Examples
-    --------
-    >>> with_group_element(np.array([1.0]), np.eye(1), False)
-    array([1.])
-    """
+    """Return the states, or the pair (states, group elements) if `attitude` requests it."""
     return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, g)
 
 

@@ -28,13 +28,7 @@ def amplitude(u: Floats, complement: float) -> Floats:
 
 
 def first_kind(sine: float, cosine: float, complement: float) -> float:
-    """Return F(phi | k^2), -pi < phi <= pi, from sin phi and cos phi, by Carlson's R_F.
-
-    Examples
-    --------
-    >>> round(first_kind(0.0, -1.0, 1.0), 12)
-    3.14159265359
-    """
+    """Return F(phi, k), -pi < phi <= pi, from sin phi and cos phi, by Carlson's R_F; `complement` is 1 - k^2."""
     from scipy.special import elliprf
 
     part = sine * float(elliprf(cosine**2, cosine**2 + complement * sine**2, 1.0))
@@ -44,10 +38,8 @@ def first_kind(sine: float, cosine: float, complement: float) -> float:
 
 
 def across_integral(nu: float, phi: Floats, complement: float) -> Floats:
-    """Return the integral of cos^2/((1 - nu sin^2) sqrt(1 - k^2 sin^2)) from 0 to phi, nu <= 0; bounded as k nears 1.
-
-    The integral of the third kind is (u - nu * this)/(1 - nu).
-    """
+    """Return the integral of cos^2/((1 - nu sin^2) sqrt(1 - k^2 sin^2)) from 0 to phi, nu <= 0; bounded near k = 1."""
+    # The integral of the third kind is (u - nu * this)/(1 - nu).
     from scipy.special import elliprc, elliprj
 
     half_turns = np.rint(phi / math.pi)

@@ -49,13 +49,7 @@ def _cross_matrix(w: Floats) -> Floats:
 
 
 def fixed_axis(w: Sequence[Any] | Floats, t: Floats) -> Floats:
-    """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula, accurate for large angles.
-
-    Examples
-    --------
-    >>> fixed_axis([0.0, 0.0, 0.5], np.array([0.0]))[0].diagonal()
-    array([1., 1., 1.])
-    """
+    """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula, accurate for large angles."""
     from flint import arb, ctx
 
     exact = [Fraction(float(v) if isinstance(v, np.floating) else v) for v in w]
@@ -87,11 +81,8 @@ def _frames(x: Floats, axis: int) -> Floats:
 
 
 def free_rigid_body(m: Floats, x0: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Return momentum (k, 3) and attitude (k, 3, 3) of the free rigid body at times t, body convention, with A(0) = 1.
-
-    `m` are inverse moments of inertia, any real numbers. T, L^2 and differences of 2T and m L^2 are rational, since
-    they cancel near the separatrix and permanent rotations; periods are reduced in extended precision.
-    """
+    """Return momentum (k, 3) and attitude (k, 3, 3) of a free rigid body with inverse moments m at t; A(0) = 1."""
+    # T, L^2 and differences of 2T and m L^2 are rational: they cancel near the separatrix and permanent rotations.
     return _along_principal_axes([Fraction(v) for v in m.tolist()], [Fraction(v) for v in x0.tolist()], t)
 
 
@@ -166,11 +157,10 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
 
 
 class _Phases:
-    """Phases of a body: `u` is lam t modulo 4 K, (k,); `factor` multiplies the integral of the third kind.
+    """Phases of a body: `u` is lam t modulo 4 K, (k,); `factor` multiplies the integral of the third kind."""
 
-    `psi` is the rotation of the moving frame besides the integral over u, modulo 2 pi: its part linear in time, and the
-    gain of the integral over the whole periods.
-    """
+    # `psi` is the rotation of the moving frame besides the integral over u, modulo 2 pi: its part linear in time, and
+    # the gain of the integral over the whole periods.
 
     def __init__(
         self,
@@ -207,11 +197,7 @@ class _Phases:
 
 
 def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False) -> Any:
-    """Return the closed form of ``x' = sign * J(x) M x`` on so(3), M (3,) or (3, 3), at one or several times.
-
-    With `attitude` (True, or an initial (3, 3)) return the pair of states and attitudes. sign = -1 gives the body
-    equations, +1 the same motion backward in time. Raises ValueError for wrong shapes and non-finite numbers.
-    """
+    """Return the closed form of ``x' = sign * J(x) M x`` on so(3), M (3,) or (3, 3), at one or several times."""
     start, times = start_and_times(x0, t, 3)
     first = initial_group_element(attitude, 3)
     exact, rotation = [Fraction(v) for v in start.tolist()], np.eye(3)
@@ -237,16 +223,8 @@ def rigid_body_equivalent(
     name: str,
     parameters: dict[str, Any],
 ) -> LiePoissonSystem:
-    """Return the system ``x1' = (c2 M3 - c3 M2) x2 x3`` and cyclic, ``H = x . M x / 2``, sign -1, with its closed form.
-
-    `constants` are those of ``[e2, e3] = c1 e1`` and cyclic, nonzero and of one sign; `masses` are the diagonal of M.
-
-    Examples
-    --------
-    >>> body = rigid_body_equivalent((1.0, 1.0, 2.0), (1.0, 2.0, 3.0), {}, "body", {})
-    >>> body.vector_field([1.0, 1.0, 1.0])
-    array([-1., -1.,  1.])
-    """
+    """Return the system ``x1' = (c2 M3 - c3 M2) x2 x3`` and cyclic, ``H = x . M x / 2``, sign -1, with closed form."""
+    # `constants` are those of ``[e2, e3] = c1 e1`` and cyclic, nonzero and of one sign; `masses` are the diagonal of M.
     c1, c2, c3 = constants
     return LiePoissonSystem(
         LieAlgebra.from_brackets(3, {(1, 2): {0: c1}, (2, 0): {1: c2}, (0, 1): {2: c3}}, name=f"so(3) of {name}"),

@@ -16,11 +16,8 @@ SERIES = 12  # number of terms; the next is below round-off for |z| <= 1
 
 
 def kepler(r: Floats, v: Floats, gravity: float, times: Floats) -> tuple[Floats, Floats]:
-    """Return positions and velocities, (k, 3) each, of ``r'' = -gravity r/|r|^3`` at times (k,), on any conic.
-
-    By universal variables: R. Battin, "An Introduction to the Mathematics and Methods of Astrodynamics" (1999), 4.5.
-    `gravity` is positive (length^3/time^2). Raises ValueError if r and v are parallel.
-    """
+    """Return positions and velocities, (k, 3) each, of ``r'' = -gravity r/|r|^3`` at times (k,), on any conic."""
+    # By universal variables: R. Battin, "An Introduction to the Mathematics and Methods of Astrodynamics" (1999), 4.5.
     if not np.any(np.cross(r, v)):
         raise ValueError("the orbit is radial and has no closed form; integrate it")
     distance, r_dot_v = sqrt(float(r @ r)), float(r @ v) / sqrt(gravity)
@@ -48,10 +45,7 @@ def _propagate(
 
 
 def _universal_anomaly(distance: float, r_dot_v: float, alpha: float, target: float) -> float:
-    """Solve ``distance s + r_dot_v s^2 c2 + (1 - alpha distance) s^3 c3 = target`` for s.
-
-    The left side is increasing in s.
-    """
+    """Solve ``distance s + r_dot_v s^2 c2 + (1 - alpha distance) s^3 c3 = target``, increasing in s, for s."""
 
     def residual(s: float) -> tuple[float, float]:
         c2, c3 = _stumpff(alpha * s * s)
@@ -78,13 +72,7 @@ def _universal_anomaly(distance: float, r_dot_v: float, alpha: float, target: fl
 
 
 def _stumpff(z: float) -> tuple[float, float]:
-    """Return the Stumpff functions (1 - cos w)/z and (w - sin w)/w^3 with w^2 = z, entire in z.
-
-    Examples
-    --------
-    >>> _stumpff(0.0)
-    (0.5, 0.16666666666666666)
-    """
+    """Return the Stumpff functions (1 - cos w)/z and (w - sin w)/w^3 with w^2 = z, entire in z."""
     if abs(z) < 1.0:
         powers = [(-z) ** k for k in range(SERIES)]
         return sum(p / factorial(2 * k + 2) for k, p in enumerate(powers)), sum(

@@ -29,13 +29,7 @@ def rotations(n: int) -> LieAlgebra:
 
 
 def planes(n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return i and j of each coordinate of so(n), the entry (i, j) of the matrix X.
-
-    Examples
-    --------
-    >>> [side.tolist() for side in planes(3)]
-    [[2, 0, 1], [1, 2, 0]]
-    """
+    """Return i and j of each coordinate of so(n), the entry (i, j) of the matrix X."""
     if n == 3:
         return np.array([2, 0, 1]), np.array([1, 2, 0])
     first, second = np.triu_indices(n, 1)
@@ -43,17 +37,8 @@ def planes(n: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
 
 
 def trace_form(a: npt.NDArray[Any], k: int) -> npt.NDArray[Any]:
-    """Return the matrix of the form ``-sum over p + q = k of tr(X a^p X a^q) / 2`` in the n (n - 1)/2 coordinates x.
-
-    `a` is symmetric (n, n), of any numbers. For k = 1 and the second moments of mass it maps Omega to the momentum.
-
-    Examples
-    --------
-    >>> trace_form(np.diag([1.0, 2.0, 4.0]), 1)
-    array([[6., 0., 0.],
-           [0., 5., 0.],
-           [0., 0., 3.]])
-    """
+    """Return the matrix of the form ``-sum over p + q = k of tr(X a^p X a^q) / 2`` in the n (n - 1)/2 coordinates x."""
+    # For k = 1 and the second moments of mass it maps Omega to the momentum.
     i, j = planes(len(a))
     powers = [np.eye(len(a), dtype=int).astype(a.dtype)]
     for _ in range(k):
@@ -67,14 +52,7 @@ def trace_form(a: npt.NDArray[Any], k: int) -> npt.NDArray[Any]:
 
 
 def inverse_of_form(form: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Return the inverse of a matrix of exact numbers, rounded once.
-
-    Examples
-    --------
-    >>> inverse_of_form(np.array([[2.0, 0.0], [0.0, 4.0]]))
-    array([[0.5 , 0.  ],
-           [0.  , 0.25]])
-    """
+    """Return the inverse of a matrix of exact numbers, rounded once."""
     from flint import fmpq_mat
 
     n = len(form)
@@ -86,10 +64,8 @@ def inverse_of_form(form: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
 
 
 def manakov_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
-    """Return the nontrivial integrals by name, for a diagonal (n,) or a symmetric matrix a.
-
-    At most ten quadratic ones for every n; those of higher degree for n up to 6. Raises ValueError on overflow.
-    """
+    """Return the nontrivial integrals by name, for a diagonal (n,) or a symmetric matrix a."""
+    # At most ten quadratic ones for every n; those of higher degree for n up to 6.
     try:
         return _quadratic_integrals(a) | (_higher_integrals(a) if 5 <= len(a) <= MAX_SO_DIMENSION else {})
     except OverflowError:  # fractions beyond the range of floats
@@ -149,10 +125,8 @@ def _higher_integrals(a: npt.NDArray[Any]) -> dict[str, Polynomial]:
 
 
 def halves_of_so4(sign: float) -> list[list[float]]:
-    """Return the linear forms, (3, 6), of ``(x23, -x13, x12) + sign (x14, x24, x34)``, of constant length in so(4).
-
-    The coordinates are x12, x13, x14, x23, x24, x34; sign is 1.0 or -1.0.
-    """
+    """Return the linear forms, (3, 6), of ``(x23, -x13, x12) + sign (x14, x24, x34)``, of constant length in so(4)."""
+    # The coordinates are x12, x13, x14, x23, x24, x34; sign is 1.0 or -1.0.
     forms = [[0.0] * 6 for _ in range(3)]
     for row, (first, factor, second) in enumerate(((3, 1.0, 2), (1, -1.0, 4), (0, 1.0, 5))):
         forms[row][first], forms[row][second] = factor, sign

@@ -27,16 +27,8 @@ def working_bits(t: Floats, rate: float, period: float) -> int:
 def remainders(
     rate: Any, period: Any, t: Floats, bits: int, jump: Any = None, jumps: Sequence[int] = ()
 ) -> tuple[list[int], Floats]:
-    """Return the whole periods, nearest integers, in rate * t + jumps * jump for each time, and the remainders (k,).
-
-    `rate`, `jump` and the positive `period` are `arb` of at least `working_bits`; `bits` counts fractional bits.
-
-    Examples
-    --------
-    >>> from flint import arb
-    >>> remainders(arb(3), arb(1), np.array([0.75, 1e3]), 128)
-    ([2, 3000], array([0.25, 0.  ]))
-    """
+    """Return the whole periods, nearest integers, in rate * t + jumps * jump for each time, and the remainders (k,)."""
+    # `rate`, `jump` and `period` are `arb` of at least `working_bits`; `bits` counts fractional bits.
     rate_units, period_units = (math.floor(fraction_of(value) * 2**bits) for value in (rate, period))
     jump_units = 0 if jump is None else math.floor(fraction_of(jump) * 2**bits)
     counts, fractions = [], []
@@ -62,10 +54,8 @@ def ball(value: Fraction) -> Any:
 
 
 def exact_principal_axes(M: Floats, bits: int) -> tuple[list[Fraction], list[list[Fraction]]]:
-    """Return principal moments and axes (columns of a rotation) of a symmetric (3, 3) matrix to `bits` bits.
-
-    By Jacobi rotations. Moments that agree to three quarters of the bits are treated as equal.
-    """
+    """Return principal moments and axes (columns of a rotation) of a symmetric (3, 3) matrix by Jacobi rotations."""
+    # Moments that agree to three quarters of the bits are treated as equal.
     from flint import ctx
 
     with ctx.workprec(bits + 32):

@@ -67,19 +67,9 @@ ROTATION_GENERATORS = np.array(
 def total_spins(
     sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform: bool | None
 ) -> dict[str, Callable[[], Quadratic]]:
-    """Return the constant components of the total spin, or its square, by name as functions that make them.
-
-    T, K (..., 3, 3) are tensors of exchange and of sites, D, B (..., 3) Dzyaloshinskii-Moriya vectors and fields;
-    `uniform` is whether a time-dependent field in place of B is equal at all sites, None without such a field.
-
-    Examples
-    --------
-    >>> z = np.zeros(3)
-    >>> list(total_spins(2, np.eye(3), z, 0 * np.eye(3), z, None))
-    ['total S1', 'total S2', 'total S3']
-    >>> list(total_spins(2, np.eye(3), z, 0 * np.eye(3), np.array([0.0, 2.0, 0.0]), None))
-    ['total S2', '|total S|^2']
-    """
+    """Return the constant components of the total spin, or its square, by name as functions that make them."""
+    # T, K (..., 3, 3) are tensors of exchange and of sites, D, B (..., 3) Dzyaloshinskii-Moriya vectors and fields;
+    # `uniform` is whether a time-dependent field in place of B is equal at all sites, None without such a field.
     constraints = np.concatenate([_tensor_constraints(T), _tensor_constraints(K), _vector_constraints(D)])
     isotropic = not np.any(constraints)
     is_uniform = bool(np.all(B == B.reshape(-1, 3)[0])) if uniform is None else uniform
@@ -123,10 +113,8 @@ def _unique_nonzero(rows: Floats) -> Floats:
 
 
 def _kernel(rows: Floats) -> Floats:
-    """Return the axes orthogonal to all rows: three, one (with largest entry 1), or none.
-
-    There are never two: rotations about two axes generate those about all.
-    """
+    """Return the axes orthogonal to all rows: three, one (with largest entry 1), or none."""
+    # There are never two: rotations about two axes generate those about all.
     if not len(rows):
         return np.eye(3)
     with np.errstate(over="ignore", under="ignore"):

@@ -95,10 +95,8 @@ def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) 
 
 
 def _exact(u: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
-    """Return ``exp(t D_u) x0`` and ``g exp(-t rho(u))``.
-
-    D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 suffice.
-    """
+    """Return ``exp(t D_u) x0`` and ``g exp(-t rho(u))``."""
+    # D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 suffice.
     start, times = start_and_times(x0, t, 3)
     first = initial_group_element(attitude, 2)
     p, q, r = u.tolist()

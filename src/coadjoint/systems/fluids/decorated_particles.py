@@ -199,11 +199,9 @@ def _integrals(dim: int, w: Floats, W: Floats) -> dict[str, Quadratic]:
 
 
 def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the motion for W = push q + k q^2/2 and U = u r^2/2, up to constants.
-
-    The centre of mass follows W; relative positions and widths have the stiffness k + u sum(w). At a value z of the
-    central coordinate, positions and momenta evolve in the time z t.
-    """
+    """Return the motion for W = push q + k q^2/2 and U = u r^2/2, up to constants."""
+    # The centre of mass follows W; relative positions and widths have the stiffness k + u sum(w). At a value z of the
+    # central coordinate, positions and momenta evolve in the time z t.
     reject_attitude(attitude, "decorated_particles")
     n = len(w)
     start, times = start_and_times(x0, t, 5 * n + 1)

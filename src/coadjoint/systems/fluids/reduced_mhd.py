@@ -90,24 +90,12 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
 
 
 def ideal_fluid(N: int, surface: str) -> FluidSystem:
-    """Return the fluid on a surface without a second field.
-
-    Examples
-    --------
-    >>> ideal_fluid(5, "torus").name
-    'torus_euler'
-    """
+    """Return the fluid on a surface without a second field."""
     return SURFACES[read_choice(surface, "surface", SURFACES)](N)
 
 
 def fluid_of(system: Any) -> FluidSystem | None:
-    """Return the fluid of a system, of two fields that of the vorticity; None for other systems.
-
-    Examples
-    --------
-    >>> fluid_of(reduced_mhd(5, "torus"))
-    <torus_euler on su(5)>
-    """
+    """Return the fluid of a system, of two fields that of the vorticity; None for other systems."""
     if isinstance(system, FluidSystem):
         return system
     surface = (system.parameters or {}).get("surface", "")

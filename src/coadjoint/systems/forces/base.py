@@ -100,27 +100,11 @@ class Force(metaclass=ExplainedCalls):
         """
 
     def held_numbers(self, system: Any) -> int:
-        """Return how many numbers at the end of the state the force holds, and with_forces makes room for.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        int
-        """
+        """Return how many numbers at the end of the state the force holds, and with_forces makes room for."""
         return 0
 
     def check_steps(self, t0: float, h: float) -> None:
-        """Raise ValueError if the force cannot act in steps of length h from time t0.
-
-        Parameters
-        ----------
-        t0, h : float
-            Start of a run, and its step.
-        """
+        """Raise ValueError if the force cannot act in steps of length h from time t0."""
         if h < 0.0 and not self.reversible:
             raise ValueError(f"{self.label} does not run backward, and t_span ends before it starts")
 
@@ -221,11 +205,9 @@ class Force(metaclass=ExplainedCalls):
 
 
 def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.float64]:
-    """Return `count` independent normal deviates, a pure function of seed, stream (0 to 2^63 - 1), time and part.
-
-    By Philox4x64-10 and the inverse distribution function; the reference for ``forces/random.hpp``, equal to round-off.
-    `part` numbers the draws that begin at the same time.
-    """
+    """Return `count` independent normal deviates, a pure function of seed, stream (0 to 2^63 - 1), time and part."""
+    # By Philox4x64-10 and the inverse distribution function; the reference for ``forces/random.hpp``, equal to round-
+    # off.
     from scipy.special import ndtri
 
     words = random_words(seed, stream, moment, part, count)

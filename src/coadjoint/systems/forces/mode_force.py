@@ -65,10 +65,9 @@ class OnLayer(Force):
 
 
 class ModeRates(OnLayer):
-    """A force that acts on each mode separately, ``c' = -rate c``, solved exactly; a complex rate rotates its phase.
+    """A force that acts on each mode separately, ``c' = -rate c``, solved exactly; a complex rate rotates its phase."""
 
-    On a rotating sphere, whose state is the absolute vorticity, c is the mode of the relative vorticity.
-    """
+    # On a rotating sphere, whose state is the absolute vorticity, c is the mode of the relative vorticity.
 
     @abstractmethod
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:

@@ -151,11 +151,10 @@ class Midpoint(NamedTuple):
 
 
 class OrbitFlow(NamedTuple):
-    """The flow of a damping with noise on an orbit: exponentials, of which one may be a midpoint rule.
+    """The flow of a damping with noise on an orbit: exponentials, of which one may be a midpoint rule."""
 
-    `scalings` are, by parameter of the force, how v of the noise and of the damping depend on it: v by p is v times the
-    first or the second factor.
-    """
+    # `scalings` by parameter of the force: v of the noise, and of the damping, by p is v times the first, second
+    # factor.
 
     stages: Sequence[Exponential | Midpoint]
     scalings: dict[str, tuple[Any, Any]]

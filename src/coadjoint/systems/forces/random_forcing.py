@@ -86,10 +86,8 @@ class RandomForcing(OnLayer):
         raise TypeError("RandomForcing is a noise, which has no field; it feeds energy in at energy_rate")
 
     def _selected_modes(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
-        """Return the numbers of the modes in the band, and their amplitudes, by diagonal.
-
-        On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
-        """
+        """Return the numbers of the modes in the band, and their amplitudes, by diagonal."""
+        # On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
         numbers: list[Numbers] = []
         energies: PerMode = []
         stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)

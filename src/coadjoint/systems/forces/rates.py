@@ -16,13 +16,7 @@ Plain = float | tuple[Any, ...]
 
 
 def read_matrix(argument: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) -> Plain:
-    """Validate a number, a vector or a square matrix, and return it as floats in nested tuples.
-
-    Examples
-    --------
-    >>> read_matrix([1, 2], "rate")
-    (1.0, 2.0)
-    """
+    """Validate a number, a vector or a square matrix, and return it as floats in nested tuples."""
     array = read_finite(argument, what)
     square = array.ndim < 2 or array.shape[0] == array.shape[1]
     if array.ndim not in dimensions or not square or not array.size:
@@ -33,13 +27,7 @@ def read_matrix(argument: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2
 
 
 def read_state(argument: Any, what: str, number: bool = False) -> Any:
-    """Validate a vector or a matrix state (with `number` also a scalar), and return it as nested tuples.
-
-    Examples
-    --------
-    >>> read_state([[0, 1j], [1j, 0]], "torque")
-    ((0j, 1j), (1j, 0j))
-    """
+    """Validate a vector or a matrix state (with `number` also a scalar), and return it as nested tuples."""
     if isinstance(argument, Mapping) and argument.keys() == {"real", "imaginary"}:  # the form used in records
         argument = read_finite(argument["real"], what) + 1j * read_finite(argument["imaginary"], what)
     matrix = to_array(argument, what, "iufc")
@@ -99,10 +87,7 @@ def apply_metric(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
 
 
 def metric_root(metric: Plain, what: str) -> NDArray[np.float64]:
-    """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor of fixed order of summation.
-
-    Raises ValueError unless P is symmetric positive semidefinite.
-    """
+    """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor, summed in a fixed order."""
     P = np.array(metric, dtype=np.float64)
     size = np.max(np.abs(P))
     if P.ndim < 2:

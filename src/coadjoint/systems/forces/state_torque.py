@@ -22,41 +22,18 @@ WEIGHTS = (0.23692688505618908, 0.47862867049936647, 0.5688888888888889, 0.47862
 
 
 class StateTorque(Force):
-    """Base class of torques that are functions of the time, of the state, or of both.
+    """Base class of torques that are functions of the time, of the state, or of both."""
 
-    The flow of a function of the time is its integral by the five-point Gauss-Legendre rule, exact for polynomials of
-    degree nine; that of a function of the state is a step of the classical fourth-order Runge-Kutta method, and in
-    schemes of higher order an extrapolated midpoint rule of at least that order.
-    """
+    # The flow of a function of the time is its integral by the five-point Gauss-Legendre rule; that of a function of
+    # the state a step of the classical Runge-Kutta method, and in schemes of higher order an extrapolated midpoint
+    # rule.
 
     @abstractmethod
     def on_state(self, system: Any) -> tuple[Callable[..., Any], str]:
-        """Return the contribution to x', (dim,), as a function that Numba compiles, and its arguments.
-
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-
-        Returns
-        -------
-        function : callable
-        arguments : {"t", "x", "x, t"}
-        """
+        """Return the contribution to x', (dim,), as a function for Numba, and its arguments: "t", "x", "x, t"."""
 
     def law_on_state(self, system: Any) -> tuple[Callable[..., Any], str]:
-        """Return `on_state` for a controller, which reads only the first three numbers of a result of any length.
-
-        Parameters
-        ----------
-        system : BodySystem
-            The system.
-
-        Returns
-        -------
-        function : callable
-        arguments : {"t", "x", "x, t"}
-        """
+        """Return `on_state` for a controller, which reads only the first three numbers of a result of any length."""
         return self.on_state(system)
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
@@ -97,10 +74,8 @@ class StateTorque(Force):
 
 
 def extrapolation_columns(order: int) -> int:
-    """Return the columns of the extrapolated flow of a function of the state in schemes of this order, 0 without it.
-
-    Column k is Gragg's midpoint rule in 2 k substeps.
-    """
+    """Return the columns of the extrapolated flow of a function of the state in schemes of this order, 0 without it."""
+    # Column k is Gragg's midpoint rule in 2 k substeps.
     return 0 if order <= 4 else (order + 1) // 2
 
 
@@ -134,10 +109,7 @@ def torque_shape(system: Any) -> tuple[int, ...]:
 
 
 def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[Callable[..., Any], str]:
-    """Return the contribution to x' of a torque of (x, A) or (x, A, t) as a function of (x) or (x, t), and which.
-
-    The torque returns (3,) or (k, 3) in the frames of the bodies; Numba compiles both functions.
-    """
+    """Return the contribution to x' of a torque of (x, A) or (x, A, t) as a function of (x) or (x, t), and which."""
     return _torque_on_state(torque, arguments, system.bodies)
 
 

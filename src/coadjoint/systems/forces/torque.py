@@ -177,13 +177,7 @@ def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple
 
 
 def attitude_arguments(torque: Callable[..., Any]) -> str | None:
-    """Return "x, A" or "x, A, t" for a function whose second parameter is named A; None for any other.
-
-    Examples
-    --------
-    >>> attitude_arguments(lambda x, A, t: A[2]), attitude_arguments(lambda x, t: x)
-    ('x, A, t', None)
-    """
+    """Return "x, A" or "x, A, t" for a function whose second parameter is named A; None for any other."""
     parameters = _parameters(torque)
     if len(parameters) < 2 or parameters[1].name != "A":
         if any(one.name == "A" and one.default is one.empty for one in parameters):

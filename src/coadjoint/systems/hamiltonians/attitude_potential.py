@@ -12,16 +12,8 @@ from coadjoint.systems.user_functions import callable_from_compiled, check_argum
 def attitude_potential(
     potential: Callable[..., Any], gradient: Callable[..., Any] | None, hessian: Callable[..., Any] | None, count: int
 ) -> Hamiltonian:
-    """Return V(r, A) of `count` bodies as a function of the entries of A, (count, 3, 3), then of r, (count, 3).
-
-    `gradient` returns the derivatives by r and by A, and `hessian` those of all entries, (12 count, 12 count).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> attitude_potential(lambda r, A: r[0, 2] + A[0, 1, 2], None, None, 1).bind(12).gradient(np.zeros(12))
-    array([0., 0., 0., 0., 0., 1., 0., 0., 0., 0., 0., 1.])
-    """
+    """Return V(r, A) of `count` bodies as a function of the entries of A, (count, 3, 3), then of r, (count, 3)."""
+    # `gradient` returns the derivatives by r and by A, and `hessian` those of all entries, (12 count, 12 count).
     energy, axes = callable_from_compiled(potential), 9 * count
 
     def value(y: Any) -> Any:

@@ -23,13 +23,7 @@ BYTES_PER_COORDINATE_POWER = 16  # memory of a monomial, for each coordinate
 
 
 def validate_potential(argument: Any, what: str) -> DerivativeFunctions | None:
-    """Validate a function and its first three derivatives; None if `argument` is not callables.
-
-    Examples
-    --------
-    >>> validate_potential((0.0, 1.0), "pair") is None
-    True
-    """
+    """Validate a function and its first three derivatives; None if `argument` is not callables."""
     if callable(argument) or (isinstance(argument, tuple | list) and any(callable(f) for f in argument)):
         if callable(argument) or len(argument) != 4 or not all(callable(f) for f in argument):
             raise TypeError(f"{what} is {short(argument)}; give a function and its first three derivatives")
@@ -42,12 +36,7 @@ def validate_potential(argument: Any, what: str) -> DerivativeFunctions | None:
 
 
 def check_even(chain: DerivativeFunctions, what: str) -> None:
-    """Raise ValueError if a potential is not even.
-
-    Examples
-    --------
-    >>> check_even((np.cos,), "pair")
-    """
+    """Raise ValueError if a potential is not even."""
     for r in (0.375, 1.5):
         right, left = float(chain[0](r)), float(chain[0](-r))
         if not abs(right - left) <= 64 * UNIT_ROUNDOFF * (abs(right) + abs(left)):
@@ -55,14 +44,7 @@ def check_even(chain: DerivativeFunctions, what: str) -> None:
 
 
 def energy_coefficients(w: Numbers, W: Numbers, U: Floats) -> dict[tuple[int, ...], Any]:
-    """Return the coefficients of H for polynomial potentials, from theirs; see `decorated_particles`.
-
-    Examples
-    --------
-    >>> from coadjoint.algebra.polynomials.polynomial import Polynomial
-    >>> Polynomial(energy_coefficients(np.array([1.0]), np.array([0.0, 0.0, 0.5]), np.zeros(1)))
-    0.5*x4 + 0.5*x6 + 0.5*x1^2 + 0.5*x2^2
-    """
+    """Return the coefficients of H for polynomial potentials, from theirs; see `decorated_particles`."""
     n = len(w)
     dim = 5 * n + 1
     check_available_memory(
@@ -101,13 +83,7 @@ def energy_coefficients(w: Numbers, W: Numbers, U: Floats) -> dict[tuple[int, ..
 
 
 def polynomial_derivatives(coefficients: Floats | None) -> DerivativeFunctions:
-    """Return a polynomial and its first three derivatives as functions of one number; zero for None.
-
-    Examples
-    --------
-    >>> [float(f(2.0)) for f in polynomial_derivatives(np.array([1.0, 0.0, 3.0]))]
-    [13.0, 12.0, 6.0, 0.0]
-    """
+    """Return a polynomial and its first three derivatives as functions of one number; zero for None."""
 
     def polynomial_function(c: Floats) -> Callable[..., Any]:
         def value(x: Any) -> Any:

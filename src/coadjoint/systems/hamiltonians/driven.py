@@ -21,11 +21,10 @@ from coadjoint.systems.user_functions import takes_time
 
 
 class Driven(Summable):
-    """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic in ``sites * axes`` coordinates.
+    """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic in ``sites * axes`` coordinates."""
 
-    `force` is a function of the time alone that returns ``(axes,)`` numbers, common to all sites, or ``(sites, axes)``;
-    Numba compiles it. Coordinates of the same axis must commute. `what` is its name in messages.
-    """
+    # Numba compiles `force`, of the time alone: (axes,), common to all sites, or (sites, axes). Axes commute over
+    # sites.
 
     timed = True
 

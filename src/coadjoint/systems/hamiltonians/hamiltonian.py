@@ -145,22 +145,7 @@ class Hamiltonian(Summable):
         self._loop_value, self._derived_by = value, ""
 
     def bind(self, n: int) -> Hamiltonian:
-        """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points.
-
-        Parameters
-        ----------
-        n : int
-            Number of coordinates.
-
-        Returns
-        -------
-        Hamiltonian
-
-        Raises
-        ------
-        ValueError
-            A shape is wrong, or a derivative disagrees with a finite difference.
-        """
+        """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points."""
         n = read_integer(n, "the dimension")
         if self.dim is not None and self.dim != n:
             raise ValueError(f"the Hamiltonian is bound to dimension {self.dim}, not {short(n)}; make a new one")
@@ -278,10 +263,9 @@ class Hamiltonian(Summable):
 
 
 class FunctionOfConstants(NamedTuple):
-    """value(y, c) of y = x[coordinates] and constants c (k,), with its derivatives by y, analytic in both.
+    """value(y, c) of y = x[coordinates] and constants c (k,), with its derivatives by y, analytic in both."""
 
-    If there are several `shares`, value(y, c, number) and gradient(y, c, number) are those of one.
-    """
+    # If there are several `shares`, value(y, c, number) and gradient(y, c, number) are those of one.
 
     coordinates: npt.NDArray[np.int64]
     constants: npt.NDArray[Any]
@@ -425,12 +409,7 @@ def formula_of(H: Any) -> tuple[ParsedFunction, tuple[Coefficient, ...]] | None:
 
 
 def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[str] | None = None) -> HamiltonianLike:
-    """Convert `H` of any accepted type to a Hamiltonian bound to dimension `n`; `owner` names its owner in messages.
-
-    A polynomial of degree at most two becomes a `Quadratic`, a function a `Hamiltonian`, and a text that of its
-    formula in x1, x2, ... or in `names`. User-defined types are checked at sample points. Raises TypeError for other
-    types, ValueError for a different dimension.
-    """
+    """Convert `H` of any accepted type to a Hamiltonian bound to dimension `n`; `owner` names its owner in messages."""
     if isinstance(H, str):
         try:
             H = _of_formula(H, n, names_in(H, n, names), None)

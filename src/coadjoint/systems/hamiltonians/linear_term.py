@@ -27,10 +27,7 @@ PLACEHOLDER_COEFFICIENT = 2.0**-300
 
 
 def linear_of(H: HamiltonianLike, n: int) -> Floats:
-    """Return the coefficients of the linear term, (n,), of a bound Hamiltonian.
-
-    Raises TypeError if it is one function of all coordinates or of a user-defined type.
-    """
+    """Return the coefficients of the linear term, (n,), of a bound Hamiltonian; TypeError if it has none to read."""
     if isinstance(H, Quadratic):
         (term,) = H.terms()
         assert term.form is not None
@@ -61,11 +58,7 @@ def _has_linear(H: HamiltonianLike) -> bool:
 
 
 def with_linear(system: SystemT, linear: Floats) -> SystemT:
-    """Return the system with another linear term in its Hamiltonian; closed form, integrals and parameters are dropped.
-
-    Raises TypeError if the Hamiltonian has no linear term to replace, and ValueError if several pieces of a
-    `SplitHamiltonian` are polynomials in a coordinate whose coefficient changes (with none, a piece is added).
-    """
+    """Return the system with another linear term in its Hamiltonian; without closed form, integrals and parameters."""
     return with_hamiltonian(system, _replace_linear(system.hamiltonian, np.asarray(linear, dtype=np.float64)))
 
 
@@ -83,10 +76,7 @@ def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
 
 
 def with_placeholders(system: SystemT, coordinates: Sequence[int]) -> SystemT:
-    """Replace zero linear coefficients of `coordinates` by `PLACEHOLDER_COEFFICIENT`.
-
-    The Hamiltonian then has every part that it can have for any of their values.
-    """
+    """Replace zero linear coefficients, so that the Hamiltonian has every part that it can have for other values."""
     linear, chosen = linear_of(system.hamiltonian, system.dim), np.array(coordinates, dtype=np.int64)
     absent = chosen[linear[chosen] == 0.0]
     linear[absent] = PLACEHOLDER_COEFFICIENT
@@ -146,13 +136,7 @@ def _replace_linear_in_split(H: SplitHamiltonian, linear: Floats) -> SplitHamilt
 
 
 def check_linear(system: Any) -> None:
-    """Raise TypeError if the Hamiltonian of a system has no linear term to replace.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> check_linear(co.systems.rigid_body((1, 2, 3)))
-    """
+    """Raise TypeError if the Hamiltonian of a system has no linear term to replace."""
     try:
         linear_of(system.hamiltonian, system.dim)
     except TypeError as reason:

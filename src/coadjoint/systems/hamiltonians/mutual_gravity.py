@@ -19,14 +19,11 @@ Numbers = npt.NDArray[Any]
 def mutual_gravity(
     coordinates: Any, masses: Numbers, anisotropic: Numbers, gravity: Any, order: int
 ) -> FunctionOfConstants:
-    """Return ``V = -G sum of (m_i m_j/s - 3 (m_j w_i.D_i w_i + m_i w_j.D_j w_j)/(2 s^5))`` over pairs of bodies.
-
-    s is the distance of the centres and w_i their difference in the frame of body i; D = I - tr(I)/3, (k, 3, 3), is
-    the anisotropic part of the inertia. ``tr(I) - 3 u.Iu = -3 u.Du`` for a unit vector u: this is MacCullagh's formula
-    without the difference of large terms, so that a torque is as accurate as D. The coordinates are the entries of the
-    attitudes, (k, 3, 3), then the positions, (k, 3). For order 4 see `fourth_order_terms`. The constants are G, the
-    masses, D, and the sums of the squares of the entries of each D.
-    """
+    """Return ``V = -G sum of (m_i m_j/s - 3 (m_j w_i.D_i w_i + m_i w_j.D_j w_j)/(2 s^5))`` over pairs of bodies."""
+    # s is the distance of the centres and w_i their difference in the frame of body i; D = I - tr(I)/3, (k, 3, 3), is
+    # the anisotropic part of the inertia. ``tr(I) - 3 u.Iu = -3 u.Du`` for a unit vector u: this is MacCullagh's
+    # formula without the difference of large terms. Coordinates: attitudes, (k, 3, 3), then positions, (k, 3).
+    # Constants: G, masses, D, and the sums of the squares of the entries of each D.
     count, squares = len(masses), np.array([(one * one).sum() for one in anisotropic])
     constants = np.concatenate([np.ravel(gravity), masses, np.ravel(anisotropic), squares])
     value, gradient, hessian = _functions(count, order)

@@ -13,13 +13,11 @@ STEP = 2.0**-200  # of complex derivatives, which are exact to rounding: its squ
 
 
 def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
-    """Return the terms of fourth order in the sizes, and their derivatives, with the constants of `mutual_gravity`.
-
-    With D the anisotropic part of the inertia, w = A^T R, e = D w, g = A e for the difference R of two centres, they
-    are ``-G sum of (15/7 (m_2/m_1 E(1, 1) + m_1/m_2 E(2, 2)) + 6 E(1, 2))/24``. The fourth derivatives of 1/s give
-    ``E(1, 2) = 105 w_1.e_1 w_2.e_2/s^9 - 60 g_1.g_2/s^7 + 6 tr(A_1 D_1 A_1^T A_2 D_2 A_2^T)/s^5``. The fourth moments
-    of a homogeneous ellipsoid are 5/(7 m) times the products of its second moments; isotropic parts have no effect.
-    """
+    """Return the terms of fourth order in the sizes, and their derivatives, with the constants of `mutual_gravity`."""
+    # With D the anisotropic part of the inertia, w = A^T R, e = D w, g = A e for the difference R of two centres, they
+    # are ``-G sum of (15/7 (m_2/m_1 E(1, 1) + m_1/m_2 E(2, 2)) + 6 E(1, 2))/24``. The fourth derivatives of 1/s give
+    # ``E(1, 2) = 105 w_1.e_1 w_2.e_2/s^9 - 60 g_1.g_2/s^7 + 6 tr(A_1 D_1 A_1^T A_2 D_2 A_2^T)/s^5``. The fourth moments
+    # of a homogeneous ellipsoid are 5/(7 m) times the products of its second moments; isotropic parts have no effect.
     axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
     bodies_of = bodies_of_shares(count)
 

@@ -184,28 +184,7 @@ class Quadratic(Summable):
 
     @classmethod
     def from_polynomial(cls, polynomial: Polynomial) -> Self:
-        """Convert a polynomial of degree at most two to a quadratic Hamiltonian, with its coefficients unchanged.
-
-        Parameters
-        ----------
-        polynomial : Polynomial
-            Polynomial of degree at most two.
-
-        Returns
-        -------
-        Quadratic
-
-        Raises
-        ------
-        ValueError
-            The degree is higher.
-
-        Examples
-        --------
-        >>> Quadratic.from_polynomial(Polynomial({(2, 0): 0.5, (1, 1): -1.0, (0, 1): 3.0})).hessian([0.0, 0.0])
-        array([[ 1., -1.],
-               [-1.,  0.]])
-        """
+        """Convert a polynomial of degree at most two to a quadratic Hamiltonian, with its coefficients unchanged."""
         if not isinstance(polynomial, Polynomial):
             raise TypeError(f"the polynomial is {short(polynomial)}; give a Polynomial")
         if polynomial.degree > 2:
@@ -244,30 +223,7 @@ class Quadratic(Summable):
         linear: npt.NDArray[Any],
         constant: Any,
     ) -> Self:
-        """Return the Hamiltonian whose M has the given entries, in both triangles and without duplicates.
-
-        Parameters
-        ----------
-        n : int
-            Number of coordinates.
-        rows, columns : ndarray of int64, shape (nnz,)
-            Positions of the entries.
-        entries : ndarray, shape (nnz,)
-            Floats, or fractions in an array of objects.
-        linear : ndarray, shape (n,)
-            Coefficients of the linear part.
-        constant : float or Fraction
-            Added to the value.
-
-        Returns
-        -------
-        Quadratic
-
-        Raises
-        ------
-        ValueError
-            A number is not finite.
-        """
+        """Return the Hamiltonian whose M has the given entries, in both triangles and without duplicates."""
         read_finite(entries, "the entries of M")
         quadratic = cls(0.0, linear=linear, constant=constant)
         quadratic._store(n, rows, columns, entries)
@@ -312,22 +268,7 @@ class Quadratic(Summable):
         return Polynomial(monomials, dim=len(linear))
 
     def bind(self, n: int) -> Quadratic:
-        """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix.
-
-        Parameters
-        ----------
-        n : int
-            Number of coordinates.
-
-        Returns
-        -------
-        Quadratic
-
-        Raises
-        ------
-        ValueError
-            M is for another dimension.
-        """
+        """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix."""
         n = read_integer(n, "the dimension")
         if self._scalar is not None:
             check_available_memory(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
@@ -379,29 +320,7 @@ class Quadratic(Summable):
         return cast(Self, scale_quadratic(self, factor))
 
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
-        """Return the same bound Hamiltonian with another linear part; M is shared.
-
-        Parameters
-        ----------
-        linear : (n,)
-            Coefficients of the linear part.
-
-        Returns
-        -------
-        Quadratic
-
-        Raises
-        ------
-        ValueError
-            `linear` has another length, or is not finite.
-        TypeError
-            The Hamiltonian is not bound, or `linear` does not consist of real numbers.
-
-        Examples
-        --------
-        >>> Quadratic([1.0, 0.5]).with_linear([0.0, 2.0])
-        Quadratic([1.0, 0.5], linear=[0.0, 2.0])
-        """
+        """Return the same bound Hamiltonian with another linear part; M is shared."""
         n = self.as_given().linear.size
         coefficients = real_array(linear, "linear")
         if coefficients.shape != (n,):

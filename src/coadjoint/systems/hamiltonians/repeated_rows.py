@@ -18,22 +18,15 @@ HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 def values_at(values: npt.NDArray[Any], index: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return values[index]; without memory if all of them are one number, broadcast.
-
-    Examples
-    --------
-    >>> values_at(np.broadcast_to(2.0, 9), np.array([4, 5])).strides
-    (0,)
-    """
+    """Return values[index]; without memory if all of them are one number, broadcast."""
     return np.broadcast_to(values[:1], len(index)) if values.strides == (0,) and len(values) else values[index]
 
 
 class RepeatedRows:
-    """Compressed sparse rows of few shapes, with the attributes of `SparseRows`, which are expanded when read.
+    """Compressed sparse rows of few shapes, with the attributes of `SparseRows`, which are expanded when read."""
 
-    Row r has the entries begin[s] to begin[s + 1] of its shape s = shape[r], in the columns target[r] + `relative`,
-    with the values `number`. In a matrix, whose `target` is None, this is column r + `relative`.
-    """
+    # Row r has the entries begin[s] to begin[s + 1] of its shape s = shape[r], in the columns target[r] + `relative`,
+    # with the values `number`. In a matrix, whose `target` is None, this is column r + `relative`.
 
     def __init__(
         self,
@@ -149,10 +142,8 @@ def repeated_rows(start: Integers, columns: npt.NDArray[Any], values: npt.NDArra
 def shapes_of(
     start: Integers, columns: npt.NDArray[Any], codes: npt.NDArray[Any]
 ) -> tuple[npt.NDArray[np.uint32], Integers] | None:
-    """Return the shape of each sparse row, and the first row of each shape; None if few rows repeat.
-
-    Rows of one shape have equal codes, in columns that are equal relative to the row. Columns ascend in each row.
-    """
+    """Return the shape of each sparse row, and the first row of each shape; None if few rows repeat."""
+    # Rows of one shape have equal codes, in columns that are equal relative to the row. Columns ascend in each row.
     count = len(start) - 1
     sample = np.unique(np.linspace(0, count - 1, min(count, SAMPLE)).astype(np.int64))
     if len(np.unique(_hashes(start, columns, codes, sample))) * MIN_REPEATS > len(sample):

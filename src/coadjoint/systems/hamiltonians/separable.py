@@ -74,22 +74,7 @@ class Separable(Summable):
         self.timed = any(term.timed for term in self._terms)
 
     def bind(self, n: int) -> Separable:
-        """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points.
-
-        Parameters
-        ----------
-        n : int
-            Number of coordinates.
-
-        Returns
-        -------
-        Separable
-
-        Raises
-        ------
-        ValueError
-            A coordinate does not exist, or a derivative disagrees with a finite difference.
-        """
+        """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points."""
         n = read_integer(n, "the dimension")
         if self.dim == n:
             return self

@@ -106,12 +106,9 @@ class NotSeparable(ValueError):
 def separated(
     term: FunctionTerm, n: int, first_noncommuting: Callable[[Collection[int]], Pair | None]
 ) -> tuple[Term, ...]:
-    """Return a function of n coordinates as a polynomial and functions of commuting coordinates, which add up to it.
-
-    `first_noncommuting` returns two of given coordinates that do not commute, or None. Constants and functions of the
-    time alone are omitted. Monomials, quadratic functions, and summands of noncommuting coordinates are part of the
-    polynomial. Raises TracingError if the function cannot be recorded, and NotSeparable.
-    """
+    """Return a function of n coordinates as a polynomial and functions of commuting coordinates, which add up to it."""
+    # Constants and functions of the time alone are omitted. Monomials, quadratic functions, and summands of
+    # noncommuting coordinates are part of the polynomial.
     recorded = traced(term.value, len(term.coordinates), term.timed)
     places = term.coordinates.tolist()
     summands = _Summands(recorded)
@@ -257,12 +254,7 @@ def _alone(
 
 
 class PolynomialArguments:
-    """A function as F(q_1, ..., q_k, t) of polynomials q in its coordinates.
-
-    >>> arguments = PolynomialArguments(lambda x: 1 / np.sqrt(x[0] ** 2 + x[1] ** 2) + 0.5 * x[0], 2, False)
-    >>> arguments.polynomials
-    (x1^2 + x2^2, 0.5*x1)
-    """
+    """A function as F(q_1, ..., q_k, t) of polynomials q in its coordinates."""
 
     def __init__(self, value: Callable[..., Any], n: int, timed: bool) -> None:
         self._recorded = traced(value, n, timed)
@@ -275,10 +267,8 @@ class PolynomialArguments:
         )
 
     def divided(self, term: FunctionTerm, sets: Sequence[Sequence[int]]) -> FunctionTerm:
-        """Return the function with its gradient as one vector for each set of polynomials, which add up to it.
-
-        The coordinates are repeated, once for each set. Raise TracingError if derivatives take too many operations.
-        """
+        """Return the function with its gradient as one vector for each set of polynomials, which add up to it."""
+        # The coordinates are repeated, once for each set.
         key = tuple(map(tuple, sets)), term.hessian is None
         if key not in self._divided:
             self._divided[key] = self._functions(*key)

@@ -47,11 +47,9 @@ FEW = 8
 
 
 def site_forces(tables: SiteTables) -> Hamiltonian:
-    """Return the energy of all pairs of molecules, of the entries of attitudes, (k, 3, 3), then of positions, (k, 3).
-
-    Neighbours of a molecule are copied to rows of one array, at constant distances, so that loops over them are
-    compiled to vector instructions, which round as scalar ones. Every sum has a fixed order.
-    """
+    """Return the energy of all pairs of molecules, of the entries of attitudes, (k, 3, 3), then positions, (k, 3)."""
+    # Neighbours of a molecule are copied to rows of one array, at constant distances, so that loops over them are
+    # compiled to vector instructions, which round as scalar ones. Every sum has a fixed order.
     molecules, types, places, qq, repulsion, attraction, box, near, cutoff, field, shift = tables
     kinds, count, periodic = len(molecules), int(molecules.sum()), bool(box.any())
     shares, bodies_of = number_of_shares(count), bodies_of_shares(count)

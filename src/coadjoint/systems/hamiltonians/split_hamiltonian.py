@@ -89,22 +89,7 @@ class SplitHamiltonian(Summable):
         self.timed = any(part.timed for part in self.pieces)
 
     def bind(self, n: int) -> SplitHamiltonian:
-        """Return this Hamiltonian bound to dimension `n`.
-
-        Parameters
-        ----------
-        n : int
-            Number of coordinates.
-
-        Returns
-        -------
-        SplitHamiltonian
-
-        Raises
-        ------
-        ValueError
-            A piece has a coordinate that does not exist.
-        """
+        """Return this Hamiltonian bound to dimension `n`."""
         n = read_integer(n, "the dimension")
         for number, chosen in enumerate(self.coordinates):
             if max(chosen) >= n:

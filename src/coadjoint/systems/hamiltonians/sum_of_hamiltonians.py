@@ -29,11 +29,9 @@ from coadjoint.validation import is_real
 
 
 class SumOfHamiltonians(Summable):
-    """A Hamiltonian that is the sum of others of several types; ``H1 + H2`` makes it.
+    """A Hamiltonian that is the sum of others of several types; ``H1 + H2`` makes it."""
 
-    At most one summand is a Quadratic or a polynomial, and at most one a SplitHamiltonian; `sum_of` joins others. A
-    scheme supports it if it supports every summand. `dim` is None until it is known for every summand.
-    """
+    # At most one summand is a Quadratic or a polynomial, and at most one a SplitHamiltonian; `sum_of` joins others.
 
     def __init__(self, summands: Sequence[Any]) -> None:
         self.summands: tuple[Any, ...] = tuple(summands)
@@ -79,11 +77,7 @@ def summands_of(H: HamiltonianLike) -> tuple[HamiltonianLike, ...]:
 
 
 def sum_of(first: Any, second: Any) -> Any:
-    """Return the sum of two Hamiltonians, or of one and a number, which is a constant.
-
-    Two of the same type `Quadratic`, `Polynomial` or `SplitHamiltonian` give this type, a Quadratic and a Polynomial a
-    Polynomial, and all others a `SumOfHamiltonians`. Raises ValueError for different numbers of coordinates.
-    """
+    """Return the sum of two Hamiltonians, or of one and a number, which is a constant."""
     if any(is_real(summand) and summand == 0 for summand in (first, second)):
         return second if is_real(first) else first  # the start value of `sum`
     simple: Any = None
@@ -148,13 +142,7 @@ def _split_sum(first: SplitHamiltonian, second: SplitHamiltonian) -> SplitHamilt
 
 @ignore_overflow
 def add_quadratics(first: Quadratic, second: Quadratic) -> Quadratic:
-    """Return the sum of two quadratic Hamiltonians; raise ValueError on different dimensions or overflow.
-
-    Examples
-    --------
-    >>> add_quadratics(Quadratic([1.0, 2.0]), Quadratic([[0.0, 1.0], [1.0, 0.0]], linear=[3.0, 0.0]))
-    Quadratic([[1.0, 1.0], [1.0, 2.0]], linear=[3.0, 0.0])
-    """
+    """Return the sum of two quadratic Hamiltonians; raise ValueError on different dimensions or overflow."""
     dim = first.dim if first.dim is not None else second.dim
     if dim is None:
         return Quadratic(first.scalar + second.scalar, constant=first.constant + second.constant)

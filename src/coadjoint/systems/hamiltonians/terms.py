@@ -147,15 +147,7 @@ class QuadraticTerm:
 
 
 class RepeatedTerm(QuadraticTerm):
-    """A quadratic term whose M has few shapes of rows; its sparse rows are expanded when they are read.
-
-    Parameters
-    ----------
-    matrix : RepeatedRows
-        M, row r at coordinate r.
-    linear, constant, piece
-        As for `QuadraticTerm`.
-    """
+    """A quadratic term whose M has few shapes of rows; its sparse rows are expanded when they are read."""
 
     def __init__(
         self,

@@ -167,14 +167,7 @@ def picklable_function(function: Any) -> Any:
 
 
 def restored_function(function: Any) -> Any:
-    """Return the function of `picklable_function`.
-
-    Examples
-    --------
-    >>> derived = traced(lambda x: x[0] * x[0], 1, timed=False).value()
-    >>> restored_function(picklable_function(MultipleOf(derived, 2, True)))([3.0])
-    18.0
-    """
+    """Return the function of `picklable_function`."""
     if not isinstance(function, PicklableFunction):
         return function
     restored: Any = _defined(function.source)
@@ -298,13 +291,7 @@ class TracedFunction(NamedTuple):
 
 
 def traced(function: Callable[..., Any], n: int, timed: bool) -> TracedFunction:
-    """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if that is impossible.
-
-    Examples
-    --------
-    >>> traced(lambda x: np.cos(x[0]) * x[1], 2, timed=False).value()([0.0, 3.0]).item()
-    3.0
-    """
+    """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if impossible."""
     graph = Graph()
     variables = tuple(graph.record("variable", f"x[{k}]") for k in range(n))
     x = np.empty(n, dtype=object)

@@ -89,13 +89,7 @@ def check_traceable(function: Callable[..., Any], n: int, timed: bool) -> None:
 
 
 class ParsedFunction:
-    """The function of x of a formula, such as ``"a*x1^2/2 + cos(x2)"``: its operations as a plain Python function.
-
-    Examples
-    --------
-    >>> ParsedFunction("a*x1^2 + sqrt(x2)", 2, None, {"a": 3})([2.0, 4.0]).item()
-    14.0
-    """
+    """The function of x of a formula, such as ``"a*x1^2/2 + cos(x2)"``: its operations as a plain Python function."""
 
     def __init__(
         self, text: str, dim: int, names: Sequence[str] | None = None, parameters: Mapping[str, Any] | None = None
@@ -129,10 +123,7 @@ class ParsedFunction:
 
 
 def check_user_hamiltonian(H: Any, n: int) -> None:
-    """Raise an error if value, gradient, second derivatives and terms of a bound user-defined Hamiltonian disagree.
-
-    Compiled loops use the terms; Python code uses the functions.
-    """
+    """Raise an error if value, gradient, second derivatives and terms of a bound user-defined Hamiltonian disagree."""
     kind = type(H).__name__
     if getattr(H, "dim", None) != n:
         raise ValueError(f"bind({n}) of {kind} returned a Hamiltonian of dimension {short(getattr(H, 'dim', None))}")

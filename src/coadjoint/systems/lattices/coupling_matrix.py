@@ -18,10 +18,8 @@ Rows = tuple[Integers, npt.NDArray[np.uint32], Floats]
 
 
 def coupled_spins(sites: int, edges: Integers, coupling: Floats, on_site: Floats, linear: Floats) -> Quadratic:
-    """Return the sum of S_i . coupling S_j over edges, S_i . on_site S_i / 2 and linear . S over sites.
-
-    Each matrix is (3, 3), or one for each edge or site, and the linear term (3,), or (sites, 3).
-    """
+    """Return the sum of S_i . coupling S_j over edges, S_i . on_site S_i / 2 and linear . S over sites."""
+    # Each matrix is (3, 3), or one for each edge or site, and the linear term (3,), or (sites, 3).
     equal = _equal_rows(sites, edges, coupling, on_site)
     of_sites = np.broadcast_to(linear, (sites, 3)).ravel() if np.any(linear) else None
     return Quadratic._of_rows(_rows(sites, edges, coupling, on_site) if equal is None else equal, of_sites)

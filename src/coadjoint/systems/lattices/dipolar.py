@@ -25,10 +25,10 @@ OPEN_LATTICES = tuple(name for name in CELL_GEOMETRY if name != "ring")
 
 @dataclass(frozen=True, eq=False)
 class Dipoles:
-    """Sums over dipoles on an open lattice, as convolutions padded with zeros.
+    """Sums over dipoles on an open lattice, as convolutions padded with zeros."""
 
-    `strength` times the sum over pairs of ``(S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``, r in distances of neighbours.
-    """
+    # `strength` times the sum over pairs of ``(S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``, r in distances of
+    # neighbours.
 
     lattice: str
     sizes: tuple[int, ...]

@@ -43,30 +43,18 @@ CELL_GEOMETRY: Mapping[str, CellGeometry] = {
 
 
 def sizes_of(shape: Any) -> tuple[int, ...]:
-    """Return the number of cells along each axis.
-
-    >>> sizes_of(5), sizes_of((2, 3))
-    ((5,), (2, 3))
-    """
+    """Return the number of cells along each axis."""
     return tuple(np.atleast_1d(shape).tolist())
 
 
 def lattice_positions(lattice: str, shape: Any) -> Floats:
-    """Return the positions of all sites in space, (sites, 2 or 3), cell by cell, along the last axis first.
-
-    >>> lattice_positions("square", (1, 3)).tolist()
-    [[0.0, 0.0], [0.0, 1.0], [0.0, 2.0]]
-    """
+    """Return the positions of all sites in space, (sites, 2 or 3), cell by cell, along the last axis first."""
     edges, sites = (np.array(part) for part in CELL_GEOMETRY[lattice][:2])
     return np.asarray(((_cells(shape) @ edges)[:, None] + sites).reshape(-1, edges.shape[1]))
 
 
 def cell_coordinates(lattice: str, shape: Any) -> Floats:
-    """Return the positions of all sites in units of the edges of the cell, (sites, axes).
-
-    >>> cell_coordinates("kagome", (1, 2)).tolist()
-    [[0.0, 0.0], [0.5, 0.0], [0.0, 0.5], [0.0, 1.0], [0.5, 1.0], [0.0, 1.5]]
-    """
+    """Return the positions of all sites in units of the edges of the cell, (sites, axes)."""
     edges, sites = (np.array(part) for part in CELL_GEOMETRY[lattice][:2])
     within = (sites @ np.linalg.pinv(edges)).round(15)
     return np.asarray((_cells(shape)[:, None] + within).reshape(-1, len(edges)))

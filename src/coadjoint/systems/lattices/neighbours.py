@@ -80,13 +80,7 @@ def _sizes(shape: Any, axes: int, lattice: str) -> tuple[int, ...]:
 
 
 def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
-    """Return one flag for each axis.
-
-    Examples
-    --------
-    >>> read_flags(True, 2)
-    (True, True)
-    """
+    """Return one flag for each axis."""
     if not isinstance(periodic, tuple | list):
         return (read_bool(periodic, "periodic"),) * axes
     if len(periodic) != axes:

@@ -219,10 +219,8 @@ def _log_product_gradient(x: Any) -> Any:
 
 
 def traces(n: int, ring: bool) -> dict[str, Polynomial]:
-    """Return traces of powers of L, independent integrals besides H and the Casimirs, as polynomials in the b and a.
-
-    The trace of L^k is the sum over closed walks of k steps on the lattice of the product of entries of L.
-    """
+    """Return traces of powers of L, independent integrals besides H and the Casimirs, as polynomials in the b and a."""
+    # The trace of L^k is the sum over closed walks of k steps on the lattice of the product of entries of L.
     if n > MAX_POLYNOMIAL_SITES:
         return {}
     bonds = n if ring else n - 1
@@ -250,16 +248,8 @@ def traces(n: int, ring: bool) -> dict[str, Polynomial]:
 
 
 def open_lattice(n: int, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the state (2 n - 1,) or (k, 2 n - 1) of the open lattice at given times, correct to all digits.
-
-    With ``exp(t L) = Q R``, ``exp(2 t L) = R^T R`` and ``L(t) = R L R^-1``: R by Cholesky in ball arithmetic of
-    adaptive precision. Costs n^3 for each time. Raises ValueError if t would need more than 2^20 bits.
-
-    Examples
-    --------
-    >>> open_lattice(2, [0.0, 0.0, 1.0], 0.5)  # b = (tanh, -tanh)(2 t), a = sech(2 t)
-    array([ 0.76159416, -0.76159416,  0.64805427])
-    """
+    """Return the state (2 n - 1,) or (k, 2 n - 1) of the open lattice at given times, correct to all digits."""
+    # With ``exp(t L) = Q R``, ``exp(2 t L) = R^T R`` and ``L(t) = R L R^-1``: R by Cholesky in ball arithmetic.
     reject_attitude(attitude, "toda")
     start, times = start_and_times(x0, t, 2 * n - 1)
     states = np.array([_state_at(n, start, time) for time in np.atleast_1d(times).tolist()]).reshape(-1, 2 * n - 1)

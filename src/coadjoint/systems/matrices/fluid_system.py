@@ -39,11 +39,8 @@ class FluidSystem(MatrixSystem):
 
     @abstractmethod
     def mode_array(self, W: Any) -> Complexes:
-        """Return the modes of matrices (..., N, N) as an array (..., N, N), which `from_modes` accepts.
-
-        On the sphere its entry [l, m], m >= 0, is the coefficient of Y_lm; on the torus the entry [n1, n2] is w_n, both
-        indices mod N.
-        """
+        """Return the modes of matrices (..., N, N) as an array (..., N, N), which `from_modes` accepts."""
+        # On the sphere [l, m], m >= 0, is the coefficient of Y_lm; on the torus [n1, n2] is w_n, both indices mod N.
 
     @abstractmethod
     def from_modes(self, modes: Any) -> Complexes:
@@ -158,11 +155,9 @@ Matrix = npt.NDArray[Any]
 
 
 def large_scales(P: Matrix, W: Matrix) -> Matrix:
-    """Return the part of W, (..., N, N), that commutes with its stream matrix P: its diagonal in an eigenbasis of P.
-
-    In a fluid it is the vorticity averaged along streamlines. With distinct eigenvalues of P it is an orthogonal
-    projection. K. Modin, M. Viviani, J. Fluid Mech. 943 (2022) A36.
-    """
+    """Return the part of W, (..., N, N), that commutes with its stream matrix P: its diagonal in an eigenbasis of P."""
+    # In a fluid it is the vorticity averaged along streamlines. With distinct eigenvalues of P it is an orthogonal
+    # projection. K. Modin, M. Viviani, J. Fluid Mech. 943 (2022) A36.
     _, V = np.linalg.eigh(-1j * P)
     adjoint = np.conj(np.swapaxes(V, -1, -2))
     diagonal = np.einsum("...ji,...jk,...ki->...i", np.conj(V), W, V, optimize=True)

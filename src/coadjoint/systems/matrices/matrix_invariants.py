@@ -88,10 +88,8 @@ def samples(system: MatrixSystem) -> list[Matrix]:
 
 @ignore_overflow
 def check_stream(system: MatrixSystem) -> None:
-    """Raise ValueError if, at sample matrices, the stream leaves the algebra or is inconsistent with the energy.
-
-    Without a function for the energy the stream must be linear and symmetric; otherwise it must be its gradient.
-    """
+    """Raise ValueError if, at sample matrices, the stream leaves the algebra or is inconsistent with the energy."""
+    # Without a function for the energy the stream must be linear and symmetric; otherwise it must be its gradient.
     A, B = samples(system)
     P, tolerance, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDING_TOLERANCE * system.algebra.N, system.algebra
     size = float(np.abs(P).max(initial=0.0))
@@ -140,10 +138,7 @@ def _energy_value(value: Any) -> float:
 
 @dataclass(frozen=True)
 class Trace:
-    """The real trace of a power of a block of W (of -i W if the algebra is skew-Hermitian), or its imaginary part.
-
-    `to_matrices` and `to_vector` convert between states, matrices and vectors; `rows` is the range of the block.
-    """
+    """The real trace of a power of a block of W (of -i W if the algebra is skew-Hermitian), or its imaginary part."""
 
     name: str
     rows: slice
@@ -187,14 +182,7 @@ class Trace:
 
 
 def traces_of(algebra: MatrixAlgebra, count: int, to_matrices: Any, to_vector: Any) -> dict[str, Trace]:
-    """Return the Casimirs of an algebra: the first `count` nonvanishing, independent traces of each block.
-
-    Examples
-    --------
-    >>> g = MatrixAlgebra.sum(MatrixAlgebra("so", 5), MatrixAlgebra("sl(C)", 2))
-    >>> list(traces_of(g, 5, None, None))
-    ['tr W1^2', 'tr W1^4', 'Re tr W2^2', 'Im tr W2^2']
-    """
+    """Return the Casimirs of an algebra: the first `count` nonvanishing, independent traces of each block."""
     traces = {}
     for number, (rows, block, kind) in enumerate(algebra.parts, 1):
         block_name = f"W{number}" if algebra.blocks else "W"

@@ -22,10 +22,10 @@ Numbers = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class ModeBasis(ABC):
-    """Orthonormal modes of skew-Hermitian matrices (N, N), by diagonals from the main one; the lower half follows.
+    """Orthonormal modes of skew-Hermitian matrices (N, N), by diagonals from the main one; the lower half follows."""
 
-    ``kind`` is the code `ModeKind` of the kernels, ``scale`` the name of the number that measures the scale of a mode.
-    """
+    # ``kind`` is the code `ModeKind` of the kernels, ``scale`` the name of the number that measures the scale of a
+    # mode.
 
     N: int
 
@@ -183,14 +183,7 @@ def layer_index(system: Any, layer: str) -> int:
 
 
 def mode_basis_of(system: Any) -> ModeBasis | None:
-    """Return the modes of a matrix system, from its stream; None if its modes are the entries.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
-    >>> mode_basis_of(sphere_euler(N=4))
-    Harmonics(N=4)
-    """
+    """Return the modes of a matrix system, from its stream; None if its modes are the entries."""
     stream = getattr(system, "stream", None)
     if isinstance(stream, Circulants):
         return Waves(system.algebra.N)
@@ -200,15 +193,7 @@ def mode_basis_of(system: Any) -> ModeBasis | None:
 
 
 def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Floats:
-    """Return the eigenvalues of a stream on modes.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.fluids.torus_euler import torus_euler
-    >>> s = torus_euler(N=5)
-    >>> stream_values(s.stream, mode_basis_of(s), 1, np.array([1, 2]))
-    array([-0.5, -0.2])
-    """
+    """Return the eigenvalues of a stream on modes."""
     if isinstance(stream, Inverse):
         return 1.0 / stream_values(stream.of, modes, d, numbers)
     if isinstance(stream, Circulants):

@@ -22,13 +22,7 @@ MAX_GRID_SIZE = 2**16  # rows or columns; a larger grid exceeds any memory
 
 
 def read_shape(shape: Any, min_shape: tuple[int, int], default: tuple[int, int]) -> tuple[int, int]:
-    """Validate the numbers of rows and columns of a grid.
-
-    Examples
-    --------
-    >>> read_shape(None, (2, 1), (9, 16)), read_shape((5, 8), (2, 1), (9, 16))
-    ((9, 16), (5, 8))
-    """
+    """Validate the numbers of rows and columns of a grid."""
     if shape is None:
         return default
     try:
@@ -41,13 +35,7 @@ def read_shape(shape: Any, min_shape: tuple[int, int], default: tuple[int, int])
 
 
 def default_shape(N: int) -> tuple[int, int]:
-    """Return the smallest grid with poles and an even number of columns that resolves all degrees below N.
-
-    Examples
-    --------
-    >>> default_shape(16)
-    (17, 32)
-    """
+    """Return the smallest grid with poles and an even number of columns that resolves all degrees below N."""
     return N + 1, 2 * N
 
 
@@ -91,11 +79,8 @@ def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
 
 
 def coefficients_of(values: Any, N: int, points: str, first: float = 0.0) -> Complexes:
-    """Return c (..., N, N), ``c[l, m]``, of real values (..., rows, columns), for all degrees that N and grid resolve.
-
-    Rows go from north to south, columns eastward from the longitude `first` in radians; `points` is one of `GRIDS`.
-    Exact for degrees up to `resolved` and orders up to (columns - 1)/2.
-    """
+    """Return c (..., N, N), ``c[l, m]``, of real values (..., rows, columns), for degrees that N and grid resolve."""
+    # Exact for degrees up to `resolved` and orders up to (columns - 1)/2; `first` is the longitude of the first column.
     code = GRIDS[read_choice(points, "points", GRIDS)]
     require_packages("a grid on the sphere", "ducc0")
     from ducc0.sht import analysis_2d
@@ -146,13 +131,7 @@ def delta_coefficients(points: Floats, strengths: Floats, N: int) -> Complexes:
 
 
 def cap_profile(radius: float, N: int) -> Floats:
-    """Return the integrals of P_l(cos distance) over a cap, for l from 0 to N - 1.
-
-    Examples
-    --------
-    >>> bool(np.abs(cap_profile(np.pi / 2, 2) - [2 * np.pi, np.pi]).max() < 1e-14)
-    True
-    """
+    """Return the integrals of P_l(cos distance) over a cap, for l from 0 to N - 1."""
     if not 0.0 < radius < pi:
         raise ValueError(f"a radius is {short(radius)}; give radians below pi")
     x = np.cos(radius)
@@ -167,13 +146,7 @@ def cap_profile(radius: float, N: int) -> Floats:
 
 
 def read_places(places: Any, what: str) -> Floats:
-    """Validate latitudes and longitudes (k, 2) in radians.
-
-    Examples
-    --------
-    >>> read_places([(0.5, 7)], "places")
-    array([[0.5, 7. ]])
-    """
+    """Validate latitudes and longitudes (k, 2) in radians."""
     points = read_finite(places, what)
     if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(f"{what} has the shape {points.shape}; give (k, 2), a latitude and a longitude in each row")
@@ -184,10 +157,7 @@ def read_places(places: Any, what: str) -> Floats:
 
 
 def grid_orientation(rows: Floats, columns: Floats) -> tuple[int, str, int]:
-    """Return the direction of rows (1 from north to south, else -1), the kind of points, and the direction of columns.
-
-    Raises ValueError if the rows match none of the `GRIDS`, or the columns are not equally spaced around the sphere.
-    """
+    """Return the direction of rows (1 from north to south, else -1), the kind of points, and that of columns."""
     if rows.ndim != 1 or columns.ndim != 1 or min(len(rows), len(columns)) < 3:
         raise ValueError("a grid on the sphere needs at least three rows and columns, and a coordinate of each")
     north, east = (-1 if rows[0] < rows[-1] else 1), (-1 if columns[0] > columns[-1] else 1)

@@ -140,11 +140,9 @@ def _read_band(band: Any) -> tuple[float, float]:
 
 
 def exact_motion(W: Complexes, t: Any, rotation: float) -> Complexes:
-    """Return the exact motion, (N, N) or (k, N, N), of a zonal flow, or of a state of degree 1 and one further degree.
-
-    With A the part of degree 1, F that of the rotation of the frame and ``k = 1/(l(l + 1)) - 1/2``, W is conjugated by
-    ``exp(t F/2) exp(t k A)``: the frame rotates backward, and the pattern about the axis of A. Else raises ValueError.
-    """
+    """Return the exact motion, (N, N) or (k, N, N), of a zonal flow, or of a state of degree 1 and another one."""
+    # With A the part of degree 1, F that of the rotation of the frame and ``k = 1/(l(l + 1)) - 1/2``, W is conjugated
+    # by ``exp(t F/2) exp(t k A)``: the frame rotates backward, and the pattern about the axis of A.
     times, N = read_finite(t, "t"), W.shape[-1]
     if W.ndim != 2 or times.ndim > 1:
         raise ValueError(f"x0 has the shape {W.shape} and t {times.shape}; give ({N}, {N}), and one time or several")
@@ -175,15 +173,7 @@ def _components(W: Complexes, N: int) -> Floats:
 
 
 def angular_momentum(W: Any) -> Floats:
-    """Return the integral of (x, y, z) omega over the sphere for matrices (..., N, N), shape (..., 3).
-
-    Examples
-    --------
-    Solid rotation about the axis z with the angular velocity 1 has 8 pi/3:
-
-    >>> bool(abs(angular_momentum(-2 * generators(5)[2])[2] - 8 * np.pi / 3) < 1e-14)
-    True
-    """
+    """Return the integral of (x, y, z) omega over the sphere for matrices (..., N, N), shape (..., 3)."""
     W = np.asarray(W, dtype=np.complex128)
     N = W.shape[-1]
     return -_components(W, N) * (N * (N * N - 1) / 12) / scale(N) ** 2
@@ -191,13 +181,7 @@ def angular_momentum(W: Any) -> Floats:
 
 @dataclass(frozen=True)
 class MomentumAlong:
-    """The angular momentum along the axis "x", "y" or "z", as a function of states (..., N, N).
-
-    Examples
-    --------
-    >>> round(MomentumAlong("z")(-2 * generators(5)[2]) / np.pi, 12)
-    2.666666666667
-    """
+    """The angular momentum along the axis "x", "y" or "z", as a function of states (..., N, N)."""
 
     axis: str
 

@@ -42,17 +42,9 @@ def scale(N: int) -> float:
 
 
 def laplacian(N: int) -> tuple[Floats, Floats]:
-    """Return L = -sum_a [S_a, [S_a, .]] by diagonal: ``main[i, m]`` for the entry (i, i + m), and couplings `beside`.
-
-    Both are (N, N), as in `streams.DiagonalSolve`; the eigenvalues on diagonal m are l(l + 1), l = m, ..., N - 1.
-    J. Hoppe and S.-T. Yau, "Some properties of matrix harmonics on S^2", Comm. Math. Phys. 195, 67 (1998).
-
-    Examples
-    --------
-    >>> main, beside = laplacian(2)
-    >>> main[:, 0].tolist(), float(beside[1, 0]), float(main[0, 1])
-    ([1.0, 1.0], -1.0, 2.0)
-    """
+    """Return L = -sum_a [S_a, [S_a, .]] by diagonal: ``main[i, m]`` for entry (i, i + m), and couplings `beside`."""
+    # The eigenvalues on diagonal m are l(l + 1), l = m, ..., N - 1. J. Hoppe and S.-T. Yau, "Some properties of matrix
+    # harmonics on S^2", Comm. Math. Phys. 195, 67 (1998).
     i, m = np.arange(N)[:, None], np.arange(N)[None, :]
     valid = i + m < N
     main = np.where(valid, (N - 1) * (2 * i + 1 + m) - 2 * i * (i + m), 1).astype(float)
@@ -96,11 +88,9 @@ _HARMONICS_CACHE = _HarmonicsCache()
 
 
 def harmonics(N: int, m: int) -> Floats:
-    """Return the entries (i, i + m) of T_lm as [l - m, i], for i up to the middle; the parity is that of l - m.
-
-    The position along the diagonal times T_lm is a sum of its neighbours in l, with positive factors that rise and fall
-    with l. Such a recurrence is stable from either end up to the maximum.
-    """
+    """Return the entries (i, i + m) of T_lm as [l - m, i], for i up to the middle; the parity is that of l - m."""
+    # The position along the diagonal times T_lm is a sum of its neighbours in l, with positive factors that rise and
+    # fall with l. Such a recurrence is stable from either end up to the maximum.
     n, m2 = N - m, m * m
     check_available_memory(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
     half = n - n // 2
@@ -120,10 +110,8 @@ def harmonics(N: int, m: int) -> Floats:
 
 
 def _recurrence(positions: Floats, beside: Floats) -> Floats:
-    """Return v, one row more than `beside`, with ``position v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``.
-
-    Columns begin with a positive number, and are scaled so that growing ones end with entries of order 1.
-    """
+    """Return v, one row more than `beside`, with ``position v_k = beside_(k-1) v_(k-1) + beside_k v_(k+1)``."""
+    # Columns begin with a positive number, and are scaled so that growing ones end with entries of order 1.
     v = np.ones((len(beside) + 1, len(positions)))
     for k in range(len(beside)):
         np.multiply(positions, v[k], out=v[k + 1])
@@ -195,15 +183,7 @@ def harmonics_of_matrix(W: Any) -> Complexes:
 
 
 def read_harmonics(argument: Any, N: int) -> Complexes:
-    """Validate a mapping of (l, m) to a coefficient, or an array, and return c (..., N, N).
-
-    A missing coefficient of -m is ``(-1)^m`` times the conjugate. Raises ValueError if the field would not be real.
-
-    Examples
-    --------
-    >>> complex(read_harmonics({(1, -1): 1 + 2j}, 3)[1, 1])
-    (-1+2j)
-    """
+    """Validate a mapping of (l, m) to a coefficient, or an array, and return c (..., N, N) of a real field."""
     if not isinstance(argument, Mapping):
         return _read_array(argument, N)
     c = np.zeros((N, N), dtype=np.complex128)

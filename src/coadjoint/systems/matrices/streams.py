@@ -20,11 +20,7 @@ Matrix = npt.NDArray[Any]
 
 @runtime_checkable
 class Stream(Protocol):
-    """A symmetric linear map of matrices.
-
-    ``kind`` is one of the codes `StreamKind` of the kernels, and ``table`` its numbers, described in
-    ``matrices/stream.hpp``.
-    """
+    """A symmetric linear map of matrices; ``matrices/stream.hpp`` describes the numbers of its ``table``."""
 
     @property
     def kind(self) -> str:
@@ -289,13 +285,7 @@ class FunctionStream:
         return result
 
     def checked(self, P: Any, W: Matrix) -> Matrix:
-        """Validate the returned value, and return it as a matrix like W.
-
-        Raises
-        ------
-        TypeError
-            Another shape, or another type of numbers than that of W.
-        """
+        """Validate the returned value, and return it as a matrix like W."""
         kinds = "iufc" if np.iscomplexobj(W) else "iuf"
         result = to_array(P, "the value of the stream", kinds)
         if result.shape != W.shape or result.dtype.kind not in kinds:

@@ -23,17 +23,7 @@ def coordinates(count: int) -> Floats:
 
 
 def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
-    """Return the values (..., nx, ny) of ``sum of w_n exp(i (n1 x - n2 y))`` at the points of any grid.
-
-    The coefficients ``w[n1 mod N, n2 mod N]`` are (..., N, N), and `shape` is nx and ny.
-
-    Examples
-    --------
-    >>> w = np.zeros((3, 3), dtype=complex)
-    >>> w[1, 0] = w[2, 0] = 0.5
-    >>> values_of(w, (4, 1))[:, 0].round(12) + 0.0
-    array([ 1.,  0., -1.,  0.])
-    """
+    """Return the values (..., nx, ny) of ``sum of w_n exp(i (n1 x - n2 y))``, ``w[n1 mod N, n2 mod N]``, on a grid."""
     lead = w.shape[:-2]
     check_available_memory(48 * int(np.prod(lead)) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
     n = representatives(w.shape[-1])
@@ -63,13 +53,7 @@ def delta_coefficients(points: Floats, strengths: Floats, N: int) -> Complexes:
 
 
 def disc_profile(radius: float, length: Floats) -> Floats:
-    """Return the integrals of exp(i n . x) over a disc, from |n|.
-
-    Examples
-    --------
-    >>> disc_profile(1.0, np.array([0.0, 1e-9])) / np.pi
-    array([1., 1.])
-    """
+    """Return the integrals of exp(i n . x) over a disc, from |n|."""
     if not 0.0 < radius < pi:
         raise ValueError(f"a radius is {short(radius)}; give radians below pi")
     from scipy.special import j1

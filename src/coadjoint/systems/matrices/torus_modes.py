@@ -22,11 +22,8 @@ def representatives(N: int) -> npt.NDArray[np.int64]:
 
 
 def matrix_of_modes(w: Complexes) -> Complexes:
-    """Return W of modes w, shape (..., N, N), ``w[n1 mod N, n2 mod N]``.
-
-    The entry (a, a + n2) of T_n is exp(2 pi i n1 (n2 + 2 a)/N): a discrete Fourier transform along each cyclic
-    diagonal.
-    """
+    """Return W of modes w, shape (..., N, N), ``w[n1 mod N, n2 mod N]``."""
+    # The entry (a, a + n2) of T_n is exp(2 pi i n1 (n2 + 2 a)/N): a Fourier transform along each cyclic diagonal.
     N = w.shape[-1]
     a, d = np.arange(N)[:, None], np.arange(N)[None, :]
     # sum over n1 of w[n1, d] omega^(n1 (d + 2 a))
@@ -47,13 +44,7 @@ def modes_of_matrix(W: Complexes) -> Complexes:
 
 
 def read_modes(argument: Any, N: int) -> Complexes:
-    """Validate modes, a mapping of (n1, n2) to w or an array (..., N, N); missing ones of -n are added as conjugates.
-
-    Examples
-    --------
-    >>> complex(read_modes({(1, 0): 0.5 + 1j}, 3)[2, 0])
-    (0.5-1j)
-    """
+    """Validate modes, a mapping of (n1, n2) to w or an array (..., N, N); missing ones of -n are conjugates."""
     if not isinstance(argument, Mapping):
         return _read_array(argument, N)
     w, half = np.zeros((N, N), dtype=np.complex128), N // 2

@@ -197,13 +197,7 @@ class TwoLayerSystem(MatrixSystem):
 
 
 def mixed(k: int) -> str:
-    """Return the name of the invariant of degree k that is linear in W.
-
-    Examples
-    --------
-    >>> mixed(2), mixed(3)
-    ('tr W Theta', 'tr W Theta^2')
-    """
+    """Return the name of the invariant of degree k that is linear in W."""
     return "tr W Theta" if k == 2 else f"tr W Theta^{k - 1}"
 
 

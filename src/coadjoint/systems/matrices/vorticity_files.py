@@ -25,11 +25,7 @@ SECOND = ("lon", "longitude", "y")
 def read_field(
     path: str | Path, variable: str | None = None, select: Mapping[str, int] | None = None
 ) -> tuple[npt.NDArray[Any], tuple[Floats, Floats] | None]:
-    """Return the array of a .npy or .nc file and, for NetCDF, the coordinates of its last two axes in radians.
-
-    `variable` selects a NetCDF variable, `select` an index along each of its further axes. Without NetCDF the
-    coordinates are None.
-    """
+    """Return the array of a .npy or .nc file and, for NetCDF, the coordinates of its last two axes in radians."""
     if not isinstance(path, str | Path):
         raise TypeError(f"path is {short(path)}; give the name of a file")
     file = Path(path)
