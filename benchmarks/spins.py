@@ -16,7 +16,7 @@ import numpy as np
 from c_programs import HERE, build, run
 
 import coadjoint as co
-from coadjoint.systems.lattices.neighbours import graph
+from coadjoint.systems.lattices.geometry import graph
 
 STEP = 0.05
 CHECKED_STEPS = 5

@@ -18,7 +18,7 @@ from coadjoint.methods import registry
 from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.pictures.gallery import SCENES
 from coadjoint.pictures.register import CannotShow
-from coadjoint.system_summary import summarize_system
+from coadjoint.summaries import summarize_system
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.gallery_entry import GalleryEntry
 from coadjoint.systems.registry import gallery_entry_of

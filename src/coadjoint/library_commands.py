@@ -52,7 +52,7 @@ def _show_system(name: str, json_path: str | None) -> None:
     import json
 
     from coadjoint.files.output.output_files import TEXTS, check_target, write_text
-    from coadjoint.system_summary import summarize_system, system_text
+    from coadjoint.summaries import summarize_system, system_text
 
     target = None if json_path is None else check_target(json_path, TEXTS)
     summary = summarize_system(name)
@@ -70,7 +70,7 @@ def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
 
     Parameters of an algebra follow its name, such as A4,9 b=0.5.
     """
-    from coadjoint.algebra.algebra_summary import algebra_of, algebra_text, listed_algebras
+    from coadjoint.summaries import algebra_of, algebra_text, listed_algebras
 
     if name is None:
         for line in listed_algebras():

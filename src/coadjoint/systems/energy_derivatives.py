@@ -1,4 +1,4 @@
-"""Derivatives of the energy by parameters, as sums of monomials."""
+"""Derivatives of the energy: by parameters, as sums of monomials or by complex steps, and gradients at many states."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.coefficients import Coefficients, decoded
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.coefficients import Coefficients, Monomials, decoded
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
+from coadjoint.systems.parameter_differences import sizes_of_entries
+from coadjoint.systems.user_functions import callable_from_compiled
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -195,3 +201,143 @@ class EnergyDerivative(NamedTuple):
         for function in self.functions:
             total[function.entries] += np.array([function.value(y) for y in flat[:, function.coordinates]]).T
         return total.T.reshape(*x.shape[:-1], self.size)
+
+
+# Binary exponents of the imaginary parts, relative to the entries, and the least one. Their squares are no rounding.
+STEP_EXPONENT, LEAST_EXPONENT = -100, -1000
+# Entries of a parameter from which several are differentiated in one evaluation, if coefficients depend on one each.
+MANY_ENTRIES = 8
+# Largest difference of a coefficient from that of one entry, relative to its rounding.
+AGREEMENT = 16 * UNIT_ROUNDOFF
+SEED = 1993
+
+
+def derivative_by_steps(
+    coefficients_at: Callable[[NDArray[np.complex128]], Coefficients], value: Floats, symmetric: bool
+) -> EnergyDerivative:
+    """Return the derivative of an energy by the entries of a parameter, exact to round-off, from complex steps."""
+    # Of a symmetric matrix, half of a change is that of the mirror image.
+    steps = _steps(value)
+
+    def changes(directions: Floats) -> Coefficients:
+        """Return the imaginary parts of the coefficients."""
+        along = 0.5 * (directions + directions.T) if symmetric else directions
+        monomials, values = coefficients_at(value + 1j * along)
+        return Coefficients(monomials, values.imag).where(values.imag != 0.0)
+
+    if value.size > MANY_ENTRIES and not symmetric:
+        together = _changes_together(changes, steps)
+        if together is not None:
+            entries, (monomials, values) = together
+            return EnergyDerivative.of_coefficients(
+                value.size, [(entries, Coefficients(monomials, values / steps.ravel()[entries]))]
+            )
+    pieces, direction = [], np.zeros(value.shape)
+    for entry, index in enumerate(np.ndindex(value.shape)):
+        direction[index] = steps[index]
+        monomials, values = changes(direction)
+        direction[index] = 0.0
+        pieces.append((np.full(len(values), entry), Coefficients(monomials, values / steps[index])))
+    return EnergyDerivative.of_coefficients(value.size, pieces)
+
+
+def functions_by_steps(
+    function_at: Callable[[NDArray[np.complex128]], FunctionOfConstants], value: Floats
+) -> tuple[FunctionDerivative, ...]:
+    """Return the derivative of a function by those entries of a parameter on which its constants depend, if any."""
+    all_steps, moved, entries = _steps(value), [], []
+    for entry, index in enumerate(np.ndindex(value.shape)):
+        here = np.array(value, dtype=np.complex128)
+        here[index] += 1j * all_steps[index]
+        function = function_at(here)
+        if function.constants.imag.any():
+            moved.append(function.constants)
+            entries.append(entry)
+    if not entries:
+        return ()
+    constants, steps, count = np.array(moved), all_steps.ravel()[entries], len(entries)
+    values, slopes = callable_from_compiled(function.value), callable_from_compiled(function.gradient)
+
+    def by_entries(y: Any) -> Any:
+        return np.array([values(y + 0j, constants[k]).imag / steps[k] for k in range(count)])
+
+    def gradient(y: Any) -> Any:
+        result = np.zeros((count, len(y)))
+        for k in range(count):
+            change = slopes(y + 0j, constants[k])
+            for n in range(len(y)):
+                result[k, n] = change[n].imag / steps[k]
+        return result
+
+    return (FunctionDerivative(function.coordinates, np.array(entries), by_entries, gradient),)
+
+
+def _steps(value: Floats) -> Floats:
+    """Return the imaginary parts by which entries are moved."""
+    _, exponents = np.frexp(sizes_of_entries(value))
+    return np.ldexp(1.0, np.maximum(exponents + STEP_EXPONENT, LEAST_EXPONENT))
+
+
+def _changes_together(changes: Callable[[Floats], Coefficients], steps: Floats) -> tuple[Integers, Coefficients] | None:
+    """Return the entry on which each coefficient depends, and its change; None if some depend on several entries."""
+    # The coefficients that change with all entries change as much with half of them, or not at all: those with one
+    # binary digit of their numbers. Random changes confirm the entries that are found.
+    found, numbers = changes(steps), np.arange(steps.size)
+    entries = np.zeros(len(found.values), dtype=np.int64)
+    for digit in range((steps.size - 1).bit_length()):
+        part = changes(steps * (numbers >> digit & 1).reshape(steps.shape))
+        if Monomials.joined([found.monomials, part.monomials]).size > found.monomials.size:
+            return None
+        at = found.monomials.positions(part.monomials)
+        if not np.array_equal(found.values[at], part.values):
+            return None
+        entries[at] += 1 << digit
+    weights = np.random.default_rng(SEED).uniform(1.0, 2.0, steps.shape)
+    weighted = changes(steps * weights)
+    if np.any(entries >= steps.size) or weighted.monomials.size != found.monomials.size:
+        return None
+    expected = found.values * weights.ravel()[entries]
+    if np.any(np.abs(weighted.values - expected) > AGREEMENT * np.abs(expected)):
+        return None
+    return entries, found
+
+
+@ignore_overflow
+def gradients_at(system: Any, x: Floats, times: Floats) -> Floats:
+    """Return grad H at states (points, members, n) and times (points,)."""
+    if system.is_batch:
+        members = [gradients_at(member, x[:, m : m + 1], times) for m, member in enumerate(system)]
+        return np.concatenate(members, axis=1)
+    system = system.unforced
+    H = system.hamiltonian
+    if system.has_matrices and not system.timed:
+        return np.asarray(H.gradient(x))
+    terms = H.terms()
+    if not terms:
+        return np.array(
+            [[H.gradient(state, t) for state in states] for states, t in zip(x, times.tolist(), strict=True)]
+        )
+    total = np.zeros(x.shape)
+    for term in terms:
+        if isinstance(term, FunctionTerm):
+            _add_functions(total, term, x, times)
+        elif isinstance(term, PolynomialTerm) and term.form is None:
+            total += term.polynomial.gradient(x)
+        else:
+            _add_quadratic(total, term.form, x)
+    return total
+
+
+def _add_quadratic(total: Floats, term: Any, x: Floats) -> None:
+    from scipy.sparse import csr_array
+
+    n = x.shape[-1]
+    M = csr_array((term.values, term.indices, term.indptr), shape=(n, n))
+    total += (M @ x.reshape(-1, n).T).T.reshape(x.shape) + term.linear
+
+
+def _add_functions(total: Floats, term: FunctionTerm, x: Floats, times: Floats) -> None:
+    for k, t in enumerate(times.tolist()):
+        for m in range(x.shape[1]):
+            y = x[k, m, term.coordinates]
+            total[k, m, term.coordinates] += term.gradient(y[0] if term.scalar else y, *((t,) if term.timed else ()))

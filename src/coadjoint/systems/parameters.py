@@ -14,8 +14,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
 from coadjoint.systems.coefficients import Coefficients, coefficients_in, coefficients_of, coordinates_of
 from coadjoint.systems.coordinates import in_coordinates_of
-from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
-from coadjoint.systems.energy_steps import derivative_by_steps, functions_by_steps
+from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial, derivative_by_steps, functions_by_steps
 from coadjoint.systems.force_parameters import force_numbers, force_parameters, real_numbers, with_force_values
 from coadjoint.systems.hamiltonians.hamiltonian import (
     FunctionOfConstants,

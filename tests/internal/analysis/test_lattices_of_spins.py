@@ -9,8 +9,7 @@ from coadjoint.analysis.spin_energy import spin_energy
 from coadjoint.analysis.structure_factor import reciprocal_path
 from coadjoint.pictures.analysis_figures import corner_name
 from coadjoint.systems.forces.base import random_words
-from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates, lattice_positions, reciprocal_edges
-from coadjoint.systems.lattices.neighbours import graph
+from coadjoint.systems.lattices import geometry
 
 WINDOWS = ["hann", "boxcar", None, "blackmanharris", ("kaiser", 6.0)]
 
@@ -19,15 +18,15 @@ def run(lattice, x0, span=60.0, step=0.025, every=8):
     return co.integrate(lattice, x0, (0, span), step, method=co.SphericalMidpoint(), save_every=every)
 
 
-@pytest.mark.parametrize("name", CELL_GEOMETRY)
+@pytest.mark.parametrize("name", geometry.CELL_GEOMETRY)
 def test_bonds_of_a_lattice_have_length_one(name):
-    shape = (4,) * len(CELL_GEOMETRY[name].edges)
+    shape = (4,) * len(geometry.CELL_GEOMETRY[name].edges)
     shape = shape[0] if len(shape) == 1 else shape
-    _, edges = graph("chain" if name == "ring" else name, shape, False)
-    positions = lattice_positions(name, shape)
+    _, edges = geometry.graph("chain" if name == "ring" else name, shape, False)
+    positions = geometry.lattice_positions(name, shape)
     assert np.allclose(np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1), 1.0, rtol=1e-14)
-    coordinates = cell_coordinates(name, shape)
-    assert np.allclose(coordinates @ np.array(CELL_GEOMETRY[name].edges), positions, rtol=0, atol=1e-14)
+    coordinates = geometry.cell_coordinates(name, shape)
+    assert np.allclose(coordinates @ np.array(geometry.CELL_GEOMETRY[name].edges), positions, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("window", WINDOWS)
@@ -41,10 +40,10 @@ def test_sum_over_frequencies_is_the_equal_time_structure_factor(name, window):
     S = co.spectra.structure_factor(sol, path, window)
     assert np.allclose(S.intensity.sum(axis=1) * (S.omega[1] - S.omega[0]), S.static, rtol=1e-12)
     assert np.allclose(S.components.sum(axis=0), S.intensity, rtol=1e-14) and np.all(S.intensity >= 0.0)
-    edges = np.array(CELL_GEOMETRY[name].edges)
+    edges = np.array(geometry.CELL_GEOMETRY[name].edges)
     q = S.q @ (2 * np.pi * np.linalg.inv(edges @ edges.T) @ edges)
     spins = sol.x.reshape(*sol.x.shape[:2], -1, 3)
-    sums = np.einsum("tmia,ik->tmka", spins, np.exp(-1j * lattice_positions(name, shape) @ q.T))
+    sums = np.einsum("tmia,ik->tmka", spins, np.exp(-1j * geometry.lattice_positions(name, shape) @ q.T))
     equal_time = np.sum(np.abs(sums) ** 2, axis=3) / spins.shape[2]
     from scipy.signal import get_window
 
@@ -58,7 +57,7 @@ def test_paths_take_every_wave_vector_on_their_lines():
     assert line.corners.tolist() == [0, 6, 9, 12] and np.allclose(np.diff(line.distance)[:6], np.pi / 6)
     assert len(reciprocal_path("chain", 9, None).q) == 10 and reciprocal_path("ring", 6, [0.5]).q.tolist() == [[0.5]]
     assert reciprocal_path("triangular", (6, 6), None).q.shape == (7, 2)
-    K = (2 / 3, 1 / 3) @ reciprocal_edges("triangular")
+    K = (2 / 3, 1 / 3) @ geometry.reciprocal_edges("triangular")
     assert np.allclose(np.linalg.norm(K), 4 * np.pi / 3)
     for shape, path, words in (
         ((5, 5), None, r"the usual path has the corner \(0.5, 0.0\), which does not fit \(5, 5\) cells"),

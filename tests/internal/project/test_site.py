@@ -35,7 +35,7 @@ from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.pictures import register
 from coadjoint.pictures.gallery import run_example
 from coadjoint.pictures.register import kinds
-from coadjoint.system_summary import summarize_system
+from coadjoint.summaries import summarize_system
 from coadjoint.systems.registry import gallery_entry_of
 from long import long_where
 

@@ -10,8 +10,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from coadjoint.systems.closed_forms.elliptic_integrals import across_integral, amplitude
-from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
+from coadjoint.systems.closed_forms.free_rigid_body import across_integral, amplitude, exact_solution
 
 U = 2.0**-53
 CASES = json.loads((Path(__file__).parent / "long_rotations_reference.json").read_text())["cases"]

@@ -7,7 +7,7 @@ import scipy.sparse
 import coadjoint as co
 from coadjoint.systems import registry
 from coadjoint.systems.coefficients import Coefficients
-from coadjoint.systems.energy_steps import derivative_by_steps
+from coadjoint.systems.energy_derivatives import derivative_by_steps
 from coadjoint.systems.parameters import parameter_of, parameters_at, parameters_of, with_parameters
 from refusals import refused
 

@@ -26,7 +26,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.systems.coordinates import in_coordinates_of
-from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import check_power, read_finite, read_number
 

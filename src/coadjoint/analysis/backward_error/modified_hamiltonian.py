@@ -34,7 +34,7 @@ from coadjoint.program.modified_energy.modified_series import coordinates_of, mo
 from coadjoint.program.parts.taylor_shares import parts_at
 from coadjoint.program.table import Program
 from coadjoint.short_repr import short
-from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system

@@ -22,7 +22,7 @@ from coadjoint.program.modified_energy.second_order import (
 )
 from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, candidates, decompose
 from coadjoint.program.parts.part import Parts
-from coadjoint.systems.hamiltonians.polynomial_form import polynomial_of
+from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 Floats = NDArray[np.float64]

@@ -19,7 +19,7 @@ from coadjoint.runs.derivatives.forward import read_like
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.derivatives.results import Gradient, overflow
 from coadjoint.runs.results.solution import Solution
-from coadjoint.systems.energy_gradients import gradients_at
+from coadjoint.systems.energy_derivatives import gradients_at
 
 Floats = NDArray[np.float64]
 

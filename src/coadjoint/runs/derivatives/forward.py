@@ -17,7 +17,7 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.derivatives.results import Tangents, overflow
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.energy_gradients import gradients_at
+from coadjoint.systems.energy_derivatives import gradients_at
 from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]

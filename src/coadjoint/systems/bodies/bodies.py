@@ -20,12 +20,11 @@ from coadjoint.systems.bodies.body_systems import BodiesSystem
 from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.forces.state_torque import SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.hamiltonians.attitude_potential import attitude_potential, check_potential
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import evaluate, sample_points
+from coadjoint.systems.user_functions import callable_from_compiled, check_arguments, evaluate, sample_points
 from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
@@ -240,3 +239,48 @@ def inertial_parameters(inertias: tuple[BodyInertia, ...], masses: Floats) -> di
     if len({np.ndim(one) for one in given}) > 1:
         given = [tuple(map(tuple, inertia.tensor.tolist())) for inertia in inertias]
     return {"inertias": tuple(given), "masses": tuple(masses.tolist())}
+
+
+def attitude_potential(
+    potential: Callable[..., Any], gradient: Callable[..., Any] | None, hessian: Callable[..., Any] | None, count: int
+) -> Hamiltonian:
+    """Return V(r, A) of `count` bodies as a function of the entries of A, (count, 3, 3), then of r, (count, 3)."""
+    # `gradient` returns the derivatives by r and by A, and `hessian` those of all entries, (12 count, 12 count).
+    energy, axes = callable_from_compiled(potential), 9 * count
+
+    def value(y: Any) -> Any:
+        return energy(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+
+    if gradient is None:
+        return Hamiltonian(value)
+    slopes = callable_from_compiled(gradient)
+
+    def derivative(y: Any) -> Any:
+        by_r, by_A = slopes(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+        result = 0.0 * y
+        for k in range(count):
+            for i in range(3):
+                result[axes + 3 * k + i] = by_r[k, i]
+                for j in range(3):
+                    result[9 * k + 3 * i + j] = by_A[k, i, j]
+        return result
+
+    if hessian is None:
+        return Hamiltonian(value, derivative)
+    curvatures = callable_from_compiled(hessian)
+
+    def second(y: Any) -> Any:
+        return curvatures(y[axes:].reshape(count, 3), y[:axes].reshape(count, 3, 3))
+
+    return Hamiltonian(value, derivative, second)
+
+
+def check_potential(potential: Any, gradient: Any, hessian: Any) -> None:
+    """Raise TypeError unless each is None or a function of (r, A), and each derivative has the one before."""
+    if potential is None and gradient is not None:
+        raise TypeError("gradient was given without potential; give both, or neither for free bodies")
+    if gradient is None and hessian is not None:
+        raise TypeError("hessian was given without gradient; give both, or neither to derive them from potential")
+    for value, what in ((potential, "potential"), (gradient, "gradient"), (hessian, "hessian")):
+        if value is not None:
+            check_arguments(value, what, "r, A")

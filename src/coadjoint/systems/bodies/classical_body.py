@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.bodies.body_states import read_states
-from coadjoint.systems.energy_gradients import gradients_at
+from coadjoint.systems.energy_derivatives import gradients_at
 from coadjoint.systems.forces.body_torque import velocity_map
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import read_numbers

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
-from coadjoint.systems.closed_forms.elliptic_integrals import amplitude, first_kind
+from coadjoint.systems.closed_forms.free_rigid_body import amplitude, first_kind
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.matrices import torus_grid
+from coadjoint.systems.matrices import torus_modes
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
@@ -138,7 +138,7 @@ class TorusEuler(FluidSystem):
         (array([0. , 0.5, 1. , 1.5]), array([0., 1.]))
         """
         nx, ny = read_shape(shape, (1, 1), self.algebra.shape)
-        return torus_grid.coordinates(nx), torus_grid.coordinates(ny)
+        return torus_modes.coordinates(nx), torus_modes.coordinates(ny)
 
     def to_grid(self, W: Any, shape: Any = None) -> Floats:
         """Return the values of the field of matrices at the points of a grid of any shape, exactly.
@@ -161,7 +161,7 @@ class TorusEuler(FluidSystem):
         >>> s.to_grid(W, (1, 4)).round(12) + 0.0
         array([[ 0.,  1.,  0., -1.]])
         """
-        return torus_grid.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.algebra.shape))
+        return torus_modes.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.algebra.shape))
 
     def from_grid(self, values: Any) -> Matrix:
         """Return the matrix of a field given at the points of a grid; the mean is removed.
@@ -177,10 +177,10 @@ class TorusEuler(FluidSystem):
         (..., N, N) array
         """
         # the mean is a multiple of the unit matrix, which is not in the algebra
-        return self.algebra.projected(matrix_of_modes(torus_grid.modes_of(read_values(values), self.algebra.N)))
+        return self.algebra.projected(matrix_of_modes(torus_modes.modes_of(read_values(values), self.algebra.N)))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
-        x, y = torus_grid.grid_orientation(first, "x"), torus_grid.grid_orientation(second, "y")
+        x, y = torus_modes.grid_orientation(first, "x"), torus_modes.grid_orientation(second, "y")
         w = self.mode_array(self.from_grid(np.asarray(values)[..., ::x, ::y]))
         n = representatives(self.algebra.N)
         # shift, since the first point is not at 0
@@ -220,13 +220,13 @@ class TorusEuler(FluidSystem):
         return w
 
     def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
-        return torus_grid.delta_coefficients(places, strengths, self.algebra.N)
+        return torus_modes.delta_coefficients(places, strengths, self.algebra.N)
 
     def disc_profile(self, radius: float) -> Floats:
-        return torus_grid.disc_profile(radius, np.sqrt(self.eigenvalues))
+        return torus_modes.disc_profile(radius, np.sqrt(self.eigenvalues))
 
     def read_places(self, places: Any, what: str) -> Floats:
-        return torus_grid.read_places(places, what)
+        return torus_modes.read_places(places, what)
 
 
 def round_off(value: complex, size: float) -> complex:

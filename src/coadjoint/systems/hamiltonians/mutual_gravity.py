@@ -1,4 +1,4 @@
-"""The mutual gravity of extended bodies to second order in their sizes, with its first and second derivatives."""
+"""The mutual gravity of extended bodies to second and fourth order in their sizes, with its derivatives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
-from coadjoint.systems.hamiltonians.mutual_gravity_fourth import fourth_order_terms
 from coadjoint.systems.user_functions import ALL_SHARES, bodies_of_shares, callable_from_compiled, number_of_shares
 
 Numbers = npt.NDArray[Any]
@@ -169,3 +168,134 @@ def _functions(count: int, order: int) -> tuple[Callable[..., Any], ...]:
         lambda y, constants, share=ALL_SHARES: g(y, constants, share) + more_g(y, constants, share),
         lambda y, constants: h(y, constants) + more_h(y, constants),
     )
+
+
+STEP = 2.0**-200  # of complex derivatives, which are exact to rounding: its square vanishes beside one
+
+
+def fourth_order_terms(count: int) -> tuple[Callable[..., Any], ...]:
+    """Return the terms of fourth order in the sizes, and their derivatives, with the constants of `mutual_gravity`."""
+    # With D the anisotropic part of the inertia, w = A^T R, e = D w, g = A e for the difference R of two centres, they
+    # are ``-G sum of (15/7 (m_2/m_1 E(1, 1) + m_1/m_2 E(2, 2)) + 6 E(1, 2))/24``. The fourth derivatives of 1/s give
+    # ``E(1, 2) = 105 w_1.e_1 w_2.e_2/s^9 - 60 g_1.g_2/s^7 + 6 tr(A_1 D_1 A_1^T A_2 D_2 A_2^T)/s^5``. The fourth moments
+    # of a homogeneous ellipsoid are 5/(7 m) times the products of its second moments; isotropic parts have no effect.
+    axes, D_at, squares_at = 9 * count, 1 + count, 1 + 10 * count
+    bodies_of = bodies_of_shares(count)
+
+    def parts(y: Any, D: Any, i: int, j: int) -> Any:
+        """Return R, s^2, and of both bodies w, e, g, D e, A D and A D A^T, by rows."""
+        R, w, e, g, u = 0.0 * y[:3], 0.0 * y[:6], 0.0 * y[:6], 0.0 * y[:6], 0.0 * y[:6]
+        AD, S = np.outer(0.0 * y[:6], y[:3]), np.outer(0.0 * y[:6], y[:3])
+        square = 0.0 * y[0]
+        for a in range(3):
+            R[a] = y[axes + 3 * i + a] - y[axes + 3 * j + a]
+            square += R[a] * R[a]
+        for n in range(2):
+            first, body = 9 * (i if n == 0 else j), D[i if n == 0 else j]
+            for a in range(3):
+                for b in range(3):
+                    w[3 * n + b] += y[first + 3 * a + b] * R[a]
+                    for c in range(3):
+                        AD[3 * n + a, b] += y[first + 3 * a + c] * body[c, b]
+            for a in range(3):
+                for b in range(3):
+                    e[3 * n + a] += body[a, b] * w[3 * n + b]
+                    g[3 * n + a] += AD[3 * n + a, b] * w[3 * n + b]
+                    for c in range(3):
+                        S[3 * n + a, b] += AD[3 * n + a, c] * y[first + 3 * b + c]
+            for a in range(3):
+                for b in range(3):
+                    u[3 * n + a] += body[a, b] * e[3 * n + b]
+        return R, square, w, e, g, u, AD, S
+
+    found = callable_from_compiled(parts)
+
+    def value(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
+        G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
+        squares = constants[squares_at:]
+        total = 0.0 * y[0]
+        for i in range(begin, count, step):
+            for j in range(i):
+                _, square, w, e, g, _, _, S = found(y, D, i, j)
+                fifth = 1.0 / (square * square * np.sqrt(square))
+                first, second, mixed, own, other = 0.0 * y[0], 0.0 * y[0], 0.0 * y[0], 0.0 * y[0], 0.0 * y[0]
+                trace = 0.0 * y[0]
+                for a in range(3):
+                    first += w[a] * e[a]
+                    second += w[3 + a] * e[3 + a]
+                    mixed += g[a] * g[3 + a]
+                    own += e[a] * e[a]
+                    other += e[3 + a] * e[3 + a]
+                    for b in range(3):
+                        trace += S[a, b] * S[3 + a, b]
+                E1 = 105.0 * first * first / square**2 - 60.0 * own / square + 6.0 * squares[i]
+                E2 = 105.0 * second * second / square**2 - 60.0 * other / square + 6.0 * squares[j]
+                E12 = 105.0 * first * second / square**2 - 60.0 * mixed / square + 6.0 * trace
+                weighted = 15.0 / 7.0 * (m[j] / m[i] * E1 + m[i] / m[j] * E2) + 6.0 * E12
+                total -= G * weighted * fifth / 24.0
+        return total
+
+    def gradient(y: Any, constants: Any, share: Any = ALL_SHARES) -> Any:
+        begin, step = bodies_of(share)
+        G, m, D = constants[0], constants[1:D_at], constants[D_at:squares_at].reshape(count, 3, 3)
+        squares = constants[squares_at:]
+        result = 0.0 * y
+        for i in range(begin, count, step):
+            for j in range(i):
+                R, square, w, e, g, u, AD, S = found(y, D, i, j)
+                fifth = 1.0 / (square * square * np.sqrt(square))
+                q, own, mixed, trace = 0.0 * y[:2], 0.0 * y[:2], 0.0 * y[0], 0.0 * y[0]
+                for a in range(3):
+                    mixed += g[a] * g[3 + a]
+                    for n in range(2):
+                        q[n] += w[3 * n + a] * e[3 * n + a]
+                        own[n] += e[3 * n + a] * e[3 * n + a]
+                    for b in range(3):
+                        trace += S[a, b] * S[3 + a, b]
+                # The powers of s: those of each term by its own degree.
+                along = 0.0 * y[0]
+                for n in range(2):
+                    one, other = (i, j) if n == 0 else (j, i)
+                    k = -G / 24.0 * 15.0 / 7.0 * m[other] / m[one] * fifth
+                    along -= k * (945.0 * q[n] * q[n] / square**2 - 420.0 * own[n] / square + 30.0 * squares[one])
+                    by_q, by_own = k * 210.0 * q[n] / square**2, -60.0 * k / square
+                    cross = -G / 4.0 * fifth
+                    by_q += cross * 105.0 * q[1 - n] / square**2
+                    by_mixed, by_trace = -60.0 * cross / square, 6.0 * cross
+                    x = 0.0 * y[:3]  # D A^T g of the other body
+                    for b in range(3):
+                        for a in range(3):
+                            x[b] += AD[3 * n + a, b] * g[3 * (1 - n) + a]
+                    for a in range(3):
+                        push = 2.0 * by_q * g[3 * n + a]
+                        for b in range(3):
+                            entry = y[9 * one + 3 * a + b]
+                            push += entry * (2.0 * by_own * u[3 * n + b] + by_mixed * x[b])
+                            slope = R[a] * (2.0 * by_q * e[3 * n + b] + 2.0 * by_own * u[3 * n + b] + by_mixed * x[b])
+                            slope += by_mixed * g[3 * (1 - n) + a] * e[3 * n + b]
+                            for c in range(3):
+                                slope += 2.0 * by_trace * S[3 * (1 - n) + a, c] * AD[3 * n + c, b]
+                            result[9 * one + 3 * a + b] += slope
+                        result[axes + 3 * i + a] += push
+                        result[axes + 3 * j + a] -= push
+                cross = -G / 4.0 * fifth
+                along -= cross * (945.0 * q[0] * q[1] / square**2 - 420.0 * mixed / square + 30.0 * trace)
+                for a in range(3):
+                    result[axes + 3 * i + a] += along * R[a] / square
+                    result[axes + 3 * j + a] -= along * R[a] / square
+        return result
+
+    slopes = callable_from_compiled(gradient)
+
+    def hessian(y: Any, constants: Any) -> Any:
+        result = np.outer(0.0 * y, y)
+        for k in range(len(y)):
+            moved = y + 0.0j
+            moved[k] += 1j * STEP
+            change = slopes(moved, constants)
+            for n in range(len(y)):
+                result[n, k] = change[n].imag / STEP
+        return result
+
+    return value, gradient, hessian

@@ -9,18 +9,19 @@ from typing import Any, NamedTuple, Self, cast
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, plain, short
 from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, repeated_rows
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Term, rows_of, starts_of_rows
-from coadjoint.systems.matrix_entries import BYTES_PER_ENTRY, check_symmetric, real_array, sparse_entries
 from coadjoint.systems.product_sums import ProductSums
-from coadjoint.validation import read_finite, read_integer, read_number
+from coadjoint.validation import REAL_KINDS, read_finite, read_integer, read_number, to_array
 
 UNBOUND = "Quadratic of a number has no dimension yet; call bind(n) first"
 
@@ -423,3 +424,58 @@ class Quadratic(Summable):
 @plain.register(Quadratic)
 def _(value: Quadratic) -> Any:
     return plain(value.to_polynomial())
+
+
+BYTES_PER_ENTRY = 100  # peak, while entries are sorted and compared with the transposed ones
+SPARSE = "give a sparse matrix, or a diagonal"
+
+
+def real_array(argument: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
+    """Return a copy as float64, or as objects if it contains fractions; raise an error unless real and finite."""
+    array = to_array(argument, name)
+    check_available_memory(BYTES_PER_ENTRY * array.size, f"{name} of shape {array.shape}", SPARSE)
+    floats = read_finite(array, name)
+    if array.dtype != object:
+        return floats
+    exact = np.empty(array.shape, dtype=object)
+    # NumPy integers in an array of objects would overflow silently.
+    for index, entry in np.ndenumerate(array):
+        exact[index] = entry.item() if isinstance(entry, np.generic) else entry
+    return exact
+
+
+def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], bool]:
+    """Return n, rows, columns and values of a SciPy sparse matrix, sorted by rows, and whether it is symmetric."""
+    if M.ndim != 2 or M.shape[0] != M.shape[1]:
+        raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
+    check_available_memory(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")
+    csr = M.tocsr().copy()
+    csr.sum_duplicates()
+    csr.eliminate_zeros()
+    if csr.dtype.kind not in REAL_KINDS:
+        raise TypeError(f"M has numbers of type {csr.dtype}; give real numbers")
+    n, entries = int(M.shape[0]), csr.data.astype(np.float64)
+    rows = np.repeat(np.arange(n, dtype=np.int64), np.diff(csr.indptr))
+    bad = np.flatnonzero(~np.isfinite(entries))
+    if bad.size:
+        raise ValueError(f"M[{rows[bad[0]]}, {csr.indices[bad[0]]}] is {entries[bad[0]]}; give finite numbers")
+    transposed = csr.transpose().tocsr()
+    pairs = ((transposed.indptr, csr.indptr), (transposed.indices, csr.indices), (transposed.data, csr.data))
+    return n, rows, csr.indices, entries, all(np.array_equal(a, b) for a, b in pairs)
+
+
+def check_symmetric(n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], values: npt.NDArray[Any]) -> None:
+    """Raise ValueError for asymmetry beyond 64 u of the largest entry, the round-off of a computed symmetric matrix."""
+    above, below = rows < columns, rows > columns
+    upper, lower = rows[above] * n + columns[above], columns[below] * n + rows[below]
+    positions = distinct(np.concatenate([upper, lower]))
+    first, second = np.zeros(positions.size), np.zeros(positions.size)
+    first[np.searchsorted(positions, upper)] = values[above]
+    second[np.searchsorted(positions, lower)] = values[below]
+    bad = np.flatnonzero(np.abs(first - second) > 64 * UNIT_ROUNDOFF * np.abs(values).max(initial=0.0))
+    if bad.size:
+        i, j = divmod(int(positions[bad[0]]), n)
+        raise ValueError(
+            f"M is not symmetric: M[{i}, {j}] = {first[bad[0]]:g} but M[{j}, {i}] = {second[bad[0]]:g}; "
+            "give both the same value"
+        )

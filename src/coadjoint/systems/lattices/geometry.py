@@ -1,4 +1,4 @@
-"""Positions of the sites of lattices in space, and their reciprocal lattices."""
+"""Lattices: positions of the sites in space, reciprocal lattices, and neighbours, also of graphs given by edges."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.memory import check_available_memory
+from coadjoint.short_repr import short
+from coadjoint.validation import read_bool, read_choice, read_integer, read_list, to_array
+
 Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+BYTES_PER_EDGE = 100  # peak, while edges are sorted
+MAX_SITES = 2**30  # three coordinates per site, with 32-bit indices
 
 COS_60, SIN_60 = 0.5, math.sqrt(0.75)  # directions of bonds of triangles and hexagons
 
@@ -68,3 +75,117 @@ def reciprocal_edges(lattice: str) -> Floats:
 def _cells(shape: Any) -> Floats:
     sizes = sizes_of(shape)
     return np.indices(sizes).reshape(len(sizes), -1).T.astype(np.float64)
+
+
+class Cell(NamedTuple):
+    """A unit cell: its number of sites, and its bonds as (site, site of the other cell, offset of the other cell)."""
+
+    sites: int
+    bonds: tuple[tuple[int, int, tuple[int, ...]], ...]
+
+
+# Offsets are along the axes of the cells, which need not be orthogonal; all bonds of a lattice have equal length.
+CELLS: Mapping[str, Cell] = {
+    "chain": Cell(1, ((0, 0, (1,)),)),
+    "square": Cell(1, ((0, 0, (1, 0)), (0, 0, (0, 1)))),
+    "triangular": Cell(1, ((0, 0, (1, 0)), (0, 0, (0, 1)), (0, 0, (1, -1)))),
+    "honeycomb": Cell(2, ((0, 1, (0, 0)), (1, 0, (1, 0)), (1, 0, (0, 1)))),
+    "kagome": Cell(
+        3, ((0, 1, (0, 0)), (0, 2, (0, 0)), (1, 2, (0, 0)), (1, 0, (1, 0)), (2, 0, (0, 1)), (1, 2, (1, -1)))
+    ),
+    "cubic": Cell(1, ((0, 0, (1, 0, 0)), (0, 0, (0, 1, 0)), (0, 0, (0, 0, 1)))),
+}
+NAMES = (*CELLS, "complete", "ring")
+
+
+def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
+    """Return the number of sites of a lattice (a name of `NAMES`, or pairs of sites), and its edges, (edges, 2) int64.
+
+    `shape` counts cells along each axis, or sites if edges are given; `periodic` joins the last cell to the first.
+    Cells are numbered with the last axis fastest, sites by cells; edges are ordered by bonds, then by their first cell.
+    """
+    if not isinstance(lattice, str):
+        count = read_integer(shape, "shape, the number of sites where edges are given,", 1, MAX_SITES)
+        read_flags(periodic, 1)
+        edges = _read_edges(lattice, count)
+    elif read_choice(lattice, "lattice", NAMES) == "complete":
+        count = read_integer(shape, "shape of a complete graph, its number of sites,", 1, MAX_SITES)
+        read_flags(periodic, 1)
+        check_available_memory(BYTES_PER_EDGE * count * (count - 1) / 2, f"a complete graph of {short(count)} sites")
+        edges = np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
+    else:
+        cell, closed = (CELLS["chain"], True) if lattice == "ring" else (CELLS[lattice], periodic)
+        axes = len(cell.bonds[0][2])
+        sizes = _sizes(shape, axes, lattice)
+        count = cell.sites * math.prod(sizes)
+        check_available_memory(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
+        flags = read_flags(closed, axes)
+        edges = _edges_of_cells(cell, sizes, flags)
+        if all(size >= 3 for size, flag in zip(sizes, flags, strict=True) if flag):
+            return count, edges
+    _check_simple(edges, count, lattice, shape)
+    return count, edges
+
+
+def _sizes(shape: Any, axes: int, lattice: str) -> tuple[int, ...]:
+    rule = f"give {axes} whole numbers" if axes > 1 else "give one whole number"
+    sizes = (shape,) if axes == 1 and not isinstance(shape, tuple | list) else read_list(shape, "shape", rule)
+    if len(sizes) != axes:
+        raise ValueError(f"shape is {short(shape)}; {rule} for a lattice that is {lattice}")
+    return tuple(read_integer(size, f"shape[{axis}]") for axis, size in enumerate(sizes))
+
+
+def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
+    """Return one flag for each axis."""
+    if not isinstance(periodic, tuple | list):
+        return (read_bool(periodic, "periodic"),) * axes
+    if len(periodic) != axes:
+        raise ValueError(f"periodic is {short(periodic)}; give one truth value, or {axes} of them")
+    return tuple(read_bool(flag, f"periodic[{axis}]") for axis, flag in enumerate(periodic))
+
+
+def _edges_of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
+    numbers = np.arange(math.prod(sizes), dtype=np.int64).reshape(sizes)
+    edges = []
+    for first, second, step in cell.bonds:
+        cells, others = numbers, numbers
+        for axis, (shift, size, closed) in enumerate(zip(step, sizes, periodic, strict=True)):
+            others = np.roll(others, -shift, axis) if shift else others
+            if shift and not closed:
+                inside = slice(max(0, -shift), size - max(0, shift))
+                index = (slice(None),) * axis + (inside,)
+                cells, others = cells[index], others[index]
+        edges.append(np.stack([cells.ravel() * cell.sites + first, others.ravel() * cell.sites + second], axis=1))
+    return np.concatenate(edges)
+
+
+def _read_edges(edges: Any, count: int) -> Integers:
+    array = to_array(edges, "lattice")
+    if array.size == 0:
+        return np.zeros((0, 2), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu":
+        raise ValueError(
+            f"lattice is {short(edges, 60)}; give pairs of sites, whole numbers of shape (edges, 2), or one of "
+            f"{', '.join(NAMES)}"
+        )
+    check_available_memory(BYTES_PER_EDGE * len(array), f"a graph of {len(array)} edges")
+    outside = np.argwhere((array < 0) | (array >= count))
+    if outside.size:
+        edge, end = outside[0].tolist()
+        raise ValueError(f"edge {edge} has the site {array[edge, end]}; sites are numbered from 0 to {count - 1}")
+    return array.astype(np.int64)
+
+
+def _check_simple(edges: Integers, count: int, lattice: Any, shape: Any) -> None:
+    """Raise ValueError for an edge from a site to itself, and for two edges between the same sites."""
+    low, high = np.minimum(*edges.T), np.maximum(*edges.T)
+    what = f"a periodic {lattice} lattice of shape {short(shape)}" if isinstance(lattice, str) else "lattice"
+    advice = "; take 3 or more cells along periodic axes" if isinstance(lattice, str) else ""
+    loops = np.flatnonzero(low == high)
+    if loops.size:
+        raise ValueError(f"{what} joins site {low[loops[0]]} to itself{advice or '; give pairs of different sites'}")
+    keys = np.sort(low * count + high)
+    duplicates = np.flatnonzero(keys[1:] == keys[:-1])
+    if duplicates.size:
+        i, j = divmod(int(keys[duplicates[0]]), count)
+        raise ValueError(f"{what} joins the sites {i} and {j} twice{advice or '; give every pair once'}")
