@@ -88,7 +88,7 @@ class Inputs:
         self._linear = np.zeros(0)
         if not all(isinstance(target, str) for target in named.values()):
             check_linear(self._unforced)
-            self._linear = linear_of(self._unforced.hamiltonian, system.dim)
+            self._linear = linear_of(self._unforced.hamiltonian)
         self.values = self._linear
         self._torques: dict[int, NDArray[np.int64]] = {}
         self.indices: dict[str, NDArray[np.int64]] = {}
@@ -272,7 +272,7 @@ class Inputs:
         if size:
             linear, at = values[:size], self.in_energy
             if of is not None:
-                linear = linear_of(system.hamiltonian, size)
+                linear = linear_of(system.hamiltonian)
                 linear[at] = values[at]
             system = with_linear(system, linear)
         forces: list[Any] = list((self.system if of is None else of).forces)

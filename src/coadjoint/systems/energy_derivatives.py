@@ -12,7 +12,6 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coefficients import Coefficients, Monomials, decoded
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
 from coadjoint.systems.parameter_differences import sizes_of_entries
 from coadjoint.systems.user_functions import callable_from_compiled
 
@@ -319,25 +318,5 @@ def gradients_at(system: Any, x: Floats, times: Floats) -> Floats:
         )
     total = np.zeros(x.shape)
     for term in terms:
-        if isinstance(term, FunctionTerm):
-            _add_functions(total, term, x, times)
-        elif isinstance(term, PolynomialTerm) and term.form is None:
-            total += term.polynomial.gradient(x)
-        else:
-            _add_quadratic(total, term.form, x)
+        term.add_gradients(total, x, times.tolist())
     return total
-
-
-def _add_quadratic(total: Floats, term: Any, x: Floats) -> None:
-    from scipy.sparse import csr_array
-
-    n = x.shape[-1]
-    M = csr_array((term.values, term.indices, term.indptr), shape=(n, n))
-    total += (M @ x.reshape(-1, n).T).T.reshape(x.shape) + term.linear
-
-
-def _add_functions(total: Floats, term: FunctionTerm, x: Floats, times: Floats) -> None:
-    for k, t in enumerate(times.tolist()):
-        for m in range(x.shape[1]):
-            y = x[k, m, term.coordinates]
-            total[k, m, term.coordinates] += term.gradient(y[0] if term.scalar else y, *((t,) if term.timed else ()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, cast
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -15,10 +15,9 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.evaluation import ignore_overflow, scatter
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 from coadjoint.systems.user_functions import evaluate, sample_points
 
 # Systems search for Casimirs automatically up to this number of monomials times constants per coordinate, which takes
@@ -71,21 +70,16 @@ def read_invariants(argument: Any, n: int, kind: str) -> dict[str, Any]:
             raise ValueError(
                 f"{article} {kind} is called 'energy', which is the name of the Hamiltonian; choose another name"
             )
-        if not isinstance(invariant, Polynomial | Quadratic | Invariant) and not callable(invariant):
-            raise TypeError(
-                f"the {kind} {short(name)} is {short(invariant)}; "
-                "give a Polynomial, a Quadratic, an Invariant or a function of x"
-            )
+        if not isinstance(invariant, Polynomial | Quadratic | Invariant):
+            if not callable(invariant):
+                raise TypeError(
+                    f"the {kind} {short(name)} is {short(invariant)}; "
+                    "give a Polynomial, a Quadratic, an Invariant or a function of x"
+                )
+            invariant = Invariant(invariant)
         if isinstance(invariant, Polynomial) and invariant.dim != n:
             raise ValueError(f"the {kind} {short(name)} has {invariant.dim} variables but the system has dimension {n}")
-        has_gradient_form = isinstance(invariant, Polynomial | Invariant)
-        result[str(name)] = (
-            invariant
-            if has_gradient_form
-            else invariant.bind(n)
-            if isinstance(invariant, Quadratic)
-            else Invariant(invariant)
-        )
+        result[str(name)] = invariant.bind(n) if isinstance(invariant, Quadratic) else invariant
     return result
 
 
@@ -120,27 +114,17 @@ def _search_size(dim: int, degree: int, constants: int) -> float:
 
 
 def gradient_and_scale(
-    name: str, invariant: Polynomial | Quadratic | Invariant, x: npt.NDArray[np.float64], kind: str = "Casimir"
+    name: str, invariant: Any, x: npt.NDArray[np.float64], kind: str = "Casimir"
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], int] | None:
     """Return gradient (n,) at a point, sums of its absolute products (n,), and their number; None if not finite."""
     n = x.size
     with np.errstate(all="ignore"):
-        gradient = np.asarray(cast(Any, invariant.gradient)(x), dtype=np.float64)
+        gradient, size, operations = invariant.gradient_and_size(x)
     if gradient.shape != (n,):
         raise ValueError(f"the gradient of the {kind} {short(name)} has shape {gradient.shape}; it must have ({n},)")
     if not np.all(np.isfinite(gradient)):
         return None
-    if isinstance(invariant, Polynomial):
-        monomials: dict[tuple[int, ...], Any] = {e: abs(c) for e, c in invariant.monomials.items()}
-        absolute = Polynomial(monomials, dim=n)
-        size = np.asarray(absolute.gradient(np.abs(x)), dtype=np.float64)
-        return gradient, size, 64 + 2 * n + len(invariant.monomials) + invariant.degree
-    if isinstance(invariant, Quadratic):
-        (term,) = invariant.terms()
-        assert isinstance(term, QuadraticTerm)
-        size = scatter(term.rows, np.abs(term.values * x[term.indices]), n) + np.abs(term.linear)
-        return gradient, size, 64 + 2 * n + len(term.values)
-    return gradient, np.abs(gradient), 2**20
+    return np.asarray(gradient, dtype=np.float64), np.asarray(size, dtype=np.float64), operations
 
 
 def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, product: Product, size: Product) -> None:
@@ -168,7 +152,6 @@ def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product,
     if isinstance(integrals, KnownInvariants):
         return integrals
     result = read_invariants(integrals, n, "integral")
-    polynomial = H.polynomial if isinstance(H, PolynomialHamiltonian) else H if isinstance(H, Quadratic) else None
     points = sample_points(n) if any(F.gradient is not None for F in result.values()) else []
     for x in points:
         for t in TIMES if H.timed else TIMES[:1]:
@@ -176,8 +159,8 @@ def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product,
             if isinstance(force, Exception) or not np.all(np.isfinite(force)):
                 continue
             bound, work = np.abs(force), 2**20
-            if polynomial is not None:
-                _, bound, work = gradient_and_scale("energy", polynomial, x) or (force, bound, work)
+            if hasattr(H, "gradient_and_size"):
+                _, bound, work = gradient_and_scale("energy", H, x) or (force, bound, work)
             field, sizes = product(x, force), size(x, bound)
             for name, F in result.items():
                 scaled = None if F.gradient is None else gradient_and_scale(name, F, x, "integral")

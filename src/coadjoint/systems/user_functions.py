@@ -40,6 +40,17 @@ class MultipleOf:
         value = self.function(*arguments)
         return self.factor * (value if self.scalar else np.asarray(value))
 
+    @property
+    def kernel_forms(self) -> Forms | None:
+        """The tables of the multiple; None if the function has none."""
+        forms = forms_of(self.function)
+        return None if forms is None else forms._replace(weight=self.factor * forms.weight)
+
+    @property
+    def called_in_python(self) -> bool:
+        """Whether the function is."""
+        return is_called_in_python(self.function)
+
 
 @dataclass(frozen=True)
 class SumOfShares:
@@ -82,7 +93,7 @@ class Formula:
     """A function of x with the same function as tables, which the kernels evaluate without compiling the function."""
 
     function: Callable[..., Any]
-    forms: Forms
+    kernel_forms: Forms
 
     def __call__(self, *arguments: Any) -> Any:
         """Return the value at x."""
@@ -91,16 +102,12 @@ class Formula:
 
 def forms_of(function: Any) -> Forms | None:
     """Return the tables of a `Formula` or of a multiple of one; None for any other function."""
-    if isinstance(function, Formula):
-        return function.forms
-    forms = forms_of(function.function) if isinstance(function, MultipleOf) else None
-    return None if forms is None else forms._replace(weight=function.factor * forms.weight)
+    return getattr(function, "kernel_forms", None)
 
 
 def is_called_in_python(function: Any) -> bool:
     """Return whether a function of (x, t), or a multiple of one, is called in Python by the loops, not compiled."""
-    inner = function.function if isinstance(function, MultipleOf) else function
-    return is_called_in_python(inner) if inner is not function else getattr(function, "called_in_python", False)
+    return getattr(function, "called_in_python", False)
 
 
 def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:

@@ -71,6 +71,12 @@ class Invariant:
             raise ValueError(f"period of an Invariant is {period!r}; it must not be negative")
         object.__setattr__(self, "period", period)
 
+    def gradient_and_size(self, x: Any) -> tuple[NDArray[Any], NDArray[Any], int]:
+        """Return the gradient, its absolute values, and a bound of the operations: twenty bits may be lost."""
+        assert self.gradient is not None
+        gradient = np.asarray(self.gradient(x), dtype=np.float64)
+        return gradient, np.abs(gradient), 2**20
+
     def __call__(self, x: Any) -> Any:
         """Return the value at the state x, shape (n,), or the values at states of the shape (..., n)."""
         if np.ndim(x) < 2:

@@ -378,6 +378,11 @@ class Polynomial:
         point = self._point(x, several=True)
         return self._gradient_sum(point) if point.ndim == 1 else self._gradient_sum.along(point)
 
+    def gradient_and_size(self, x: Any) -> tuple[NDArray[Any], NDArray[Any], int]:
+        """Return the gradient, the sums of its absolute products in each component, and a bound of their number."""
+        absolute = Polynomial({exponents: abs(c) for exponents, c in self.monomials.items()}, dim=self.dim)
+        return self.gradient(x), absolute.gradient(np.abs(x)), 64 + 2 * self.dim + len(self.monomials) + self.degree
+
     @IGNORE_OVERFLOW
     def hessian(self, x: Any) -> NDArray[Any]:
         """Return the second derivatives at x, shape (n, n); dtype object is allowed.

@@ -306,7 +306,7 @@ def linear_coefficients_in(force: Force, system: Any) -> list[int]:
         return None if reader.read is None else compilation_key(reader.read)
 
     try:
-        linear = linear_of(system.hamiltonian, n)
+        linear = linear_of(system.hamiltonian)
         moved = 2.0 * linear + 1.0 + np.arange(n)
         own = key_at(linear)
         if own == key_at(moved):

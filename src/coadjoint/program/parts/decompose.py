@@ -263,7 +263,7 @@ def _explicit_decomposition(system: LiePoissonSystem, choice: ChosenParts) -> De
         extended = with_placeholders(system, choice.linear)
     parts = split(extended, "auto", shifted_terms(extended.hamiltonian.terms(), casimirs, choice.shift))
     if extended is not system:
-        parts = with_linear_offsets(parts, linear_of(system.hamiltonian, system.dim))
+        parts = with_linear_offsets(parts, linear_of(system.hamiltonian))
     if len(parts) != len(choice.order):
         raise ValueError(
             f"parts orders {len(choice.order)} parts, but {system.name} has {len(parts)} of them; "

@@ -317,6 +317,28 @@ class PolynomialHamiltonian(Summable):
         """Return the second derivatives, shape (n, n)."""
         return self.polynomial.hessian(read_point(x, self.dim))
 
+    def gradient_and_size(self, x: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
+        """Return that of the polynomial."""
+        return self.polynomial.gradient_and_size(x)
+
+    has_linear = True
+
+    def linear_part(self) -> npt.NDArray[np.float64]:
+        """Return the coefficients of the linear term, (n,)."""
+        linear = np.zeros(self.polynomial.dim)
+        for exponents, coefficient in self.polynomial.monomials.items():
+            if sum(exponents) == 1:
+                linear[exponents.index(1)] = float(coefficient)
+        return linear
+
+    def with_linear(self, linear: npt.NDArray[np.float64]) -> PolynomialHamiltonian:
+        """Return the polynomial with another linear part."""
+        monomials = {e: c for e, c in self.polynomial.monomials.items() if sum(e) != 1}
+        n = self.polynomial.dim
+        for k in np.flatnonzero(linear).tolist():
+            monomials[tuple(int(i == k) for i in range(n))] = float(linear[k])
+        return PolynomialHamiltonian(Polynomial(monomials, dim=n))
+
     def terms(self) -> tuple[Term, ...]:
         """Return the single `PolynomialTerm`."""
         return (PolynomialTerm(self.polynomial),)

@@ -320,6 +320,14 @@ class Quadratic(Summable):
 
         return cast(Self, scale_quadratic(self, factor))
 
+    has_linear = True
+
+    def linear_part(self) -> npt.NDArray[np.float64]:
+        """Return the coefficients of the linear term, (n,)."""
+        (term,) = self.terms()
+        assert term.form is not None
+        return np.array(term.form.linear)
+
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
         """Return the same bound Hamiltonian with another linear part; M is shared."""
         n = self.as_given().linear.size
@@ -354,6 +362,13 @@ class Quadratic(Summable):
         """Return ``M x + linear``, shape (n,)."""
         bound, y = self._at(x)
         return bound._product(y) + bound._linear_part(y)
+
+    def gradient_and_size(self, x: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
+        """Return the gradient, the sums of its absolute products in each component, and a bound of their number."""
+        (term,) = self.terms()
+        form, n = cast(QuadraticTerm, term), x.size
+        size = scatter(form.rows, np.abs(form.values * x[form.indices]), n) + np.abs(form.linear)
+        return self.gradient(x), size, 64 + 2 * n + len(form.values)
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return M as a dense array, shape (n, n)."""

@@ -165,6 +165,21 @@ class Separable(Summable):
             raise TypeError("Separable has no dimension yet; call bind(n) first")
         return self.functions()
 
+    def linear_part(self) -> npt.NDArray[np.float64]:
+        """Return zeros, (n,): linear functions are functions like others."""
+        assert self.dim is not None
+        return np.zeros(self.dim)
+
+    def with_linear(self, linear: npt.NDArray[np.float64]) -> Summable:
+        """Return the functions as pieces of a `SplitHamiltonian`, with the linear term in others."""
+        from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
+
+        pieces = []
+        for term in self._terms:
+            functions = (term.value, term.gradient, *(() if term.hessian is None else (term.hessian,)))
+            pieces.append(((int(term.coordinates[0]),), Separable({0: functions})))
+        return SplitHamiltonian(pieces).bind(len(linear)).with_linear(linear)
+
     def functions(self) -> tuple[FunctionTerm, ...]:
         """Return the functions of each coordinate, in order."""
         return tuple(self._terms)

@@ -30,26 +30,20 @@ class RecordedPolynomials:
     """The monomials of the recorded operations that are polynomials of the coordinates."""
 
     def __init__(self, recorded: TracedFunction) -> None:
-        self._nodes, self._n = recorded.graph.nodes, len(recorded.variables)
+        self._graph, self._n = recorded.graph, len(recorded.variables)
         self._expanded: dict[int, Monomials | None] = {}
 
-    def monomials(self, node: Traced) -> Monomials | None:
+    def monomials(self, node: int) -> Monomials | None:
         """Return the monomials of a node, or None if it is no polynomial of the coordinates, or a large one."""
         # Earlier nodes come first, so that there is no recursion.
-        needed, pending = set[int](), [node.index]
-        while pending:
-            index = pending.pop()
-            if index not in needed and index not in self._expanded:
-                needed.add(index)
-                pending += [a.index for a in self._nodes[index][1] if isinstance(a, Traced)]
-        for index in sorted(needed):
+        for index in self._graph.needed([node], self._expanded):
             found = self._expand(index)
             usable = found is not None and len(found) <= MAX_MONOMIALS and all(map(is_finite, found.values()))
             self._expanded[index] = found if usable else None
-        return self._expanded[node.index]
+        return self._expanded[node]
 
     def _expand(self, index: int) -> Monomials | None:
-        operation, arguments = self._nodes[index]
+        operation, arguments = self._graph.nodes[index]
         if operation == "variable":
             return {(index,): 1} if index < self._n else None
         if operation not in ("add", "sub", "neg", "mul", "div", "pow"):
@@ -118,7 +112,7 @@ def separated(
         local = summands.coordinates(summand)
         coordinates = [places[k] for k in local]
         noncommuting = first_noncommuting(coordinates)
-        monomials = summands.monomials(summand)
+        monomials = summands.monomials(summand.index)
         simple = monomials is not None and (len(monomials) == 1 or max(map(len, monomials)) <= 2)
         if monomials is not None and (simple or noncommuting is not None):
             for key, value in monomials.items():
@@ -147,11 +141,7 @@ def _check_sum(term: FunctionTerm, terms: list[Term], n: int) -> None:
         x, total = np.zeros(n), np.zeros(n)
         x[term.coordinates] = y
         for part in terms:
-            if isinstance(part, FunctionTerm):
-                inside = x[part.coordinates]
-                total[part.coordinates] += part.gradient(inside, t) if part.timed else part.gradient(inside)
-            elif isinstance(part, PolynomialTerm):
-                total += part.polynomial.gradient(x)
+            part.add_gradients(total[None, None], x[None, None], [t])
         return total[term.coordinates]
 
     m = len(term.coordinates)
@@ -167,10 +157,11 @@ class _Summands:
 
     def __init__(self, recorded: TracedFunction) -> None:
         self._nodes, self._result = recorded.graph.nodes, recorded.result
+        inputs = recorded.graph.inputs
         self._n = len(recorded.variables)
         self._depends: list[frozenset[int]] = []
-        for index, (operation, arguments) in enumerate(self._nodes):
-            inner = [self._depends[a.index] for a in arguments if isinstance(a, Traced)]
+        for index, (operation, _) in enumerate(self._nodes):
+            inner = [self._depends[k] for k in inputs[index]]
             self._depends.append(frozenset([index]) if operation == "variable" else frozenset().union(*inner))
         self.monomials = RecordedPolynomials(recorded).monomials
 
@@ -234,13 +225,8 @@ def _alone(
     n, nodes, graph = len(recorded.variables), recorded.graph.nodes, Graph()
     variables = tuple(graph.record("variable", f"x[{j}]") for j in range(len(coordinates)))
     copies: dict[int, Any] = dict(zip(coordinates, variables, strict=True))
-    needed, pending = set[int](), [node.index for _, node in summands]
-    while pending:
-        index = pending.pop()
-        if index not in needed and index not in copies:
-            needed.add(index)
-            pending += [a.index for a in nodes[index][1] if isinstance(a, Traced)]
-    for index in sorted(needed):
+    needed = recorded.graph.needed([node.index for _, node in summands], copies)
+    for index in needed:
         operation, arguments = nodes[index]
         copied = (copies[a.index] if isinstance(a, Traced) else a for a in arguments)
         copies[index] = graph.record(operation, *copied)
@@ -308,15 +294,15 @@ def polynomial_arguments(value: Callable[..., Any], n: int, timed: bool) -> Poly
 def _outermost(recorded: TracedFunction) -> dict[int, Monomials]:
     """Return the polynomials that other operations, or the result, take."""
     polynomials, found = RecordedPolynomials(recorded), dict[int, Monomials]()
-    pending, seen = [recorded.result] if isinstance(recorded.result, Traced) else [], set[int]()
+    pending, seen = [recorded.result.index] if isinstance(recorded.result, Traced) else [], set[int]()
     while pending:
-        node = pending.pop()
-        if node.index in seen:
+        index = pending.pop()
+        if index in seen:
             continue
-        seen.add(node.index)
-        monomials = polynomials.monomials(node)
+        seen.add(index)
+        monomials = polynomials.monomials(index)
         if monomials is None:
-            pending += [a for a in recorded.graph.nodes[node.index][1] if isinstance(a, Traced)]
+            pending += recorded.graph.inputs[index]
         else:
-            found[node.index] = monomials
+            found[index] = monomials
     return dict(sorted(found.items()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import Term
@@ -139,6 +140,38 @@ class SplitHamiltonian(Summable):
         result = copy.copy(self)
         result.pieces = tuple(piece.times(factor) for piece in self.pieces if isinstance(piece, Summable))
         return result
+
+    has_linear = True
+
+    def linear_part(self) -> npt.NDArray[np.float64]:
+        """Return the sum of the linear parts of the pieces, (n,)."""
+        assert self.dim is not None
+        linear = np.zeros(self.dim)
+        for coordinates, piece in zip(self.coordinates, self.pieces, strict=True):
+            if getattr(piece, "has_linear", False):
+                linear[list(coordinates)] += cast(Summable, piece).linear_part()
+        return linear
+
+    def with_linear(self, linear: npt.NDArray[np.float64]) -> SplitHamiltonian:
+        """Return the pieces with another linear term: a coefficient that changes is that of one piece, or a new one."""
+        pieces: list[Any] = list(zip(self.coordinates, self.pieces, strict=True))
+        for k in np.flatnonzero(linear != self.linear_part()).tolist():
+            candidates = [
+                p for p, (chosen, piece) in enumerate(pieces) if k in chosen and getattr(piece, "has_linear", False)
+            ]
+            if len(candidates) > 1:
+                raise ValueError(
+                    f"pieces {candidates[0]} and {candidates[1]} of the SplitHamiltonian are polynomials in coordinate "
+                    f"{k}, so its linear coefficient is ambiguous; use the coordinate in one of them"
+                )
+            if not candidates:
+                pieces.append(((k,), Quadratic(0.0, linear=linear[k : k + 1])))
+                continue
+            chosen, piece = pieces[candidates[0]]
+            part = piece.linear_part()
+            part[chosen.index(k)] = linear[k]
+            pieces[candidates[0]] = chosen, piece.with_linear(part)
+        return SplitHamiltonian(pieces).bind(len(linear))
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the sum of the pieces."""

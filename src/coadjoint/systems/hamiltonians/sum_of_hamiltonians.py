@@ -50,6 +50,20 @@ class SumOfHamiltonians(Summable):
         """Return the Hamiltonian multiplied by a factor."""
         return type(self)([factor * summand for summand in self.summands])
 
+    def linear_part(self) -> npt.NDArray[np.float64]:
+        """Return the sum of the linear parts of the summands, (n,)."""
+        assert self.dim is not None
+        parts = [summand.linear_part() for summand in self.summands if getattr(summand, "has_linear", False)]
+        return np.asarray(sum(parts) + np.zeros(self.dim))
+
+    def with_linear(self, linear: npt.NDArray[np.float64]) -> SumOfHamiltonians:
+        """Replace the linear term of the `Quadratic` or polynomial, the first summand; add one if missing."""
+        first, *rest = self.summands
+        if not isinstance(first, Quadratic | PolynomialHamiltonian):
+            first, rest = Quadratic(np.zeros(len(linear))), [first, *rest]
+        elsewhere = SumOfHamiltonians([first, *rest]).linear_part() - first.linear_part()
+        return SumOfHamiltonians([first.with_linear(linear - elsewhere), *rest])
+
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return H(x, t)."""
         return sum(summand.value(x, t) for summand in self.summands)

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from fractions import Fraction
 from typing import Any, Self, cast
 
+import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient, read_coefficient
@@ -23,6 +24,17 @@ class Summable(ABC):
     @abstractmethod
     def times(self, factor: Coefficient) -> Self:
         """Return the Hamiltonian, of the same type, multiplied by a finite int, float or Fraction."""
+
+    has_linear = False
+    """Whether a sum takes its linear term from this summand."""
+
+    def linear_part(self) -> npt.NDArray[np.float64]:
+        """Return the coefficients of the linear term of the bound Hamiltonian."""
+        raise no_linear_term(self)
+
+    def with_linear(self, linear: npt.NDArray[np.float64]) -> Any:
+        """Return the bound Hamiltonian with another linear term."""
+        raise no_linear_term(self)
 
     def __call__(self, x: npt.ArrayLike, t: Any = 0.0) -> Any:
         """Return H(x, t) at a state (n,), or the values at states (..., n).
@@ -64,6 +76,14 @@ class Summable(ABC):
         if denominator == 0:
             raise ValueError(f"a Hamiltonian can be divided by a number other than 0, not by {short(divisor)}")
         return self * (1.0 / denominator if isinstance(denominator, float) else Fraction(1, 1) / denominator)
+
+
+def no_linear_term(H: Any) -> TypeError:
+    """Return the error for a Hamiltonian that is one function of all coordinates, or of a user-defined type."""
+    return TypeError(
+        f"the Hamiltonian is a {type(H).__name__}, which has no linear term to replace; give a Quadratic, a "
+        "Polynomial, a Separable or a SplitHamiltonian"
+    )
 
 
 @vectorized_over_states

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
@@ -65,6 +65,9 @@ class Term(Protocol):
 
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> Term:
         """Return the term of the coordinates `where` as a term of all n coordinates that belongs to a piece."""
+
+    def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
+        """Add the gradients at states (points, members, n) and at the time of each point to `total`."""
 
     def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to a reader, in one or several of its forms; return the last result."""
@@ -135,6 +138,14 @@ class QuadraticTerm:
         linear = np.zeros(n)
         linear[where] = self.linear
         return QuadraticTerm(indptr, columns[order], self.values[order], linear, self.constant, piece)
+
+    def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
+        """Add ``M x + linear``, by products of the sparse matrix."""
+        from scipy.sparse import csr_array
+
+        n = x.shape[-1]
+        M = csr_array((self.values, self.indices, self.indptr), shape=(n, n))
+        total += (M @ x.reshape(-1, n).T).T.reshape(x.shape) + self.linear
 
     def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to `reader.quadratic`."""
@@ -226,6 +237,10 @@ class PolynomialTerm:
             monomials[tuple(placed)] = coefficient
         return PolynomialTerm(Polynomial(monomials, dim=n), piece)
 
+    def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
+        """Add the gradients of the polynomial."""
+        total += self.polynomial.gradient(x)
+
     def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to `reader.polynomial`."""
         return reader.polynomial(self)
@@ -285,6 +300,14 @@ class FunctionTerm:
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> FunctionTerm:
         """Return the function of other coordinates."""
         return replace(self, coordinates=where[self.coordinates], piece=piece)
+
+    def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
+        """Add the gradients of the function, called for each state."""
+        for k, t in enumerate(times):
+            for m in range(x.shape[1]):
+                y = x[k, m, self.coordinates]
+                slope = self.gradient(y[0] if self.scalar else y, *((t,) if self.timed else ()))
+                total[k, m, self.coordinates] += slope
 
     def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to `reader.function`."""

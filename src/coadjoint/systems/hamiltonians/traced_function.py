@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import linecache
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Container, Iterable, Sequence
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -72,6 +72,7 @@ class Graph:
 
     def __init__(self) -> None:
         self.nodes: list[tuple[str, tuple[Any, ...]]] = []
+        self.inputs: list[tuple[int, ...]] = []  # the arguments of each node that are entries
         self._known: dict[Any, Traced] = {}
 
     def record(self, operation: str, *arguments: Any) -> Traced:
@@ -82,7 +83,18 @@ class Graph:
                 raise TracingError(f"it takes more than {MAX_OPERATIONS} operations")
             self._known[key] = Traced(self, len(self.nodes))
             self.nodes.append((operation, arguments))
+            self.inputs.append(tuple(a.index for a in arguments if isinstance(a, Traced)))
         return self._known[key]
+
+    def needed(self, ends: Iterable[int], known: Container[int] = ()) -> list[int]:
+        """Return some entries and those that they depend on, in order; without known ones, and what only these need."""
+        found, pending = set[int](), list(ends)
+        while pending:
+            index = pending.pop()
+            if index not in found and index not in known:
+                found.add(index)
+                pending += self.inputs[index]
+        return sorted(found)
 
     def gradient(self, result: Any, variables: Sequence[Traced], ends: Collection[int] = ()) -> list[Any]:
         """Return the derivatives of a result by variables, Traced or constants, by differentiation in reverse.
@@ -113,13 +125,8 @@ class Graph:
 
     def function(self, results: Sequence[Any], returned: str, timed: bool) -> Callable[..., Any]:
         """Return a function of (x) or (x, t) that computes results, written as ``{0}, {1}, ...`` in `returned`."""
-        needed, pending = set[int](), [r.index for r in results if isinstance(r, Traced)]
-        while pending:
-            index = pending.pop()
-            if index not in needed:
-                needed.add(index)
-                pending += [a.index for a in self.nodes[index][1] if isinstance(a, Traced)]
-        lines = [f"    v{index} = {self._text(index)}" for index in sorted(needed)]
+        needed = self.needed(r.index for r in results if isinstance(r, Traced))
+        lines = [f"    v{index} = {self._text(index)}" for index in needed]
         texts = [_operand(r) if isinstance(r, Traced) else repr(float(r)) for r in results]
         heading = f"def derived(x{', t' if timed else ''}):"
         return _defined("\n".join([heading, *lines, f"    return {returned.format(', '.join(texts))}", ""]))
