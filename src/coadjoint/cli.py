@@ -75,10 +75,7 @@ def run() -> None:
 
 
 def _open_closed_streams() -> None:
-    """Open standard streams that were closed, so that no file of a run gets their descriptors.
-
-    Writing to a standard output that was closed then fails like any unwritable output.
-    """
+    """Open standard streams that were closed, so that no file of a run gets their descriptors."""
     for number, name, flags in ((0, "stdin", os.O_RDONLY), (1, "stdout", os.O_RDONLY), (2, "stderr", os.O_WRONLY)):
         if getattr(sys, name) is not None:
             continue

@@ -55,8 +55,6 @@ def _one_line_message(error: click.ClickException) -> str:
 def perform(arguments: Sequence[str] | None, began: float | None = None) -> tuple[int, str]:
     """Run a command; return its exit status and the text for standard error: one line per error, or else per warning.
 
-    Examples
-    --------
     >>> perform(["run", "no_such_file.toml"])
     (2, 'no_such_file.toml: cannot be read (No such file or directory)')
     """

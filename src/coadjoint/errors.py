@@ -89,13 +89,7 @@ class RoundingWarning(UserWarning):
 
 
 class OneLineError(ValueError):
-    """Base class of errors whose message is one line of bounded length.
-
-    Examples
-    --------
-    >>> len(str(OneLineError("a name of a file " * 1000))) <= MAX_MESSAGE_LENGTH
-    True
-    """
+    """Base class of errors whose message is one line of bounded length."""
 
     def __init__(self, message: str) -> None:
         super().__init__(in_one_line(message, MAX_MESSAGE_LENGTH))
@@ -136,8 +130,6 @@ def nearest(name: str, known: Iterable[str], min_similarity: float = 0.5) -> str
 def unknown_attribute(module: str, name: str, known: Iterable[str]) -> AttributeError:
     """Return the AttributeError for a missing name of a module, with the nearest one and the list of public names.
 
-    Examples
-    --------
     >>> print(unknown_attribute("co.systems", "heavi_top", ["heavy_top", "toda"]))
     co.systems has no attribute 'heavi_top'; did you mean 'heavy_top'? It has: heavy_top, toda
     """

@@ -62,8 +62,6 @@ def install_handlers() -> None:
 
     Signals that the parent process set to be ignored (``nohup``, background jobs) stay ignored.
 
-    Examples
-    --------
     >>> import subprocess, sys
     >>> code = "import signal; from coadjoint.interruption import install_handlers; "
     >>> code += "install_handlers(); signal.raise_signal(signal.SIGTERM)"
@@ -76,19 +74,13 @@ def install_handlers() -> None:
 
 
 def ignore_signals() -> None:
-    """Ignore interrupts from now on, when all work is done and the interpreter is about to exit.
-
-    At exit it removes handlers first, and a signal would kill it without a message.
-    """
+    """Ignore interrupts from now on: at exit Python removes handlers, and a signal would kill it without a message."""
     for number in _handled_signals():
         signal.signal(number, signal.SIG_IGN)
 
 
 class deferred:
-    """Context in which signals are queued; their handlers are called at its end.
-
-    It has no effect in other threads than the main thread, where Python calls no handlers.
-    """
+    """Context in which signals are queued in the main thread; their handlers are called at its end."""
 
     def __enter__(self) -> None:
         self._handlers: dict[int, Callable[[int, FrameType | None], Any]] = {}
@@ -125,11 +117,10 @@ class deferred:
 
 
 class _CompleteImports:
-    """Import finder that defers signals until a module imported by a call of this package is complete.
+    """Import finder that defers signals until a module imported by a call of this package is complete."""
 
-    An exception inside an import removes the incomplete modules but not their submodules, which do not become
-    attributes of the packages when these are imported again.
-    """
+    # An exception inside an import removes the incomplete modules but not their submodules, which do not become
+    # attributes of the packages when these are imported again.
 
     def __init__(self) -> None:
         self._loading = False
@@ -208,13 +199,7 @@ def _called() -> bool:
 
 
 def register_cleanup(abandon: Callable[[], object]) -> None:
-    """Register a cleanup (removal of incomplete files) to run if the process is ended before `unregister_cleanup`.
-
-    Examples
-    --------
-    >>> register_cleanup(print)
-    >>> unregister_cleanup(print)
-    """
+    """Register a cleanup (removal of incomplete files) to run if the process is ended before `unregister_cleanup`."""
     _cleanups.append(abandon)
 
 

@@ -126,8 +126,6 @@ CONSTRUCTORS: Mapping[str, str] = {
 def unknown_constructor(name: str, known: list[str]) -> AttributeError:
     """Return the AttributeError for an unknown attribute of the class of Lie algebras.
 
-    Examples
-    --------
     >>> print(unknown_constructor("from_commutators", []))
     LieAlgebra has no attribute 'from_commutators'; here it is LieAlgebra.from_brackets
     """
@@ -144,8 +142,6 @@ def suggest_keywords(function: Function) -> Function:
     Unknown keywords are answered with the corresponding or nearest known one. A class is decorated in its constructor
     and in its class methods; a class method below ``@classmethod``.
 
-    Examples
-    --------
     >>> @suggest_keywords
     ... def run(x0, step=None): ...
     >>> run((1, 2), dt=0.1)
@@ -227,8 +223,6 @@ def wrong_arguments(
 ) -> TypeError | None:
     """Return the TypeError for arguments that a function does not take, or None if it takes them.
 
-    Examples
-    --------
     >>> print(wrong_arguments("fit", inspect.signature(lambda ready, x0, *, sigma: None), [1, 2], {}))
     fit needs sigma; its arguments are ready, x0, sigma
     """
@@ -263,8 +257,6 @@ def wrong_arguments(
 def unknown_keyword(function: str, name: str, known: Sequence[str]) -> TypeError:
     """Return the TypeError for an unknown keyword of a function.
 
-    Examples
-    --------
     >>> print(unknown_keyword("GaussLegendre", "stage", ["stages"]))
     GaussLegendre has no stage; did you mean stages=?
     """
@@ -283,8 +275,6 @@ def too_many_arguments(
 ) -> TypeError:
     """Return the TypeError for too many positional arguments; `positional` and `known` are positional and all names.
 
-    Examples
-    --------
     >>> print(too_many_arguments("rigid_body", (1, 2, 3), ["inertia"], ["inertia"]))
     rigid_body was given 3 arguments, and takes inertia; give several values as one, inertia=(1, 2, 3)
     """
@@ -297,8 +287,6 @@ def too_many_arguments(
 def unknown_solution_attribute(name: str, known: list[str]) -> AttributeError:
     """Return the AttributeError for an unknown attribute of a solution.
 
-    Examples
-    --------
     >>> print(unknown_solution_attribute("y", ["x", "t"]), unknown_solution_attribute("enregy", ["energy"]), sep="; ")
     a Solution has no attribute 'y'; here it is x; a Solution has no attribute 'enregy'; did you mean 'energy'?
     """
@@ -312,8 +300,6 @@ def unknown_solution_attribute(name: str, known: list[str]) -> AttributeError:
 def unknown_picture(name: str, known: Iterable[str]) -> ValueError:
     """Return the ValueError for an unknown kind of picture, with the kind that is meant or the nearest one.
 
-    Examples
-    --------
     >>> print(unknown_picture("energy", ["drift", "energy by scale"]))
     unknown kind of picture 'energy'; here it is 'drift'
     """
@@ -327,8 +313,6 @@ def unknown_picture(name: str, known: Iterable[str]) -> ValueError:
 def unknown_function(name: str) -> AttributeError | None:
     """Return the AttributeError for a usual name of a function that has another one here, or None.
 
-    Examples
-    --------
     >>> print(unknown_function("solve"))
     coadjoint has no attribute 'solve'; here it is co.integrate
     """
@@ -341,8 +325,6 @@ def unknown_function(name: str) -> AttributeError | None:
 class NamedValues(dict[str, Value]):
     """Dictionary of quantities of a run, whose KeyError has the name that is meant, or the nearest one.
 
-    Examples
-    --------
     >>> NamedValues({"energy": 0.0, "|x|^2": 1.0})["Energy"]
     Traceback (most recent call last):
     KeyError: "there is no 'Energy'; did you mean 'energy'?"

@@ -128,8 +128,6 @@ def _available_address_space() -> int:
 def format_bytes(count: float) -> str:
     """Format a number of bytes.
 
-    Examples
-    --------
     >>> format_bytes(5.62e9), format_bytes(2e8), format_bytes(3e16), format_bytes(10**400)
     ('5.6 GB', '200 MB', '3e+07 GB', '1e+291 GB')
     """
@@ -140,10 +138,7 @@ def format_bytes(count: float) -> str:
 
 
 def check_available_memory(count: float, what: str, instead: str = "") -> None:
-    """Raise a ValueError, with the estimate and the free memory, if `count` bytes are not available.
-
-    `what` is the subject of the message; `instead` names an alternative that would fit.
-    """
+    """Raise a ValueError that begins with `what` and ends with `instead` if `count` bytes are not available."""
     if count > UNCHECKED_BYTES:
         free = available()
         if count > free:

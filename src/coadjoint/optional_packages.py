@@ -36,10 +36,7 @@ class MissingPackageError(ModuleNotFoundError):
 
 
 def require_packages(what: str, *packages: str) -> None:
-    """Raise a MissingPackageError before any computation if a package is not installed or Numba's compiler is disabled.
-
-    `what` is the subject of the message; the packages, all in `EXTRAS`, are located but not imported.
-    """
+    """Raise a MissingPackageError about `what` if a package is not installed, or the compiler of Numba is disabled."""
     missing = [name for name in packages if not installed(name)]
     if not missing:
         if "numba" in packages and os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):

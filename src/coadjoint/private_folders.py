@@ -13,10 +13,7 @@ WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
 def check_private(folder: Path) -> None:
-    """Raise a PermissionError, with the reason as a clause, if another user can change the contents of a folder.
-
-    `folder` must be a real path; OSError if it cannot be examined.
-    """
+    """Raise a PermissionError, with the reason as a clause, if another user can change the contents of a folder."""
     if not hasattr(os, "geteuid"):
         # Windows has access lists, which modes do not show; those of a user's own folder admit no other user.
         if not folder.is_relative_to(os.path.realpath(Path.home())):

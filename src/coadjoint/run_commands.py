@@ -296,10 +296,7 @@ class RunStopped(click.ClickException):
 def saving_partial_run(
     name: str, archive: Path | None, target: Path | None, dataset: Callable[[Any], xarray.Dataset] | None
 ) -> Iterator[None]:
-    """Context that saves the solution so far of a run that fails or is interrupted, and reports it in one line.
-
-    `archive` is written during the run, `target` from the result converted by `dataset`.
-    """
+    """Context that saves the solution so far of a run that fails or is interrupted, and reports it in one line."""
     try:
         with interruption.raise_on_interrupt():
             yield

@@ -41,8 +41,6 @@ def short_rest(text: str, limit: int) -> str:
 def distinct(*values: float) -> tuple[str, ...]:
     """Return numbers as text of six digits, or of as many as show which of them differ.
 
-    Examples
-    --------
     >>> distinct(0.0, 30.0), distinct(0.0, 30.0, 30.000000000013678)
     (('0', '30'), ('0', '30', '30.00000000001'))
     """
@@ -56,15 +54,7 @@ def distinct(*values: float) -> tuple[str, ...]:
 
 
 def html_table(title: str, rows: Mapping[str, Any]) -> str:
-    """Return a small HTML table for notebooks: a title, and rows of a name and one value or a tuple of values.
-
-    Examples
-    --------
-    >>> html_table("a < b", {"steps": 3})
-    '<table><caption><b>a &lt; b</b></caption><tr><th>steps</th><td>3</td></tr></table>'
-    >>> html_table("", {"ends": (0, 1)})
-    '<table><caption><b></b></caption><tr><th>ends</th><td>0</td><td>1</td></tr></table>'
-    """
+    """Return a small HTML table for notebooks: a title, and rows of a name and one value or a tuple of values."""
     from html import escape
 
     lines = []
@@ -78,8 +68,6 @@ def html_table(title: str, rows: Mapping[str, Any]) -> str:
 def compact(value: Any, limit: int = 60) -> str:
     """Return a representation in one line; arrays and nested numbers beyond `limit` are shown by their shape, not cut.
 
-    Examples
-    --------
     >>> compact((0.0, 0.0, 1.0)), compact(np.eye(12)), compact([[0.5] * 8] * 8)
     ('(0.0, 0.0, 1.0)', '<array of shape (12, 12), float64>', '<list of shape (8, 8)>')
     """
@@ -98,32 +86,14 @@ def compact(value: Any, limit: int = 60) -> str:
 
 
 def record_repr(instance: Any) -> str:
-    """Return the repr of a dataclass or named tuple, with functions shown by name, and large values by their shape.
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> @dataclass(repr=False)
-    ... class Pair:
-    ...     first: object
-    ...     second: object
-    >>> record_repr(Pair(abs, "b"))
-    "Pair(first=the function abs, second='b')"
-    """
+    """Return the repr of a dataclass or named tuple, with functions shown by name, and large values by their shape."""
     names = getattr(instance, "_fields", None) or [field.name for field in fields(instance) if field.repr]
     entries = (f"{name}={compact(getattr(instance, name))}" for name in names if name[0] != "_")
     return f"{type(instance).__name__}({', '.join(entries)})"
 
 
 def function_name(function: Any) -> str:
-    """Return the name of a function, without its address.
-
-    Examples
-    --------
-    >>> import functools
-    >>> function_name(np.cosh), function_name(lambda x: x), function_name(functools.partial(max, 1))
-    ('cosh', '<lambda>', 'partial of max')
-    """
+    """Return the name of a function, without its address."""
     inner = getattr(function, "func", None)
     if inner is not None and not hasattr(function, "__name__"):
         return f"partial of {function_name(inner)}"

@@ -34,12 +34,6 @@ SHORTCUTS = {
 
 
 def shortcut(name: str) -> Any:
-    """Return the function of a later layer that is registered under a name.
-
-    Examples
-    --------
-    >>> shortcut("choose").__module__
-    'coadjoint.choosing.accuracy'
-    """
+    """Return the function of a later layer that is registered under a name."""
     module, _, function = SHORTCUTS[name].partition(":")
     return getattr(importlib.import_module(module), function)

@@ -27,16 +27,7 @@ ATTITUDES = {
 
 
 def summarize_system(name: str) -> dict[str, Any]:
-    """Return the `description` of a ready-made system, with ``"scheme"``, ``"step"`` and ``"command"``.
-
-    Step and command are None if the system has no gallery entry.
-
-    Examples
-    --------
-    >>> summary = summarize_system("rigid_body")
-    >>> summary["scheme"], summary["command"]
-    ('Splitting(order=4...)', 'coadjoint gallery --out gallery rigid_body')
-    """
+    """Return the `description` of a ready-made system, with ``"scheme"``, ``"step"`` and ``"command"``."""
     summary = description(name)
     gallery_entry = gallery_entry_of(name)
     system = importlib.import_module("coadjoint.systems").get(name)
@@ -47,13 +38,7 @@ def summarize_system(name: str) -> dict[str, Any]:
 
 
 def system_text(summary: Mapping[str, Any]) -> str:
-    """Format a description of `summarize_system` as text, in lines of at most 100 characters.
-
-    Examples
-    --------
-    >>> print(system_text(summarize_system("riccati")).splitlines()[0])
-    riccati(constant=1.0, linear=0.0, quadratic=1.0)
-    """
+    """Format a description of `summarize_system` as text, in lines of at most 100 characters."""
     return "\n".join(_lines(summary))
 
 

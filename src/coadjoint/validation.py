@@ -35,8 +35,6 @@ MAX_DEPTH = 64  # maximum depth of nested lists: that of array dimensions
 def is_real(value: Any) -> bool:
     """Return whether a value is a real number; booleans, text, arrays and objects merely convertible to float are not.
 
-    Examples
-    --------
     >>> is_real(2.5), is_real(np.uint8(3)), is_real(True), is_real("2.5"), is_real(1j)
     (True, True, False, False, False)
     """
@@ -49,8 +47,6 @@ def is_real(value: Any) -> bool:
 def is_integer(value: Any) -> bool:
     """Return whether a value is an integer; booleans and durations of NumPy are not.
 
-    Examples
-    --------
     >>> is_integer(np.int8(3)), is_integer(True), is_integer(np.timedelta64(3, "s")), is_integer(3.0)
     (True, False, False, False)
     """
@@ -58,34 +54,18 @@ def is_integer(value: Any) -> bool:
 
 
 def size_of_range(values: range) -> int:
-    """Return the length of a range, which may exceed the limit of `len`.
-
-    Examples
-    --------
-    >>> size_of_range(range(10**30)) == 10**30
-    True
-    """
+    """Return the length of a range, which may exceed the limit of `len`."""
     return max(0, -((values.start - values.stop) // values.step))
 
 
 def supports_arithmetic(value: Any) -> bool:
-    """Return whether a value supports addition and multiplication with numbers.
-
-    Examples
-    --------
-    >>> supports_arithmetic(1j), supports_arithmetic("2.5"), supports_arithmetic(None)
-    (True, False, False)
-    """
+    """Return whether a value supports addition and multiplication with numbers."""
     return hasattr(type(value), "__radd__") and hasattr(type(value), "__rmul__")
 
 
 def to_array(values: Any, what: str, kinds: str = REAL_KINDS) -> NDArray[Any]:
-    """Convert numbers to an array, without a copy if already one; `what` names the argument in messages.
-
-    `kinds` are the accepted NumPy kinds beside objects; with ``"c"`` any value that can be added and multiplied counts
-    as a number. TypeError: not numbers, booleans, ragged, or pandas labels that would be lost. ValueError: masked
-    entries.
-    """
+    """Convert numbers of some NumPy kinds to an array, without a copy if already one; `what` names it in messages."""
+    # With the kind "c" any value that can be added and multiplied counts as a number.
     if type(values) is np.ndarray:
         array = values
     else:
@@ -129,13 +109,7 @@ def read_numbers(values: Any, what: str) -> Floats:
 
 
 def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
-    """Validate real or complex numbers and return a complex copy, as in `read_numbers`.
-
-    Examples
-    --------
-    >>> read_complex([1, 2j], "modes")
-    array([1.+0.j, 0.+2.j])
-    """
+    """Validate real or complex numbers and return a complex copy, as in `read_numbers`."""
     array = to_array(values, what, "iufc")
     if array.size > UNCHECKED_SIZE:
         check_available_memory(16 * array.size, f"a copy of {what}, of shape {array.shape},")
@@ -155,13 +129,7 @@ def read_finite(values: Any, what: str) -> Floats:
 
 
 def are_finite(values: Floats) -> bool:
-    """Return whether all numbers are finite; five times faster than NumPy for few numbers.
-
-    Examples
-    --------
-    >>> are_finite(np.array([1.0, 2.0])), are_finite(np.array([1.0, np.inf]))
-    (True, False)
-    """
+    """Return whether all numbers are finite; five times faster than NumPy for few numbers."""
     # Numbers with a finite sum are finite.
     few = values.size <= SMALL_SIZE
     return (few and math.isfinite(sum(values.ravel().tolist()))) or bool(np.isfinite(values).all())
@@ -185,8 +153,6 @@ def not_numbers_error(values: Any, what: str) -> TypeError:
 def unit_hint(value: Any, depth: int = 2) -> str:
     """Return what to give in place of a duration, a date or a quantity with a unit, or of the first one in a list.
 
-    Examples
-    --------
     >>> unit_hint(np.timedelta64(1, "s"))
     " in the units of the system, such as the duration divided by np.timedelta64(1, 's')"
     >>> unit_hint("1")
@@ -274,10 +240,7 @@ def check_power(number: float, power: int, what: str) -> None:
 def read_integer(
     value: Any, what: str, minimum: int = 1, maximum: int | None = None, *, floats: bool = False, reason: str = ""
 ) -> int:
-    """Validate a whole number within bounds and return a Python int, which does not wrap; booleans are refused.
-
-    `floats` accepts whole floats such as 1e6; `reason`, that of the upper bound, is added to its message.
-    """
+    """Validate a whole number and return a Python int, which does not wrap; `reason` is that of the upper bound."""
     is_whole = type(value) is int or is_integer(value)
     if floats and not is_whole and isinstance(value, float | np.floating):
         value = float(value)  # small float types cannot represent the bounds
@@ -307,13 +270,7 @@ def read_title(value: Any, what: str) -> str:
 
 
 def truncate_title(text: str) -> str:
-    """Truncate a composed name to the maximum length of a title.
-
-    Examples
-    --------
-    >>> truncate_title("so(3) + so(4)")
-    'so(3) + so(4)'
-    """
+    """Truncate a composed name to the maximum length of a title."""
     return text if len(text) <= MAX_TITLE_LENGTH else f"{text[: MAX_TITLE_LENGTH - 3]}..."
 
 
@@ -332,26 +289,14 @@ def read_mode(mode: Any, value: Any, form: str) -> tuple[int, int, complex]:
 
 
 def read_path(value: Any, what: str) -> Path:
-    """Validate the name of a file or folder and return a Path.
-
-    Examples
-    --------
-    >>> read_path("run.nc", "path").suffix
-    '.nc'
-    """
+    """Validate the name of a file or folder and return a Path."""
     if not isinstance(value, str | Path):
         raise TypeError(f"{what} is {short(value)}; give the name of a file, as text or as a pathlib.Path")
     return Path(value)
 
 
 def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
-    """Return the entries of an iterable, or raise a TypeError that ends with `rule`.
-
-    Examples
-    --------
-    >>> read_list([1, 2], "methods", "give a list of schemes")
-    (1, 2)
-    """
+    """Return the entries of an iterable, or raise a TypeError that ends with `rule`."""
     try:
         if not isinstance(values, str | bytes | Mapping):
             size = values.size if isinstance(values, np.ndarray) else len(values) if isinstance(values, Sized) else 0
@@ -365,8 +310,6 @@ def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
 def check_parameters(name: str, names: Iterable[str], known: Iterable[str], required: Iterable[str] = ()) -> None:
     """Raise a ValueError for unknown or missing parameters of `name`.
 
-    Examples
-    --------
     >>> check_parameters("Torque", ["torqe"], ["torque"])
     Traceback (most recent call last):
     ValueError: unknown parameter of Torque 'torqe'; did you mean 'torque'?
@@ -419,8 +362,6 @@ def construct(what: str, kinds: Mapping[str, Callable[..., Any]], name: Any, par
 def from_description(what: str, kinds: Mapping[str, Callable[..., Any]], description: Any) -> Any:
     """Return the object that a mapping describes: its name, and parameters beside it or in ``"parameters"``.
 
-    Examples
-    --------
     >>> from_description("number", {"complex": complex}, {"name": "complex", "parameters": {"real": 1, "imag": 2}})
     (1+2j)
     """
@@ -441,10 +382,7 @@ def from_description(what: str, kinds: Mapping[str, Callable[..., Any]], descrip
 
 
 def read_array_file(path: Path, named: str) -> NDArray[Any]:
-    """Return the array of numbers in a file ``.npy``, without unpickling.
-
-    OSError if it cannot be opened; ValueError, which refers to it as `named`, if it holds anything else.
-    """
+    """Return the array of numbers in a file ``.npy``, without unpickling."""
     with path.open("rb") as file:
         check_available_memory(2 * path.stat().st_size, f"the array in {short(named)}")
         try:

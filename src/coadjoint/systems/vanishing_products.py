@@ -171,18 +171,7 @@ class FieldProducts(NamedTuple):
 
     def partial_components(self, x: NDArray[Any], t: Any) -> NDArray[Any]:
         """Return the partial components of the gradient at x (n,)."""
-        return np.array([sum(_entry(self.terms[k], entry, x, t) for k, entry in one) for one in self.partial])
-
-
-def _entry(term: QuadraticTerm | PolynomialTerm | FunctionTerm, entry: int, x: NDArray[Any], t: Any) -> Any:
-    """Return an entry of the gradient of a term."""
-    if isinstance(term, FunctionTerm):
-        y = x[term.coordinates]
-        return np.ravel(term.gradient(y[0] if term.scalar else y, *((t,) if term.timed else ())))[entry]
-    if isinstance(term, PolynomialTerm):
-        return term.polynomial.gradient(x)[entry]
-    row = slice(int(term.indptr[entry]), int(term.indptr[entry + 1]))
-    return term.linear[entry] + np.sum(term.values[row] * x[term.indices[row]])
+        return np.array([sum(self.terms[k].gradient_entry(entry, x, t) for k, entry in one) for one in self.partial])
 
 
 def field_products(system: Any) -> FieldProducts | None:
@@ -233,10 +222,10 @@ def _candidates(algebra: LieAlgebra, terms: Sequence[Term]) -> tuple[_Collected,
     # A product cancels with another one of its row, and its coordinate is one that a gradient depends on.
     used = np.zeros(algebra.dim, dtype=bool)
     for term in collected.terms:
-        used[_coordinates_of(term)] = True
+        used[term.used] = True
     chosen = np.flatnonzero(used[products.state] & used[products.column])
     chosen = chosen[np.bincount(products.row[chosen], minlength=algebra.dim)[products.row[chosen]] > 1]
-    if all(isinstance(term, QuadraticTerm) for term in collected.terms):
+    if all(term.form is not None for term in collected.terms):
         chosen = chosen[_repeated_monomials(algebra.dim, collected.terms, products, chosen)]
     return collected, products, chosen
 
@@ -285,17 +274,6 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
     if not changed:
         return None
     return FieldProducts(tuple(separated), np.array(changed, dtype=np.int64), tuple(slots))
-
-
-def _coordinates_of(term: QuadraticTerm | PolynomialTerm | FunctionTerm) -> NDArray[Any]:
-    """Return the coordinates that the gradient of a term depends on."""
-    if isinstance(term, FunctionTerm):
-        return term.coordinates
-    if isinstance(term, QuadraticTerm):
-        return np.flatnonzero(np.diff(term.indptr) > 0)
-    return np.flatnonzero(
-        np.any(np.array(list(term.polynomial.monomials)).reshape(-1, term.polynomial.dim) > 0, axis=0)
-    )
 
 
 def _repeated_monomials(n: int, terms: Sequence[Any], products: Products, chosen: Integers) -> NDArray[np.bool_]:

@@ -149,6 +149,9 @@ class LogarithmicSum:
 
     __radd__ = __add__
 
+    def __neg__(self) -> LogarithmicSum:
+        return self * -1
+
     def __mul__(self, factor: float | Number) -> LogarithmicSum:
         weight = exact_number(factor)
         scaled = (term._replace(weight=term.weight * weight) for term in self.terms)

@@ -207,6 +207,9 @@ class Monomial(NamedTuple):
         """Sum of the powers."""
         return sum(self.powers.values())
 
+    def __neg__(self) -> Monomial:
+        return self._replace(number=-self.number)
+
 
 class Expansion:
     """Value of a formula: a number, or a polynomial that is multiplied out; `NotPolynomial` if it is neither."""
@@ -233,24 +236,21 @@ class Expansion:
         return tuple(exponents)
 
     def _node(self, node: ast.expr) -> Any:
-        if isinstance(node, ast.Name):
-            symbol = self.tree.symbol(node)
-            return Monomial(1, {symbol.index: 1}) if isinstance(symbol, Coordinate) else symbol
-        if isinstance(node, ast.UnaryOp):
-            value = self._node(node.operand)
-            return self._negative(value) if isinstance(node.op, ast.USub) else value
-        if isinstance(node, ast.Call):
-            assert isinstance(node.func, ast.Name)
-            return self.call(self.tree.symbol(node.func), [self.of(argument) for argument in node.args])
-        assert isinstance(node, ast.BinOp)
-        if isinstance(node.op, ast.Pow):
-            return self._power(self._node(node.left), self.of(node.right))
-        return self._product(node) if isinstance(node.op, ast.Mult | ast.Div) else self._sum(summands(node))
-
-    def _negative(self, value: Any) -> Any:
-        if isinstance(value, Monomial):
-            return value._replace(number=-value.number)
-        return value * -1 if isinstance(value, LogarithmicSum) else -value
+        match node:
+            case ast.Name():
+                symbol = self.tree.symbol(node)
+                return Monomial(1, {symbol.index: 1}) if isinstance(symbol, Coordinate) else symbol
+            case ast.UnaryOp(op=ast.USub()):
+                return -self._node(node.operand)
+            case ast.UnaryOp():
+                return self._node(node.operand)
+            case ast.Call(func=ast.Name() as name):
+                return self.call(self.tree.symbol(name), [self.of(argument) for argument in node.args])
+            case ast.BinOp(op=ast.Pow()):
+                return self._power(self._node(node.left), self.of(node.right))
+            case ast.BinOp(op=ast.Mult() | ast.Div()):
+                return self._product(node)
+        return self._sum(summands(node))
 
     def _sum(self, signed: Iterable[tuple[int, ast.expr]]) -> Any:
         total: dict[Exponents, Constant] = {}
@@ -258,7 +258,7 @@ class Expansion:
         for sign, node in signed:
             value = self._node(node)
             if sign < 0:
-                value = self._negative(value)
+                value = -value
             if isinstance(value, LogarithmicSum):
                 rest = value if rest is None else rest + value
                 continue
@@ -427,21 +427,22 @@ def value_at(tree: FormulaTree, x: Any) -> Any:
         if not any(isinstance(part, ast.Name) and _is_coordinate(tree, part) for part in ast.walk(node)):
             constant = constants.of(node)
             return constant if isinstance(constant, int) else float(constant)
-        if isinstance(node, ast.Name):
-            return x[tree.symbol(node).index]
-        if isinstance(node, ast.UnaryOp):
-            return -of(node.operand) if isinstance(node.op, ast.USub) else of(node.operand)
-        if isinstance(node, ast.Call):
-            assert isinstance(node.func, ast.Name)
-            name = tree.symbol(node.func)
-            if len(node.args) != 1:
-                raise tree.refused(f"has {name} of {len(node.args)} arguments; it takes one")
-            return getattr(np, FUNCTIONS[name][0])(of(node.args[0]))
-        assert isinstance(node, ast.BinOp)
-        if isinstance(node.op, ast.Pow):
-            return of(node.left) ** of(node.right)
-        if isinstance(node.op, ast.Add | ast.Sub):
-            return total(summands(node))
+        match node:
+            case ast.Name():
+                return x[tree.symbol(node).index]
+            case ast.UnaryOp(op=ast.USub()):
+                return -of(node.operand)
+            case ast.UnaryOp():
+                return of(node.operand)
+            case ast.Call(func=ast.Name() as function):
+                name = tree.symbol(function)
+                if len(node.args) != 1:
+                    raise tree.refused(f"has {name} of {len(node.args)} arguments; it takes one")
+                return getattr(np, FUNCTIONS[name][0])(of(node.args[0]))
+            case ast.BinOp(op=ast.Pow()):
+                return of(node.left) ** of(node.right)
+            case ast.BinOp(op=ast.Add() | ast.Sub()):
+                return total(summands(node))
         (_, first), *others = factors(node)
         product = of(first)
         for divides, factor in others:

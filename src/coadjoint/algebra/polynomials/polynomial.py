@@ -380,7 +380,8 @@ class Polynomial:
 
     def gradient_and_size(self, x: Any) -> tuple[NDArray[Any], NDArray[Any], int]:
         """Return the gradient, the sums of its absolute products in each component, and a bound of their number."""
-        absolute = Polynomial({exponents: abs(c) for exponents, c in self.monomials.items()}, dim=self.dim)
+        monomials: dict[tuple[int, ...], Any] = {exponents: abs(c) for exponents, c in self.monomials.items()}
+        absolute = Polynomial(monomials, dim=self.dim)
         return self.gradient(x), absolute.gradient(np.abs(x)), 64 + 2 * self.dim + len(self.monomials) + self.degree
 
     @IGNORE_OVERFLOW

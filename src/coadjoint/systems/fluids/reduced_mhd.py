@@ -12,7 +12,6 @@ from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Stream
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_choice
@@ -77,10 +76,11 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     ((2, 7, 7), ['tr Theta^2', 'tr W Theta'])
     """
     ideal = ideal_fluid(N, surface)
+    stream: Any = ideal.stream
     system = TwoLayerSystem(
         ideal.algebra,
-        ideal.stream,  # type: ignore[arg-type]
-        inverse_of(ideal.stream),  # type: ignore[arg-type]
+        stream,
+        stream.inverted(),
         energy_sign=-1,
         name="reduced_mhd",
         parameters={"N": ideal.algebra.N, "surface": surface},
@@ -101,11 +101,3 @@ def fluid_of(system: Any) -> FluidSystem | None:
     surface = (system.parameters or {}).get("surface", "")
     has_two_fields = len(system.shape) == 3 and surface in SURFACES
     return ideal_fluid(system.algebra.N, surface) if has_two_fields else None
-
-
-def inverse_of(stream: Stream) -> Stream:
-    """Return the inverse stream, W of P, by products if the stream solves equations."""
-    if isinstance(stream, DiagonalSolve):
-        return Inverse(stream)
-    assert isinstance(stream, Circulants)
-    return stream.inverted()

@@ -14,7 +14,14 @@ from coadjoint.algebra.exact.numbers import is_finite, quotient
 from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
-from coadjoint.systems.hamiltonians.traced_function import Graph, Traced, TracedFunction, TracingError, traced
+from coadjoint.systems.hamiltonians.traced_function import (
+    Graph,
+    Traced,
+    TracedFunction,
+    TracingError,
+    constant_of,
+    traced,
+)
 from coadjoint.systems.user_functions import check_derivative
 
 Pair = tuple[int, int]
@@ -64,9 +71,9 @@ class RecordedPolynomials:
             return total
         if operation == "mul":
             return _product(first, second)
-        if isinstance(arguments[1], Traced):
+        number = constant_of(arguments[1])
+        if number is None:
             return None
-        number = arguments[1]
         if operation == "div":
             return {key: quotient(value, number) for key, value in first.items()} if number != 0 else None
         degree = max(map(len, first), default=0)
@@ -197,11 +204,12 @@ class _Summands:
             return [(factor, arguments[0]), (factor if operation == "add" else -factor, arguments[1])]
         if operation == "neg":
             return [(-factor, arguments[0])]
-        numbers = [a for a in arguments if not isinstance(a, Traced)]
-        if operation == "mul" and numbers:
-            inner, scaled = next(a for a in arguments if isinstance(a, Traced)), factor * numbers[0]
-        elif operation == "div" and not isinstance(arguments[1], Traced) and arguments[1] != 0:
-            inner, scaled = arguments[0], quotient(factor, arguments[1])
+        numbers = [constant_of(a) for a in arguments]
+        if operation == "mul" and numbers != [None, None]:
+            inner, scaled = (arguments[1], numbers[0]) if numbers[1] is None else (arguments[0], numbers[1])
+            scaled = factor * scaled
+        elif operation == "div" and numbers[1] not in (None, 0):
+            inner, scaled = arguments[0], quotient(factor, numbers[1])
         else:
             return None
         return [(scaled, inner)] if is_finite(scaled) else None

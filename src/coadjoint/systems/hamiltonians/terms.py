@@ -66,6 +66,13 @@ class Term(Protocol):
     def placed(self, where: npt.NDArray[np.int64], n: int, piece: int) -> Term:
         """Return the term of the coordinates `where` as a term of all n coordinates that belongs to a piece."""
 
+    @property
+    def used(self) -> npt.NDArray[Any]:
+        """Coordinates that the gradient depends on."""
+
+    def gradient_entry(self, entry: int, x: npt.NDArray[Any], t: Any) -> Any:
+        """Return an entry of the gradient at a state; of a function, an entry among its own coordinates."""
+
     def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
         """Add the gradients at states (points, members, n) and at the time of each point to `total`."""
 
@@ -138,6 +145,16 @@ class QuadraticTerm:
         linear = np.zeros(n)
         linear[where] = self.linear
         return QuadraticTerm(indptr, columns[order], self.values[order], linear, self.constant, piece)
+
+    @property
+    def used(self) -> npt.NDArray[Any]:
+        """Coordinates with entries of M."""
+        return np.flatnonzero(np.diff(self.indptr) > 0)
+
+    def gradient_entry(self, entry: int, x: npt.NDArray[Any], t: Any) -> Any:
+        """Return an entry of ``M x + linear``."""
+        row = slice(int(self.indptr[entry]), int(self.indptr[entry + 1]))
+        return self.linear[entry] + np.sum(self.values[row] * x[self.indices[row]])
 
     def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
         """Add ``M x + linear``, by products of the sparse matrix."""
@@ -237,6 +254,16 @@ class PolynomialTerm:
             monomials[tuple(placed)] = coefficient
         return PolynomialTerm(Polynomial(monomials, dim=n), piece)
 
+    @property
+    def used(self) -> npt.NDArray[Any]:
+        """Variables of the monomials."""
+        exponents = np.array(list(self.polynomial.monomials)).reshape(-1, self.polynomial.dim)
+        return np.flatnonzero(np.any(exponents > 0, axis=0))
+
+    def gradient_entry(self, entry: int, x: npt.NDArray[Any], t: Any) -> Any:
+        """Return an entry of the gradient of the polynomial."""
+        return self.polynomial.gradient(x)[entry]
+
     def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
         """Add the gradients of the polynomial."""
         total += self.polynomial.gradient(x)
@@ -301,13 +328,24 @@ class FunctionTerm:
         """Return the function of other coordinates."""
         return replace(self, coordinates=where[self.coordinates], piece=piece)
 
+    @property
+    def used(self) -> npt.NDArray[Any]:
+        """All coordinates that the function depends on."""
+        return self.coordinates
+
+    def _gradient_at(self, x: npt.NDArray[Any], t: Any) -> Any:
+        y = x[self.coordinates]
+        return self.gradient(y[0] if self.scalar else y, *((t,) if self.timed else ()))
+
+    def gradient_entry(self, entry: int, x: npt.NDArray[Any], t: Any) -> Any:
+        """Return an entry of the gradient of the function."""
+        return np.ravel(self._gradient_at(x, t))[entry]
+
     def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
         """Add the gradients of the function, called for each state."""
         for k, t in enumerate(times):
             for m in range(x.shape[1]):
-                y = x[k, m, self.coordinates]
-                slope = self.gradient(y[0] if self.scalar else y, *((t,) if self.timed else ()))
-                total[k, m, self.coordinates] += slope
+                total[k, m, self.coordinates] += self._gradient_at(x[k, m], t)
 
     def describe_to(self, reader: TermReader) -> Any:
         """Pass the term to `reader.function`."""

@@ -107,7 +107,7 @@ class Graph:
         for index in range(result.index, -1, -1):
             operation, arguments = self.nodes[index]
             slope = slopes.get(index, 0)
-            if (not isinstance(slope, Traced) and slope == 0) or not arguments or operation == "variable":
+            if constant_of(slope) == 0 or not arguments or operation == "variable":
                 continue
             if index in ends:
                 continue
@@ -193,19 +193,25 @@ def _constant(value: Any) -> int | float:
     return number
 
 
+def constant_of(argument: Any) -> Any:
+    """Return an argument of an operation that is a number; None for a `Traced` one."""
+    return None if isinstance(argument, Traced) else argument
+
+
 def _folded(operation: str, a: Any, b: Any) -> Any:
     """Return a sum or product with 0 or 1 without an operation, or None."""
-    if operation in ("add", "sub") and not isinstance(b, Traced) and b == 0:
+    left, right = constant_of(a), constant_of(b)
+    if operation in ("add", "sub") and right == 0:
         return a
-    if operation == "add" and not isinstance(a, Traced) and a == 0:
+    if operation == "add" and left == 0:
         return b
     if operation == "mul":
-        for one, other in ((a, b), (b, a)):
-            if not isinstance(one, Traced) and one in (0, 1, -1):
-                return 0 if one == 0 else other if one == 1 else -other
-    if operation == "div" and not isinstance(a, Traced) and a == 0:
+        for number, other in ((left, b), (right, a)):
+            if number in (0, 1, -1):
+                return 0 if number == 0 else other if number == 1 else -other
+    if operation == "div" and left == 0:
         return 0
-    if operation in ("div", "pow") and not isinstance(b, Traced) and b == 1:
+    if operation in ("div", "pow") and right == 1:
         return a
     return None
 

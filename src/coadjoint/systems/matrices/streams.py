@@ -98,6 +98,10 @@ class DiagonalSolve:
             P[..., diagonal, diagonal] -= (np.trace(P, axis1=-2, axis2=-1) / N)[..., None]
         return _mirrored(P)
 
+    def inverted(self) -> Inverse:
+        """Return the inverse stream."""
+        return Inverse(self)
+
     def inverse(self, P: Matrix) -> Matrix:
         """Return W of P."""
         N, W = len(self.main), np.zeros_like(P)
