@@ -31,11 +31,9 @@ TYPICAL_DEGREE = 10  # typical degree of the series of an exponential, for estim
 
 
 class Exponentials(NamedTuple):
-    """Coefficients of a scheme whose stages are exponentials of combinations of the previous gradients.
+    """Coefficients of a scheme whose stages are exponentials of combinations of the previous gradients."""
 
-    Stage i + 1 is stage `stages[i][0]`, transformed by the combination `stages[i][1]`; the new state is the old one,
-    transformed by each combination in `out`, in this order.
-    """
+    # Stage i + 1 is stage `stages[i][0]` moved by combination `stages[i][1]`; `out` moves the old state, in order.
 
     stages: list[tuple[int, list[Fraction]]]
     out: list[list[Fraction]]

@@ -269,10 +269,7 @@ class Speed:
 
 
 def speed_of(system: System, speed: Any) -> Speed:
-    """Return the speed for `ReversibleSteps`: a polynomial, or by default the root mean square size of D, x' = D x.
-
-    ValueError: the default needs a Lie algebra with a nonzero bracket; or the polynomial has another dimension.
-    """
+    """Return the speed for `ReversibleSteps`: a polynomial, or by default the root mean square size of D, x' = D x."""
     if isinstance(speed, Quadratic):
         return Speed(system, "given", speed.bind(system.dim))
     if isinstance(speed, Polynomial):
@@ -293,10 +290,7 @@ def speed_of(system: System, speed: Any) -> Speed:
 
 @lru_cache(maxsize=64)
 def _square_of_generators(algebra: Any) -> Quadratic | None:
-    """Return u -> |D_u|^2 / n, the mean square row norm of D_u, as a quadratic form; None if all brackets are zero.
-
-    D_u x = J(x) u, so that its entries are sums of structure constants times u.
-    """
+    """Return u -> |D_u|^2 / n with D_u x = J(x) u as a quadratic form; None if all brackets are zero."""
     from scipy import sparse
 
     i, j, k, c = algebra.triples

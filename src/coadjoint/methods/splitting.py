@@ -67,10 +67,7 @@ def _sweeps_of_steps(coefficients: Sequence[Any], number: Callable[[Any], Any]) 
 
 
 def _alternating(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:
-    """Return forward and backward sweeps in turn: a first-order step and its adjoint.
-
-    The step advances time before the parts, its adjoint after them, so that both are evaluated at the same time.
-    """
+    """Return forward and backward sweeps in turn: a first-order step (time before parts) and its adjoint."""
     sweeps, elapsed = [], number(0)
     for k, coefficient in enumerate(coefficients):
         forward = k % 2 == 0

@@ -211,9 +211,7 @@ class Taylor(CompiledStepMethod):
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the products of series, including the group element; for own steps, by the number of
-        evaluations.
-        """
+        """Return the work of the products of series; for own steps, by the number of evaluations."""
         operations = self.operations(system)
         if group is not None:
             operations = operations._replace(vectors=operations.vectors + self._vectors_of_group(system, group))

@@ -46,12 +46,9 @@ class Sink(ABC):
 
 
 class PiecewiseRun:
-    """A run that holds only the points saved since the last `release_points`, at most `max_points`.
+    """A run that holds only the points saved since the last `release_points`, at most `max_points`."""
 
-    Pieces end at multiples of `max_points` points, counted over the whole run; `stored` resumes a run.
-    `order_undefined` is True if an interrupt has left the saved points of a batch in an undefined order; no further
-    `piece` can be taken.
-    """
+    # Pieces end at multiples of `max_points`; `order_undefined` after an interrupt that left a batch out of order.
 
     def __init__(
         self,

@@ -205,10 +205,7 @@ class Run:
         raise self.failure(solution_of_run(self, saved_points, observed, incomplete=incomplete, _taken=taken))
 
     def interrupted(self, observed: Observed | None) -> Solution:
-        """Return the points saved before an interrupt, after which the run cannot be resumed.
-
-        Members that had not reached a point are NaN there. The drifts are those over the saved points.
-        """
+        """Return the points saved before an interrupt; members that had not reached a point are NaN there."""
         order, numbers = self.loops.order, self.times.saved
         if order is not None and self.state.number < self.times.steps:
             inverse = np.argsort(order)
@@ -310,13 +307,7 @@ class Run:
 
 
 def first_point_not_finite(series: Any) -> int | None:
-    """Return the index of the first saved point at which a number of a series is not finite, or None.
-
-    Examples
-    --------
-    >>> first_point_not_finite([[0.0, 1.0], [2.0, np.inf], [np.nan, 3.0]])
-    1
-    """
+    """Return the index of the first saved point at which a number of a series is not finite, or None."""
     values = np.asarray(series)
     finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return None if finite.all() else int(np.argmin(finite))
@@ -340,11 +331,7 @@ def advance_up(run: Run) -> None:
 
 
 def advance_in_turns(run: Run, first: int = 1) -> None:
-    """Take all steps of a run in one thread, some of them rounded up and as many down, in turns; `first` up or down.
-
-    Errors that rounding always commits in the same direction then remain, such as those of a small term in a sum, and
-    those of the directions themselves cancel.
-    """
+    """Take all steps in one thread, rounded up and down in turns: errors of constant direction remain."""
     steps = run.times.steps
     turns = min(steps, TURNS)
     for turn in range(turns):

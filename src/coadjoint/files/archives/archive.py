@@ -96,21 +96,12 @@ class Block(NamedTuple):
 
 
 def blocks_of(members: int, size: int) -> list[Block]:
-    """Return all blocks of an ensemble.
-
-    Examples
-    --------
-    >>> blocks_of(5, 2)
-    [Block(number=0, first=0, last=2), Block(number=1, first=2, last=4), Block(number=2, first=4, last=5)]
-    """
+    """Return all blocks of an ensemble."""
     return [Block(k, first, min(first + size, members)) for k, first in enumerate(range(0, members, size))]
 
 
 class Archive:
-    """The path, arrays and attributes of an archive, as they were when its root was read.
-
-    The path of an archive elsewhere, which can only be read, is its `RemoteFolder`.
-    """
+    """The path (of one elsewhere its `RemoteFolder`), arrays and attributes of an archive when its root was read."""
 
     def __init__(self, path: Location, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
         self.path, self.arrays, self.attributes = path, dict(arrays), dict(attributes)
@@ -198,9 +189,7 @@ class Archive:
         return values
 
     def _check_last_point(self) -> None:
-        """Raise ArchiveError if the last point was replaced: by a later end of a run whose last interval is shorter
-        than the others.
-        """
+        """Raise ArchiveError if the last point was replaced: a later end follows a shorter last interval."""
         steps = int(self.attributes.get(STEPS, 0))
         save_every = int(self.attributes.get(SAVE_EVERY, steps or 1))
         if self.attributes.get(FINISHED) and steps % save_every and read_root(self.path)[1].get(STEPS) != steps:
@@ -335,10 +324,7 @@ def open_folder(path: Path) -> ArchiveFolder:
 
 
 def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, StoredArray], dict[str, Any]]:
-    """Return the arrays and attributes of an archive, as currently committed; `folder` is its folder, if open.
-
-    ArchiveError: missing, damaged, or of a later format.
-    """
+    """Return the arrays and attributes of an archive, as currently committed; `folder` is its folder, if open."""
     if folder is None:
         with open_location(path) as opened:
             return read_root(path, opened)

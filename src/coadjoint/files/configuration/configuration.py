@@ -31,38 +31,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Configuration:
-    """A validated run described by a configuration file.
+    """A validated run described by a configuration file, with the arguments of `coadjoint.integrate`.
 
-    Parameters
-    ----------
-    path : str
-        The file, for messages.
-    system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads, workers
-        As for `coadjoint.integrate`.
-    output, archive, figure, movie : str or None
-        Paths of the results, relative to the current directory.
-    choice : Choice or None
-        Result of `choose` if the file gives an accuracy; `method` and `step` come from it.
-    swept : mapping
-        Settings of a sweep: key of the file -> values, one for each member.
-    text : str
-        Text of the file, stored with the results.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from coadjoint.files.configuration.loading import load
-    >>> lines = '''
-    ... system = {name = "rigid_body", parameters = {inertia = [1, 2, 3]}}
-    ... initial = {x = [1.0, 0.1, 0.5]}
-    ... method = {name = "Splitting", order = 4}
-    ... run = {t_span = [0, 10], step = 0.1}
-    ... '''
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = Path(folder, "body.toml").write_text(lines)
-    ...     configuration = load(f"{folder}/body.toml")
-    >>> configuration.integrate().x.shape
-    (101, 3)
+    The paths of results are relative to the current directory. `choice` is that for an accuracy in the file;
+    `swept` maps keys to values, one for each member.
     """
 
     path: str

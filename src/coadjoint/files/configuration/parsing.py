@@ -100,11 +100,7 @@ SYSTEM_TABLES = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "
 
 @dataclass(frozen=True)
 class ValidTables:
-    """The valid part of a file.
-
-    `file` holds the tables, with misspelled keys under the nearest known name; `messages` the errors, with dotted keys;
-    `invalid` the invalid top-level tables and keys, to be skipped.
-    """
+    """The valid part of a file, under corrected keys; the `messages` of the rest, and its `invalid` top-level keys."""
 
     file: File | None
     messages: tuple[str, ...] = ()
@@ -121,14 +117,7 @@ class ValidTables:
 
 
 def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
-    """Return the valid part of the tables of a file, and the errors of the rest.
-
-    Examples
-    --------
-    >>> tables = valid_tables({"initial": {"x": [1.0]}, "run": {"t_span": [0, 1], "stpe": 0.1}, "method": {"name": 3}})
-    >>> tables.messages, tables.file.run.step
-    (("run.stpe: unknown key; did you mean 'step'?",), 0.1)
-    """
+    """Return the valid part of the tables of a file, and the errors of the rest."""
     from pydantic import ValidationError
 
     from coadjoint.files.configuration.models import File, all_errors, keys_by_table

@@ -218,11 +218,7 @@ class PartsInC:
 
 
 class Part(NamedTuple):
-    """The statements of a part with `number` angles: they are found at x, as `results`, and vectors are moved by them.
-
-    `changes` are the changes of the angles along v. The state is moved by `together` alone, if that is not empty, or
-    if sums are compensated by `corrected`, which moves its errors too. `turns` move a row of the group element.
-    """
+    """The statements of a part with `number` angles, found at x as `results`; vectors and states are moved by them."""
 
     number: int
     results: tuple[str, ...]

@@ -131,13 +131,7 @@ def _formula(values: Sequence[Value]) -> str | None:
 
 
 def wrapped(line: str) -> str:
-    """Return a line of code, broken at spaces if it is too long.
-
-    Examples
-    --------
-    >>> wrapped("x = 0.0;")
-    'x = 0.0;'
-    """
+    """Return a line of code, broken at spaces if it is too long."""
     if len(line) <= WIDTH or line.startswith(("#", "/*")):
         return line
     start = line[: len(line) - len(line.lstrip())]
@@ -152,13 +146,7 @@ def wrapped(line: str) -> str:
 
 
 def runs_of(keys: Sequence[Any]) -> Iterator[tuple[int, int]]:
-    """Yield the ranges of equal neighbours.
-
-    Examples
-    --------
-    >>> list(runs_of("aab"))
-    [(0, 2), (2, 3)]
-    """
+    """Yield the ranges of equal neighbours."""
     first = 0
     for position in range(1, len(keys) + 1):
         if position == len(keys) or keys[position] != keys[first]:

@@ -48,13 +48,7 @@ def gradient_change(terms: Terms, k: int, number: Numbers, target: Callable[[int
 
 
 def chain_of(products: list[tuple[str, str]], start: str) -> str:
-    """Return start + the sum of products, the first one first, each sum rounded once.
-
-    Examples
-    --------
-    >>> chain_of([("a", "b"), ("c", "d")], "0.0")
-    'coadjoint_fma(c, d, coadjoint_fma(a, b, 0.0))'
-    """
+    """Return start + the sum of products, the first one first, each sum rounded once."""
     for a, b in products:
         start = f"coadjoint_fma({a}, {b}, {start})"
     return start

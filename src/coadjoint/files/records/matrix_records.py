@@ -18,17 +18,7 @@ RECORD_KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear"
 
 
 def matrix_record(system: MatrixSystem) -> dict[str, Any]:
-    """Return a matrix system as plain numbers, lists and text.
-
-    Streams that are functions, or of a class of another package, are not stored.
-
-    Examples
-    --------
-    >>> s = MatrixSystem(MatrixAlgebra("so", 2), Weights([[0.0, 1.0], [1.0, 0.0]]), name="mine")
-    >>> record = matrix_record(s)
-    >>> record["matrices"], record["stream"]
-    ({'kind': 'so', 'N': 2, 'q': 0}, {'weights': [[0.0, 1.0], [1.0, 0.0]]})
-    """
+    """Return a matrix system as plain numbers, lists and text; streams that are functions are not stored."""
     record: dict[str, Any] = {
         "name": system.name,
         "matrices": _algebra_record(system.algebra),

@@ -34,20 +34,7 @@ BYTES_PER_MEMBER = 100  # of a batch; a reference and its start
 
 
 def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | Batch:
-    """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants.
-
-    ValueError: the motion depends on functions, which were not stored; or the record is damaged.
-
-    Examples
-    --------
-    >>> from coadjoint.files.records.records import record_of
-    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
-    >>> system_of(record_of(rigid_body((1, 2, 2.5)))).parameters
-    {'inertia': (1.0, 2.0, 2.5)}
-    >>> system_of({"name": "rigid_body", "parameters": {"inertia": [1, 2]}})
-    Traceback (most recent call last):
-    ValueError: system.parameters: inertia has shape (2,); give three principal moments, or a symmetric (3, 3)
-    """
+    """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants."""
     entry = record if isinstance(record, Entry) else Entry(dict(record), "system")
     if "members" not in entry:
         return _system_of(entry, dim)

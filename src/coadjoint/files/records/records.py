@@ -35,21 +35,8 @@ STORABLE_TYPES = (Polynomial, Quadratic)
 
 
 def record_of(system: System | Batch) -> dict[str, Any]:
-    """Return a system as plain numbers, lists and text for `json`; `system_of` rebuilds it, bitwise.
-
-    A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
-    sign, polynomial Casimirs and integrals, and representation, and the name, basis, Casimirs and representation of its
-    algebra; a matrix system is its algebra and its stream. A formula is its text. Functions of Python cannot be
-    stored, and are listed under ``"not_stored"``. A batch is the list of its different systems, with pairs of the
-    number of a system and of successive members that have it; a system with forces is its Hamiltonian part and the
-    forces.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
-    >>> record_of(rigid_body((1, 2, 3)))
-    {'name': 'rigid_body', 'parameters': {'inertia': [1.0, 2.0, 3.0]}}
-    """
+    """Return a system as plain numbers, lists and text for `json`; `system_of` rebuilds it, bitwise."""
+    # A ready-made system is its name and parameters; functions of Python are listed under "not_stored".
     if isinstance(system, Batch):
         return _batch_record(system)
     if system.forces:
@@ -233,13 +220,7 @@ def _form_record(H: Quadratic) -> dict[str, Any]:
 
 
 def safe_name(name: str) -> str:
-    """Convert a name to at most 64 letters, digits and underscores, for variables and files.
-
-    Examples
-    --------
-    >>> safe_name("x1*x3 + x2^2")
-    'x1_x3_x2_2'
-    """
+    """Convert a name to at most 64 letters, digits and underscores, for variables and files."""
     letters = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name)
     return "_".join(letters.split())[:MAX_NAME_LENGTH] or "unnamed"
 

@@ -23,14 +23,7 @@ from coadjoint.validation import read_integer
 
 
 def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
-    """Return the event of a table: ``g``, an index or name of a coordinate or a polynomial, and options of `Event`.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
-    >>> event_of_file("far", {"g": "x1^2 - 0.25", "direction": 1}, rigid_body((1, 2, 3))).g
-    -0.25 + x1^2
-    """
+    """Return the event of a table: ``g``, an index or name of a coordinate or a polynomial, and options of `Event`."""
     names = coordinates_of(system)
     if not names:
         raise ValueError(f"an event of a file needs coordinates; the states of {system.unforced.name} are matrices")
@@ -46,15 +39,7 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
 
 
 def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
-    """Return events as JSON, and the names of events whose g is a function; these have a null g.
-
-    Examples
-    --------
-    >>> event_record([Event("x2", terminal=True)], ["x2"])
-    ('{"x2": {"g": "x2", "direction": 0, "count": null, "terminal": true}}', [])
-    >>> event_record([Event(abs)], ["mine"])
-    ('{"mine": {"g": null, "direction": 0, "count": null, "terminal": false}}', ['mine'])
-    """
+    """Return events as JSON, and the names of events whose g is a function; these have a null g."""
     tables, missing = {}, []
     for event, name in zip(events, names, strict=True):
         g: Any = event.g

@@ -19,11 +19,7 @@ NODE = "c"
 
 
 class FormalNumber(PowerSeries):
-    """A power series in the step with coefficients in a ring of polynomials; see `formal_numbers`.
-
-    It supports the arithmetic of numbers, for formulas of steps; floats are converted exactly. Numbers are not ordered:
-    steps that branch or iterate to a tolerance cannot be evaluated.
-    """
+    """A power series in the step over a ring of polynomials, without an order; floats are converted exactly."""
 
     __slots__ = ()
 

@@ -48,11 +48,8 @@ def restored_invariants(system: System) -> list[HamiltonianLike]:
 def project_with_tangent(
     system: System, x: NDArray[Any], z: NDArray[Any], dz: NDArray[Any], time: float
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the projected state y and dy/dx, for a state z with dz/dx; the values of the invariants are those at x.
-
-    With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and ``G(y) dy
-    = G(x) dx``.
-    """
+    """Return the projected state y and dy/dx, for a state z with dz/dx and the invariants at x."""
+    # From y = z + G(z)^T lambda: dy = (1 + sum lambda_a C_a''(z)) dz + G(z)^T dlambda and G(y) dy = G(x) dx.
     projected = project(restored_invariants(system), x, z, float, time)
     corrected = dz + sum(
         multiplier * (C.hessian(z) @ dz)
@@ -66,11 +63,8 @@ def project_with_tangent(
 def project(
     invariants: Sequence[HamiltonianLike], x: NDArray[Any], z: NDArray[Any], number: Number, time: float
 ) -> OnLevelSet:
-    """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages.
-
-    Linearly dependent gradients add no direction: restoring the other invariants restores these too. TypeError:
-    fractions. IntegrationError: Newton's iteration, with the Gram matrix of the gradients at z, does not converge.
-    """
+    """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages."""
+    # Linearly dependent gradients add no direction: restoring the other invariants restores these too.
     from coadjoint.kernels.interface import limit
 
     exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")

@@ -12,12 +12,8 @@ from coadjoint.memory import check_available_memory
 
 
 def check_attitude(kind: str, scheme: str, system: Any, representation: Any) -> None:
-    """Raise ValueError if a scheme with this kind of `Properties.attitude` cannot preserve the group.
-
-    Gauss methods preserve quadratic invariants: the group of a bilinear form, rho_i^T P + P rho_i = 0, and the spatial
-    momentum if it is bilinear in g and x, that is if T rho_i = D_(e_i) T for a T of full rank (then K T = T g, K the
-    coadjoint matrix). This holds for so(3), but not for so(n), n >= 4, where the momentum g X g^T is quadratic in g.
-    """
+    """Raise ValueError if a scheme with this kind of `Properties.attitude` cannot preserve the group."""
+    # Gauss methods preserve bilinear forms, and a spatial momentum bilinear in g and x: T rho_i = D_(e_i) T.
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra and so no group element; integrate it with attitude=False")
     if kind == "none":

@@ -22,22 +22,9 @@ Kernel = str | Callable[[Any, Any, int, int], None]
 
 
 class DerivativeTables(NamedTuple):
-    """Tables of a scheme, and the coefficients in them that depend on parameters.
+    """Tables of a scheme by step (and inputs), their kernels, and maps from coefficients to entries of parameters."""
 
-    `tables_at(h)` are those of a step h, or `tables_at(h, values)` with inputs, and `forward` and `backward` names of
-    kernels for them, or functions of tables, run, and the first and last of its members. `keepalive` must live as long
-    as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by the entries of the parameters
-    by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`, by `factors`. The
-    `rules` are those above. `reversible` steps can be undone from their end.
-
-    `monomials` are `coefficients` and `factors` by the monomials of the derivatives of the energy, with factors of one.
-    The members of a batch may differ in coefficients of H: then `of_members` are the factors of the Casimirs, (members,
-    casimirs), `coefficients` and `factors` those of each, and `tables_at` returns the ranges of members that share
-    tables, (first, last, tables).
-
-    The coefficients are all entries of the fields `located`, one after the other; if there are none, they are those of
-    the derivative of the energy only. `sources` are those of the tables.
-    """
+    # `factors`: of Casimirs subtracted from H; `of_members`: those of a batch; `located`: differentiated fields.
 
     tables_at: Callable[..., Any]
     keepalive: tuple[Any, ...]

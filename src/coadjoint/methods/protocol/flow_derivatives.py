@@ -26,11 +26,8 @@ def flow_derivatives(
     representation: Any,
     energies: Mapping[str, EnergyDerivative],
 ) -> DerivativeTables:
-    """Return the tables of flows and of their transposes.
-
-    Parameters that enter coefficients of the parts are differentiated there. Functions of parameters, and parameters on
-    which the forms of the parts depend, are differentiated as an added part of size zero.
-    """
+    """Return the tables of flows and of their transposes."""
+    # Parameters that are in no coefficient, as those of functions, are differentiated as an added part of size zero.
     program = method.program(system, group=representation)
     apart = {name: G.apart for name, G in energies.items()}
     found = {name: in_parts(program, G) for name, G in apart.items()}

@@ -144,10 +144,7 @@ class Method(metaclass=ExplainedCalls):
         return (1.0,)
 
     def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
-        """Return a symmetric scheme of order two and the fractions of the step at which forces act around it.
-
-        By default the scheme itself, once. ValueError: the order is only that of steps without forces.
-        """
+        """Return a symmetric scheme of order two and the fractions of the step at which forces act around it."""
         return self, (1.0,)
 
     def loop(self, system: System, h: float, representation: Representation = None) -> CompiledLoop:
@@ -261,11 +258,7 @@ class Method(metaclass=ExplainedCalls):
         return DenseStep(np.asarray(end), np.asarray(matrix))
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop that carries tangent vectors with the state; None: `tangent` is called for every step.
-
-        The bits of the state do not depend on the vectors. ValueError or TypeError: no support for the system, or a
-        derivative that is not known.
-        """
+        """Return the loop that carries tangent vectors, with the same bits of states; None: `tangent` is called."""
         return None
 
     @property
@@ -280,10 +273,7 @@ class Method(metaclass=ExplainedCalls):
         raise TypeError(f"runs by {self} have no derivatives; take a Splitting or a Runge-Kutta method")
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        """Return one step as a power series in h; TypeError if it is not known, for the parameters or the system.
-
-        The state x (n,) and the step h consist of formal numbers, whose coefficients are exact polynomials.
-        """
+        """Return one step as a power series in h, of formal numbers; TypeError if it is not known."""
         raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
 
     @property
@@ -348,10 +338,7 @@ class Method(metaclass=ExplainedCalls):
         return self
 
     def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
-        """Return the length of the next own step, with the sign of h, and the memory for the one after it.
-
-        `memory` is that of the step before, None at the start. For schemes with own steps and `fixed_steps`.
-        """
+        """Return the length of the next own step, with the sign of h, and the memory (None at the start) after it."""
         raise NotImplementedError
 
     takes_tolerance: ClassVar[bool] = False
@@ -370,17 +357,11 @@ class Method(metaclass=ExplainedCalls):
         raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the same scheme with automatic choices fixed, such as parts; TypeError or ValueError if it cannot be.
-
-        Systems that differ only in the linear term of H at these coordinates then have tables of one structure.
-        """
+        """Return the scheme with automatic choices fixed, for any linear terms at these coordinates."""
         return self
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
-        """Return those of many systems whose tables differ only in coefficients of H.
-
-        The constants of these tables are found by the `sources` of the loop of the first system of a stack.
-        """
+        """Return those of many systems whose tables differ only in coefficients of H, the `sources` of a loop."""
         from coadjoint.systems.system_stacks import stacks_of
 
         return stacks_of(systems)

@@ -46,25 +46,13 @@ class RungeKuttaMethod(SubstepMethod):
 
     @property
     def function_iterations(self) -> int:
-        """Number of function iterations before the output, or before the linear system.
-
-        For an explicit scheme s - 1, one from each stage to the next; 0 for implicit schemes, which iterate to
-        convergence.
-        """
+        """Number of function iterations before the output or the linear system; 0 if they converge."""
         return len(self.coefficients().node) - 1 if self.solver == "explicit" else 0
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix E of the initial guess X_i = x + sum_j E_ij L_j, L the slopes of the previous substep.
+        """Return E (s, s) of the initial guess X_i = x + sum_j E_ij L_j, L the slopes of the previous substep.
 
-        Parameters
-        ----------
-        ratio : float
-            Length of the substep relative to the previous one.
-
-        Returns
-        -------
-        (s, s) array
-            Zero, so that X_i = x, unless overridden; used by implicit schemes only.
+        The substep is `ratio` times as long as the previous one. Zero unless overridden; for implicit schemes only.
         """
         return np.zeros_like(self.coefficients().mix)
 
@@ -84,11 +72,7 @@ class RungeKuttaMethod(SubstepMethod):
 
     @property
     def collocation(self) -> Sequence[Fraction] | None:
-        """For a collocation method, the rational polynomial whose roots are the nodes, lowest power first.
-
-        Power series of the step are then rational even if the nodes are not. If it is None, they use the numbers of the
-        tableau.
-        """
+        """For a collocation method, the rational polynomial whose roots are the nodes, lowest power first."""
         return None
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
@@ -133,19 +117,7 @@ class RungeKuttaMethod(SubstepMethod):
         return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
-        """Return the slopes of a step by `solver`, with their derivatives if `tangent`.
-
-        Parameters
-        ----------
-        step : Step
-            The step at its start.
-        tangent : bool
-            Whether to compute derivatives.
-
-        Returns
-        -------
-        Evaluation
-        """
+        """Return the slopes of a step by `solver`, with their derivatives if `tangent`."""
         return SOLVERS[read_choice(self.solver, "solver", SOLVERS)](step, self.function_iterations, tangent)
 
     def loop_of_substeps(
@@ -245,10 +217,7 @@ class RungeKuttaMethod(SubstepMethod):
 
 @dataclass(frozen=True)
 class PairOfTableaux(Wrapper, RungeKuttaMethod):
-    """A Runge-Kutta method over half a step, then its adjoint over the other half.
-
-    The adjoint ends where a backward step of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.
-    """
+    """A Runge-Kutta method over half a step, then its adjoint, X_i = x + sum_j (out_j - mix_ij) L_j, over the other."""
 
     offered = False
     explicit = False

@@ -121,11 +121,8 @@ def check_base(base: Any, wrapper: str, example: str) -> None:
 
 
 def composition_order(coefficients: Sequence[float], base_order: int) -> int:
-    """Return the order of a composition of a symmetric map of even order p, up to max(12, p).
-
-    The base is exp(h Y_1 + h^(p+1) Y_(p+1) + h^(p+3) Y_(p+3) + ...) in the free associative algebra of the Y's; the
-    product is compared with exp(h Y_1) word by word.
-    """
+    """Return the order of a composition of a symmetric map of even order p, up to max(12, p)."""
+    # In the free algebra the product of exp(c h Y_1 + (c h)^(p+1) Y_(p+1) + ...) is compared with exp(h Y_1).
     from coadjoint.algebra.exact.free_algebra import Series, exponential, product, unit_series
 
     highest = max(MAX_ORDER, base_order)

@@ -22,11 +22,9 @@ LARGEST_BLOCK = 16
 
 
 class AttitudeDerivatives:
-    """The attitude A = A0 exp(t X) G of the element G of a loop, with X linear in the initial momentum.
+    """The attitude A = A0 exp(t X) G of the element G of a loop, with X linear in the initial momentum."""
 
-    X is -sign times the sum of c rho(grad C(x0)) over the Casimirs C that were subtracted from the energy, with the
-    factors c. Without such Casimirs the loop starts at A0, and A = G.
-    """
+    # X = -sign sum c rho(grad C(x0)) over the Casimirs subtracted from the energy; without any A = G, started at A0.
 
     def __init__(self, system: Any, shift: Sequence[tuple[Any, float]], representation: Any) -> None:
         self.factors = np.array([factor for _, factor in shift])
@@ -62,11 +60,7 @@ class AttitudeDerivatives:
     def tangents(
         self, x0: Floats, A0: Floats, times: Floats, G: Floats, dx0: Floats, dA0: Floats, factors: Floats, dG: Floats
     ) -> Floats:
-        """Return the tangents (points, k, d, d) of the attitudes at times since the start, of one member.
-
-        `G` (points, d, d) are the elements of the loop and `dG` (points, k, d, d) their tangents; `dx0` (k, n), `dA0`
-        (k, d, d) and `factors` (k, casimirs) are the directions.
-        """
+        """Return the tangents (points, k, d, d) of the attitudes of one member along k directions."""
         if not self.shifted:
             return dG
         X = self._generator(x0)
@@ -110,11 +104,7 @@ class AttitudeDerivatives:
 
 
 class ElementDifferences:
-    """The element g of a step from the unit element, A -> A g, and its derivative by the state before the step.
-
-    A step turns by an analytic function of the state, so that differences of order 8 have about thirteen digits. Steps
-    have the sign of `h`.
-    """
+    """The element g of a step, A -> A g, and its derivative by the state before, by differences of order 8."""
 
     def __init__(self, method: Method, h: float, representation: Representation) -> None:
         self._method, self._h, self._representation = method, h, representation

@@ -66,11 +66,7 @@ class Arguments(NamedTuple):
 
 
 class DifferentiableRun:
-    """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme.
-
-    `parameters` replace those of its system. The members of a batch have tables of one structure
-    (`differ_in_columns`), and parameters with an axis of members. Raises TypeError for what cannot be differentiated.
-    """
+    """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme."""
 
     def __init__(self, prepared: PreparedRun, parameters: Mapping[str, Parameter] | None = None) -> None:
         system = prepared.system
@@ -126,14 +122,9 @@ class DifferentiableRun:
 
 
 class Trajectory:
-    """A run that was integrated, in stretches whose first states are stored, or in one of all steps.
+    """A run that was integrated, in stretches whose first states are stored, or in one of all steps."""
 
-    `reverse` is "exact" or "reversible" for a run to be differentiated backward, and None forward. Of reversible runs
-    the last state is stored.
-
-    `states` (points, members, n) and `groups` (points, members, d, d) are those after the saved `steps`, elements as in
-    the loops. Output k is `length[k]` after the step with the number steps[point[k]], `elapsed[k]` after the start.
-    """
+    # Output k is `length[k]` after the step with the number steps[point[k]], and `elapsed[k]` after the start.
 
     crossings: Crossings | None = None
     finished: bool = False
@@ -301,10 +292,7 @@ class GivenInput(NamedTuple):
 
 
 def parameters_of_run(system: Any) -> Mapping[str, Parameter]:
-    """Return the parameters of the system of a run.
-
-    Those of a batch have an axis of members; they are those that all members have, in one shape.
-    """
+    """Return the parameters of the system of a run; of a batch those of all members, with an axis of members."""
     if not system.is_batch:
         return parameters_of(system)
     members = [parameters_of(member) for member in system]

@@ -33,13 +33,9 @@ class _Base(NamedTuple):
 
 
 class ForcedSteps:
-    """Steps of a system with forces, with the derivatives of `inner` for those of the Hamiltonian part.
+    """Steps with forces, in substeps, with the derivatives of `inner` for those of the Hamiltonian part."""
 
-    A step consists of substeps at the fractions of the scheme.
-
-    Coefficients are those of `inner`, then the entries of the flows, then factors of subtracted Casimirs. The steps of
-    the Hamiltonian part by `parts` have the bits of the tables `structures`, by length.
-    """
+    # Coefficients are those of `inner`, the entries of the flows, and the factors of subtracted Casimirs.
 
     def __init__(
         self,
@@ -185,10 +181,7 @@ class ForcedSteps:
 def forced_tables(
     inner: DerivativeTables, steps_at: Callable[..., ForcedSteps], entries: Sequence[FlowEntry], names: Sequence[str]
 ) -> DerivativeTables:
-    """Return the derivatives of steps with forces by the parameters of these names, in the form of compiled ones.
-
-    `steps_at(h, *values)` are the steps, of which `entries` are those of the flows.
-    """
+    """Return the derivatives of steps with forces by parameters, in the form of compiled ones."""
     flows, factors = inner.coefficient_count, inner.coefficient_count + len(entries)
     coefficients: dict[str, CoefficientMap] = {}
     rules: dict[str, str] = {}

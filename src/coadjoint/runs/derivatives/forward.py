@@ -24,12 +24,7 @@ Floats = NDArray[np.float64]
 
 
 class Directions:
-    """Directions of the initial states, the initial attitudes, the parameters and the inputs, `count` of each.
-
-    `x0` is (members, count, n), `attitude0` (members, count, d, d), and each of `parameters` (count, entries), or of a
-    batch (members, count, entries). `inputs`
-    are None without a direction, or those of all values, (count, values) or (members, count, values).
-    """
+    """Directions of the initial states, the attitudes, the parameters and the inputs, `count` of each."""
 
     def __init__(self, run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]) -> None:
         members, n, d = trajectory.members, trajectory.n, trajectory.side
@@ -222,10 +217,7 @@ def _flat(given: Any, run: DifferentiableRun) -> dict[str, Any]:
 def _tangents_at_outputs(
     trajectory: Trajectory, tables: DerivativeTables, directions: Directions, shifted: bool
 ) -> tuple[Floats, Floats]:
-    """Return the tangents of states, (points, members, count, n), and elements of the loop, (..., d, d).
-
-    Loops of shifted runs start at the unit element, others at the initial attitude.
-    """
+    """Return the tangents of states, (points, members, count, n), and elements of the loop, (..., d, d)."""
     coefficients = directions.of_coefficients(tables)
     of_x0, of_A0 = directions.x0, directions.attitude0
     stored = np.zeros_like(of_A0) if shifted else np.ascontiguousarray(np.swapaxes(of_A0, 2, 3))

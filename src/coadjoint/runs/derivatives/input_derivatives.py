@@ -33,11 +33,7 @@ def tables_with_inputs(
     representation: Representation,
     energies: Mapping[str, EnergyDerivative],
 ) -> DerivativeTables:
-    """Return the tables of a compiled scheme, of which `tables_at(step, values)` are those with inputs.
-
-    Derivatives by inputs, with the name `INPUTS`, are those of the computed map. `energies` are the derivatives of the
-    energy by other parameters.
-    """
+    """Return the tables of a compiled scheme, of which `tables_at(step, values)` are those with inputs."""
     tables, at = _located(inputs, scheme, h, representation, energies)
     if not tables.located:
         return _located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)})[0]
@@ -99,10 +95,7 @@ def without_inputs(energy: EnergyDerivative, inputs: Inputs) -> EnergyDerivative
 
 
 def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Iterator[NearbySystems]:
-    """Yield the systems with changed inputs, in the order in which these were prepared.
-
-    The change of a state in a step, relative to its size, is of the size of the distance.
-    """
+    """Yield the systems with changed inputs; a state changes in a step, relative to its size, as by the distance."""
     J = np.max(np.abs(inputs.system.structure_matrix(np.cos(1.0 + np.arange(inputs.system.dim)))))
     distance = RADIUS * DISTANCE / (abs(h) * (float(J) or 1.0))
     for index in inputs.changing.tolist():

@@ -22,12 +22,7 @@ Shape = tuple[int, ...]
 
 
 class ParametrizedRun:
-    """A prepared run over a time span, for values given by name: "x0", "attitude0" and parameters.
-
-    The outputs are the states (points, n) or (points, members, n) and, of runs with an attitude, the attitudes. Schemes
-    and systems without derivatives are refused. The run of the last values of the parameters is cached, and so is the
-    last trajectory that was integrated for a gradient.
-    """
+    """A prepared run over a time span, for values given by name: "x0", "attitude0" and parameters."""
 
     def __init__(
         self,

@@ -20,10 +20,7 @@ Floats = NDArray[np.float64]
 
 
 class StepTangents:
-    """The derivatives (n, n) by the state and (n, k) by k inputs, if any, of a step of length h.
-
-    `vectors` (k, n) in rows replace the unit vectors of the state, for derivatives along them, (n, k).
-    """
+    """The derivatives of a step of length h, (n, n) by the state or along `vectors`, and (n, k) by inputs."""
 
     def __init__(
         self, tables: DerivativeTables, n: int, h: float, inputs: Sequence[int] = (), vectors: Floats | None = None
@@ -66,10 +63,7 @@ class StepTangents:
 def compiled_tangents(
     method: Method, system: System, h: float, vectors: Floats | None = None, inputs: Inputs | None = None
 ) -> StepTangents | None:
-    """Return the derivatives of a step in the compiled loop of a scheme; None if there is no such loop.
-
-    Functions of the user in J(x) or the Hamiltonian would have to be compiled: systems with any have none.
-    """
+    """Return the derivatives of a step in the compiled loop; None without such a loop, and for user functions."""
     called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
     if called or not method.differentiable:
         return None

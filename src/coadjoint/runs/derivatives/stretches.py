@@ -22,11 +22,7 @@ ONE = np.ones(1, dtype=np.int64)
 
 
 class Stretch(NamedTuple):
-    """Steps k0 + 1 to k1 of all members, from t0 + k0 h, and the unfinished states from which they start.
-
-    Step k is number `before` + k of the run; None for a single step that is none of them. If `undone`, the states are
-    those at the end, from which the steps are undone.
-    """
+    """Steps k0 + 1 to k1 of all members, and the states from which they start, or, if `undone`, end."""
 
     t0: float
     h: float
@@ -106,10 +102,7 @@ class Stretch(NamedTuple):
 
 
 def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: int, workers: int = 1) -> bool:
-    """Carry the vectors of the members `first` to `last` - 1; return whether all linear equations were solved.
-
-    A compiled kernel is called on threads, and a function for some members at once.
-    """
+    """Carry the vectors of the members `first` to `last` - 1; return whether all linear equations were solved."""
     name: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
     stop, lanes = StopFlag(), limit("MOST_LANES")
     if callable(name):

@@ -20,11 +20,7 @@ from coadjoint.validation import read_number
 
 
 class Observed:
-    """Quantities evaluated at saved points; each function is called once at x0 for validation.
-
-    `observe` maps names to `Polynomial`, `Quadratic` or functions of x (of a matrix for matrix systems). TypeError: any
-    other value, or a function that does not compile or does not return a real number.
-    """
+    """Quantities evaluated at saved points; each function is called once at x0 for validation."""
 
     def __init__(self, system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]) -> None:
         from coadjoint.kernels.tables.invariants import watch_tables
