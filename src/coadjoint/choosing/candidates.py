@@ -15,11 +15,10 @@ import numpy as np
 from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial, cached_for_system, short_run
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.step_method import StepMethod
-from coadjoint.methods.protocol.substep_method import SubstepMethod
+from coadjoint.methods.protocol.step_method import CompiledStepMethod, StepMethod
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.system import System

@@ -11,10 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.matrix_steps import matrix_tables
+from coadjoint.kernels.tables.steps import STEP_LOOP
 from coadjoint.methods.numerics.isospectral_stages import slope_along
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -23,9 +28,7 @@ from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.formal.formal_numbers import FormalNumber
-    from coadjoint.methods.protocol.cost_model import Work
 
 TYPICAL_DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
 
@@ -151,9 +154,6 @@ class CommutatorFree(CompiledStepMethod):
         """Return the loop over steps of vectors, or of matrices."""
         if isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit):
             return super().loop_of_substeps(system, h, representation, fractions)
-        from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.tables.matrix_steps import matrix_tables
-        from coadjoint.kernels.tables.steps import STEP_LOOP
 
         integers, coefficients = self.constants()
         tables = matrix_tables(system, "commutator_free_matrices", integers[0], coefficients, fractions)
@@ -216,8 +216,6 @@ class CommutatorFree(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products in its series."""
-        from coadjoint.methods.protocol.cost_model import work_of_evaluations, work_of_products
-
         scheme = SCHEMES[self.order]
         products = TYPICAL_DEGREE * (len(scheme.stages) + len(scheme.out))
         if isinstance(orbit_of(system, "CommutatorFree"), MatrixOrbit):
@@ -259,8 +257,6 @@ def apply_exponential(
 
 def substeps_and_degree(norm: float, unit: Any) -> tuple[int, int]:
     """Return the number of substeps of an exponential, each of norm at most 1, and the degree that suffices."""
-    from coadjoint.kernels.interface import limit
-
     if unit == 0:
         raise TypeError(
             "the step needs exponentials, which exact fractions cannot represent; take floats or mpmath.mpf"

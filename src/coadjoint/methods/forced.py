@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.protocol.composed import Wrapper, check_base, composition_order
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper, check_base, composition_order
+from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
 
@@ -82,8 +83,6 @@ class FlowOfForce(NamedTuple):
 
 def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, tau: float, order: int) -> FlowOfForce:
     """Return the flow of a force on the Hamiltonian part with its derivative, in schemes of an order."""
-    from coadjoint.methods.protocol.step_derivatives import derivative_of
-
     known = force.tangent(system, x, t, tau)
     if known is not None:
         end = np.asarray(force.flow_of_order(system, x, t, tau, order), dtype=np.float64)

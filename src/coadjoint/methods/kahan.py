@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.numerics.solvers import linear_solve
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from coadjoint.methods.protocol.cost_model import Work
 
 TYPICAL_COLUMNS = 24  # typical number of products with f' in a step of many dimensions
 
@@ -101,8 +100,6 @@ class Kahan(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the field, of its derivative, and of the linear system."""
-        from coadjoint.methods.protocol.cost_model import work_of_evaluations
-
         return work_of_evaluations(system, substeps * (1 + min(system.dim, TYPICAL_COLUMNS)), self.explicit)
 
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
 from coadjoint.memory import check_available_memory
+from coadjoint.methods.protocol.composed import SubstepMethod
+from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.methods.splitting import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -21,10 +24,6 @@ from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.protocol.cost_model import Work
 
 Complexes = NDArray[np.complex128]
 Matrix = NDArray[Any]
@@ -122,9 +121,6 @@ class LineSplitting(SubstepMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
-        from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
-
         torus = torus_of(system)
         factor, constant = stream_of_modes(torus)
         integers = [torus.algebra.N, int(constant is not None), *np.ravel(lines(torus.algebra.N)).tolist()]
@@ -135,8 +131,6 @@ class LineSplitting(SubstepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the Fourier transforms."""
-        from coadjoint.methods.protocol.cost_model import Work
-
         numbers = system.dim / 2  # N^2 numbers, transformed for each of N lines
         cost = substeps * len(self.fractions) * TRANSFORM_COST * numbers**1.5 * np.log2(1.0 + numbers)
         return Work(lambda iterations, evaluations: cost)

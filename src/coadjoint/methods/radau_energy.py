@@ -13,8 +13,8 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.gauss_legendre import read_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
 from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation, linear_solve
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states

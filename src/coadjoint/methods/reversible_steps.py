@@ -13,10 +13,15 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
+from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
+from coadjoint.methods.protocol.composed import Wrapper, check_base
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper, check_base
+from coadjoint.methods.splitting import Splitting
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -25,7 +30,6 @@ from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
 
 NO_STEP_MESSAGE = (
@@ -124,9 +128,6 @@ class ReversibleSteps(Wrapper):
     @classmethod
     def examples(cls) -> Sequence[ReversibleSteps]:
         """Return steps of flows and of stages."""
-        from coadjoint.methods.gauss_legendre import GaussLegendre
-        from coadjoint.methods.splitting import Splitting
-
         return [cls(Splitting(order=2)), cls(GaussLegendre(2), 0.2)]
 
     def properties(self, system: System) -> Properties:
@@ -153,10 +154,6 @@ class ReversibleSteps(Wrapper):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop with variable steps around the loop of the base."""
-        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.tables.invariants import invariants_table
-        from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
-
         # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
         inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)
         integers, keepalive = inner_loop_integers(inner, system, representation)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.cost_model import Work, work_of_iterations
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
@@ -20,7 +21,6 @@ from coadjoint.systems.system_checks import check_vector_states
 
 if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
-    from coadjoint.methods.protocol.cost_model import Work
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,6 @@ class SphericalMidpoint(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations."""
-        from coadjoint.methods.protocol.cost_model import work_of_iterations
-
         return work_of_iterations(system, group)
 
 

@@ -28,7 +28,6 @@ from coadjoint.methods.numerics.taylor_series import (
     expand_quadratic,
     own_step,
 )
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
     LANES,
     Operations,
@@ -38,6 +37,7 @@ from coadjoint.methods.protocol.cost_model import (
 )
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states

@@ -132,11 +132,3 @@ def vector(entries: Any) -> NDArray[Any]:
     result = np.empty(len(listed), dtype=object)
     result[:] = listed
     return result
-
-
-def is_short(value: Any) -> bool:
-    """Return whether a number is exactly a fraction with a small denominator, such as 0.375 or 1/3 but not 0.1."""
-    return Fraction(value).denominator <= MAX_SHORT_DENOMINATOR
-
-
-MAX_SHORT_DENOMINATOR = 2**20  # floats with larger denominators are measured numbers, not short fractions

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import rational
-from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, is_short, vector
+from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, vector
 from coadjoint.methods.numerics.solvers import Coefficients
+from coadjoint.methods.protocol.method import is_short
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.interface import limit
 from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
@@ -65,7 +66,6 @@ def project(
 ) -> OnLevelSet:
     """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages."""
     # Linearly dependent gradients add no direction: restoring the other invariants restores these too.
-    from coadjoint.kernels.interface import limit
 
     exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
     unit = roundoff(number)
@@ -116,8 +116,6 @@ def independent(gradients: NDArray[Any]) -> list[int]:
     >>> independent(np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
     [0, 2]
     """
-    from coadjoint.kernels.interface import limit
-
     least = 2.0 ** -limit("DEPENDENT_BITS")
     selected: list[int] = []
     for row, gradient in enumerate(gradients):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.properties import Properties, check_attitude
+from coadjoint.methods.protocol.step_derivatives import DenseStep, LinearizedStep, derivative_of
 from coadjoint.program.numbers import Number
 from coadjoint.short_repr import short
 from coadjoint.systems.system import System
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-    from coadjoint.methods.protocol.step_derivatives import LinearizedStep
     from coadjoint.program.table import Program
     from coadjoint.systems.energy_derivatives import EnergyDerivative
     from coadjoint.systems.system_stacks import SystemStack
@@ -38,6 +39,7 @@ NO_ERROR_CONTROL = (
 )
 BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
 MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
+MAX_SHORT_DENOMINATOR = 2**20  # floats with larger denominators are measured numbers, not short fractions
 SIZE_SAMPLES = 240  # samples of the size of a motion, at output points that do not affect own steps
 
 
@@ -233,8 +235,6 @@ class Method(metaclass=ExplainedCalls):
         IntegrationError
             The iteration of an implicit scheme does not converge.
         """
-        from coadjoint.methods.protocol.step_derivatives import derivative_of
-
         result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
         return result.value, result.derivative
 
@@ -242,8 +242,6 @@ class Method(metaclass=ExplainedCalls):
         """Return how `tangent` is computed: by "formula", "complex step" or "differences", with about nine digits."""
         if type(self).tangent is not Method.tangent:
             return "formula"
-        from coadjoint.methods.protocol.step_derivatives import derivative_of
-
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
@@ -252,8 +250,6 @@ class Method(metaclass=ExplainedCalls):
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
         """Return a step from a vector, with its derivative as a linear map; by default from its matrix, `tangent`."""
-        from coadjoint.methods.protocol.step_derivatives import DenseStep
-
         end, matrix = self.tangent(system, x, t, h)
         return DenseStep(np.asarray(end), np.asarray(matrix))
 
@@ -376,8 +372,6 @@ class Method(metaclass=ExplainedCalls):
 
     def check_attitude(self, system: System, representation: Any) -> None:
         """Raise ValueError if the scheme cannot preserve the group in this representation, "coadjoint" or (n, d, d)."""
-        from coadjoint.methods.protocol.attitude import check_attitude
-
         check_attitude(declared_properties(self, system).attitude, type(self).__name__, system, representation)
 
     @classmethod
@@ -395,3 +389,8 @@ def declared_properties(method: Method, system: System) -> Properties:
             "it must return coadjoint.methods.Properties"
         )
     return declared
+
+
+def is_short(value: Any) -> bool:
+    """Return whether a number is exactly a fraction with a small denominator, such as 0.375 or 1/3 but not 0.1."""
+    return Fraction(value).denominator <= MAX_SHORT_DENOMINATOR

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, Step, begin, read_tableau
+from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.substep_method import SubstepMethod
-from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice
@@ -23,7 +23,6 @@ from coadjoint.validation import read_choice
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
@@ -124,7 +123,6 @@ class RungeKuttaMethod(SubstepMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
-        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
         from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
         read_choice(self.solver, "solver", SOLVERS)
@@ -169,10 +167,11 @@ class RungeKuttaMethod(SubstepMethod):
         fractions: Sequence[float],
     ) -> DerivativeTables:
         """Return the tables of the stages and of their derivatives, with substeps of these fractions of the step."""
-        from coadjoint.methods.protocol.runge_kutta_derivatives import runge_kutta_derivatives
+        from coadjoint.methods.protocol.derivative_tables import runge_kutta_derivatives
 
         self.properties(system)
-        return runge_kutta_derivatives(self, system, h, representation, energies, fractions)
+        loop = self.loop_of_substeps(system, h, representation, fractions)
+        return runge_kutta_derivatives(loop, system, energies)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
         """Return whether the first number of the memory of a member is positive."""

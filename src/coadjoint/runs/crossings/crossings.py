@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.tables.recording import FlaggedSteps
+from coadjoint.kernels.tables.recording import FlaggedSteps, values_along
 from coadjoint.runs.events import Event
 from coadjoint.runs.loops.execution import status_name
 from coadjoint.runs.partial_steps import PartialSteps
@@ -82,8 +82,6 @@ class WatchedEvents:
 
     def values(self, states: Floats, t: Floats) -> Floats:
         """Evaluate all events at states (m, n) and times (m,); shape (m, E)."""
-        from coadjoint.kernels.tables.recording import values_along
-
         out = np.empty((len(t), 1, len(self.events)))
         values_along(self.compiled.tables, states[:, None], t, out)
         return out[:, 0]

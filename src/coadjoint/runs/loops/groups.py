@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import MemberBatch
+from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
+from coadjoint.kernels.tables.writable import WritableTables
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.compiled import CompiledTables
-    from coadjoint.kernels.tables.writable import WritableTables
     from coadjoint.program.sources import Sources
 
 Floats = NDArray[np.float64]
@@ -106,8 +107,6 @@ def batches_of_groups(groups: Sequence[Group], members: int, workers: int, block
 
 def individual_groups(members: Iterable[tuple[str, Any, Any]]) -> list[Group]:
     """Return a group for each member, from its loop and the tables of the loop and of its watch."""
-    from coadjoint.kernels.tables.structures import as_structure
-
     return [
         Group(np.array([m]), loop, as_structure(tables), as_structure(watch))
         for m, (loop, tables, watch) in enumerate(members)
@@ -144,8 +143,6 @@ class Columns:
 
     def written_from(self, loop: CompiledLoop, watch: CompiledTables, first: Floats) -> WritableTables:
         """Return the tables of all systems, from others of the system that has the values `first`."""
-        from coadjoint.kernels.tables.writable import WritableTables
-
         return WritableTables(loop, watch, {source: k for k, source in enumerate(self.numbers.tolist())}, first)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -163,7 +160,6 @@ def groups_of(
 ) -> list[Group]:
     """Group members with tables that differ only in constants, in the order of their first members."""
     # Members that fill the lanes, or whose tables cannot be shared, are a group of their own.
-    from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
 
     block = limit("MOST_LANES")
     numbers = np.zeros(len(owners), dtype=np.int64) if numbers is None else numbers

@@ -15,6 +15,8 @@ from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.blas_threads import matrix_rows
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
+from coadjoint.kernels.tables.recording import values_along
+from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.groups import Columns, Group, batches_of_groups, groups_of, individual_groups, split_members
@@ -120,8 +122,6 @@ class Loops:
         self._set_tables(compiled, watches)
 
     def _set_tables(self, compiled: Sequence[CompiledLoop], watches: Sequence[CompiledTables]) -> None:
-        from coadjoint.kernels.tables.structures import as_structure
-
         self.compiled, self.watches = list(compiled), list(watches)
         self.order: NDArray[np.int64] | None = None
         if self.owners is None:
@@ -292,8 +292,6 @@ class Loops:
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the invariants of a single-member run at a state; multivalued ones on the branch nearest to `last`."""
-        from coadjoint.kernels.tables.recording import values_along
-
         if self.measured is not None:
             return self.measured.at(state[None], np.array([t]))[0]
         tables, values = self.watches[0].tables, np.empty((1, 1, len(last)))
@@ -355,8 +353,6 @@ def loops_of_system(
 
 def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> Loops:
     """Return the loops of a batch, with a representation for each; the tables of a member are those of it alone."""
-    from coadjoint.kernels.tables.structures import NotWritable
-
     names, distinct = list(batch[0].casimirs), batch.distinct
     firsts = np.unique(batch.owners, return_index=True)[1]
     built: list[tuple[CompiledLoop, CompiledTables]] = []
