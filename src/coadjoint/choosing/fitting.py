@@ -111,11 +111,7 @@ def _expected_rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: 
 def fit(
     pilot: Pilot, candidate: Candidate, goal: float, limit: float, predicted_steps: float | None = None
 ) -> Fit | None:
-    """Fit the number of steps for a truncation error `goal` at the end of the span; None if none is found.
-
-    `limit` is the lowest cost so far, or its estimate: a scheme predicted to be much more expensive is abandoned.
-    `predicted_steps` is an estimate of the steps over the span.
-    """
+    """Fit the steps for a truncation error `goal` at the end; None if none is found up to about the cost `limit`."""
     order = candidate.method.order
     cost_limit = (1.0 + ABANDON_COST_EXCESS / order) * limit
     # Default: the steps of the reference, scaled by the order. With far fewer steps the error is not measurable.
@@ -281,14 +277,8 @@ def least_roundoff(pilot: Pilot) -> float:
 
 
 def roundoff(pilot: Pilot, steps: int, flows: int, compensated: bool, windows: float, margin: float = 1.0) -> float:
-    """Return the rounding error expected at the end, relative to the largest momentum; inf if it overflows.
-
-    Each update of the momentum is rounded, and its error grows like a change of the initial state, so unbiased errors
-    of N updates add up to sqrt(N) times one (Brouwer's law: phase errors like t^1.5). Rounded coefficients and steps
-    change the unit of time: an error of u times the length of the path. The result is at least `margin` times the
-    rounding seen in the reference. `flows` per step is 0 for schemes not composed of flows; `windows` is the length of
-    the run in windows.
-    """
+    """Return the rounding error expected at the end, relative to the largest momentum; inf if it overflows."""
+    # Brouwer's law: sqrt(N) unbiased updates, whose errors grow like the sensitivity, and rounded units of time.
     number = max(1.0, steps * max(1, flows))
     path = pilot.speed * pilot.window * windows
     growing = pilot.sensitivity.factor(windows)

@@ -86,12 +86,8 @@ class Growth(NamedTuple):
     whole: float
 
     def factor(self, windows: float, min_power: float = 1.0) -> float:
-        """Return the ratio (>= 1, or inf) of the error after `windows` >= 1 windows to that after one.
-
-        Linear, unless both doublings of time show a faster power, of which the lower is used; exponential if both are
-        faster than t^2.5, or the last one much faster. `min_power` is 1 for symmetric schemes and Poisson maps, else 2,
-        since their slow loss of integrals is invisible at first and then shifts phases quadratically.
-        """
+        """Return the ratio (>= 1, or inf) of the error after `windows` >= 1 windows to that after one."""
+        # Linear, unless both doublings show a faster power; exponential above t^2.5. `min_power` 2: lost integrals.
         if windows <= 1.0 or self.whole == 0.0:
             return 1.0
         late, early = _ratio(self.whole, self.half), _ratio(self.half, self.quarter)

@@ -119,13 +119,7 @@ class CommutatorFree(CompiledStepMethod):
         object.__setattr__(self, "order", read_integer(self.order, "order of CommutatorFree", 2, 4))
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the coadjoint orbit is preserved, with every Casimir.
-
-        Raises
-        ------
-        ValueError
-            The system has no Lie algebra, and therefore no orbits.
-        """
+        """Return the properties: the coadjoint orbit is preserved, with every Casimir."""
         vectors = isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit)
         attitude = "every representation" if vectors else "none"
         return Properties(poisson=False, energy=False, casimirs="all", attitude=attitude)
@@ -169,10 +163,7 @@ class CommutatorFree(CompiledStepMethod):
         return matrices.to_vector(end) if matrices.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and the derivative of its series; for matrices, that of the projection on the algebra.
-
-        A stream given as a function is differentiated by differences.
-        """
+        """Return one step and the derivative of its series; for matrices, that of the projection on the algebra."""
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
             return self._advanced(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))

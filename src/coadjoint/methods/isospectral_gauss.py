@@ -87,13 +87,7 @@ class IsospectralGauss(SubstepMethod):
         return [cls(1), cls(2), cls(3)]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are preserved.
-
-        Raises
-        ------
-        ValueError
-            The system is not a `MatrixSystem`.
-        """
+        """Return the properties: the bracket and every Casimir are preserved."""
         matrices_of(system)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
 
@@ -113,13 +107,7 @@ class IsospectralGauss(SubstepMethod):
         return work_of_products(matrices_of(system), products, iterated=True)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,).
-
-        Raises
-        ------
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         matrices = matrices_of(system)
         (a, b), W = _coefficients(self.stages), matrices.matrices(x)
         if isinstance(matrices, TwoLayerSystem):
@@ -129,17 +117,7 @@ class IsospectralGauss(SubstepMethod):
         return np.asarray(matrices.to_vector(end) if matrices.is_in_numbers(x) else end)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative in coordinates, for the projection on the algebra.
-
-        Nonlinear streams given as functions are differentiated by differences.
-
-        Raises
-        ------
-        ValueError
-            The system is not a `MatrixSystem`.
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step and its derivative in coordinates, for the projection on the algebra."""
         step = self.linearized(system, x, t, h)
         return step.end, step.tangents(np.eye(len(step.end))).T
 

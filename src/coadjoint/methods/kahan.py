@@ -60,13 +60,7 @@ class Kahan(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "1 - h/2 f'(x) is singular: there is no next state"}
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: nothing is preserved.
-
-        Raises
-        ------
-        ValueError
-            The field is not quadratic: H is not quadratic or depends on time, or J is not linear.
-        """
+        """Return the properties: nothing is preserved; ValueError for a field that is not quadratic."""
         check_vector_states(system)
         if not system.has_quadratic_energy:
             raise ValueError(

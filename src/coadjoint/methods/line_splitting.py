@@ -107,13 +107,7 @@ class LineSplitting(SubstepMethod):
         return (*half, *half[-2::-1])
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are preserved.
-
-        Raises
-        ------
-        ValueError
-            The system is not a fluid on the torus, or N is not prime.
-        """
+        """Return the properties: the bracket and every Casimir are preserved."""
         torus_of(system)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
 
@@ -208,23 +202,14 @@ class FlowsOfLines:
 
 @cache
 def lines(N: int) -> tuple[Line, ...]:
-    """Return the lines in the order of a step.
-
-    Examples
-    --------
-    >>> [line.k for line in lines(3)]
-    [(1, 0), (1, 1), (1, 2), (0, 1)]
-    """
+    """Return the lines in the order of a step: all slopes of (1, slope), then (0, 1)."""
     return (*(Line((1, slope), (0, 1)) for slope in range(N)), Line((0, 1), (N - 1, 0)))
 
 
 def flow(
     v: Complexes, dv: Complexes, factor: NDArray[np.float64], constant: Complexes | None, line: Line, h: float
 ) -> tuple[Complexes, Complexes]:
-    """Return modes v (N, N) and changes dv (directions, N, N) after the exact flow of a line over a time h.
-
-    `factor` and `constant` are those of `stream_of_modes`.
-    """
+    """Return modes v (N, N) and changes dv (directions, N, N) after the exact flow of a line over a time h."""
     N = len(v)
     indices = np.arange(N)
     d, s = indices[:, None], indices[None, :]

@@ -80,13 +80,7 @@ class Projected(Wrapper):
         return [cls(Splitting(order=2)), cls(ExplicitRungeKutta("rk4"))]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy, and the Casimirs that are polynomials, are preserved.
-
-        Raises
-        ------
-        ValueError
-            The base cannot be used for the system, or the energy is not a polynomial, or depends on time.
-        """
+        """Return the properties: the energy, and the Casimirs that are polynomials, are preserved."""
         self.base.properties(system)
         if any(term.degree is None for term in system.hamiltonian.terms()):
             raise ValueError(
@@ -114,13 +108,7 @@ class Projected(Wrapper):
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, computed in NumPy for any number type; the invariants keep their values at x.
-
-        Raises
-        ------
-        IntegrationError
-            The projection, or the base, does not converge.
-        """
+        """Return one step, computed in NumPy for any number type; the invariants keep their values at x."""
         self.properties(system)
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])

@@ -126,17 +126,7 @@ def names() -> tuple[str, ...]:
 
 
 def scheme(name: str) -> type[Method]:
-    """Return a scheme as a class, by its name.
-
-    Parameters
-    ----------
-    name : str
-        One of `names`.
-
-    Returns
-    -------
-    type
-    """
+    """Return a scheme as a class, by its name."""
     schemes = _schemes()
     return schemes[read_choice(name, "method", schemes)]
 

@@ -131,14 +131,7 @@ class ReversibleSteps(Wrapper):
         return [cls(Splitting(order=2)), cls(GaussLegendre(2), 0.2)]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties of the base except the bracket: steps whose length depends on the state are no Poisson
-        maps.
-
-        Raises
-        ------
-        ValueError
-            The base cannot be used for the system, the Hamiltonian depends on time, or the speed is not defined for it.
-        """
+        """Return those of the base except the bracket: variable steps are no Poisson maps."""
         check_vector_states(system)
         declared = self.base.properties(system)
         if system.hamiltonian.timed:
@@ -171,13 +164,7 @@ class ReversibleSteps(Wrapper):
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return the motion over h by variable steps from a fresh start, in NumPy for any number type.
-
-        Raises
-        ------
-        IntegrationError
-            A step is undefined, or steps become too short.
-        """
+        """Return the motion over h by variable steps from a fresh start, in NumPy for any number type."""
         self.properties(system)
         speed, y, elapsed = self._speed(system), np.asarray(x), 0 * h
         rho = None
@@ -243,18 +230,7 @@ class Speed:
     given: Any
 
     def at(self, x: Any) -> tuple[Any, Any]:
-        """Return the speed Q at a state of any number type, and its rate of change Q' / Q along the motion.
-
-        Examples
-        --------
-        The speed of a rigid body is its angular velocity times the square root of 2/3:
-
-        >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
-        >>> Q, rate = speed_of(body, None).at(np.array([0.0, 0.0, 3.0]))
-        >>> bool(abs(Q - 0.75 * (2 / 3) ** 0.5) < 1e-15), float(rate)
-        (True, 0.0)
-        """
+        """Return the speed Q at a state of any number type, and its rate of change Q' / Q along the motion."""
         system = self.system
         f = system.vector_field(x)
         if self.kind == "given":

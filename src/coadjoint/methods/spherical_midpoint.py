@@ -61,16 +61,8 @@ class SphericalMidpoint(CompiledStepMethod):
     symmetric = True
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are preserved, and for some H the energy.
-
-        Since y is a multiple of the midpoint, H is preserved if it is linear, or homogeneous quadratic, in one spin, or
-        a sum of such functions over the spins.
-
-        Raises
-        ------
-        ValueError
-            The algebra does not consist of copies of so(3).
-        """
+        """Return the properties: the bracket and every Casimir are preserved, and for some H the energy."""
+        # y is a multiple of the midpoint: H is kept if linear, or homogeneous quadratic, in one spin, or a sum of such.
         check_vector_states(system)
         spins = spins_of(system)
         return Properties(poisson=True, energy=_keeps_energy(system, spins), casimirs="all", attitude="none")
@@ -81,28 +73,13 @@ class SphericalMidpoint(CompiledStepMethod):
         return "spherical_midpoint"
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, computed in NumPy for any number type with square roots.
-
-        Raises
-        ------
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step, computed in NumPy for any number type with square roots."""
         step, slope = self._solve(system, x, t, h)
         return np.asarray(step.x + slope)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative, by the implicit function theorem.
-
-        With y = r m / s, m = x + L/2, s its length and L = h f(y): ``dy = (r (1 - m m^T/s^2) dm + m x^T dx/r) / s``.
-
-        Raises
-        ------
-        TypeError
-            A spin has length 0, where the step is not differentiable.
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step and its exact derivative; TypeError if a spin has length 0."""
+        # With y = r m / s, m = x + L/2, s its length, L = h f(y): dy = (r (1 - m m^T/s^2) dm + m x^T dx/r) / s.
         step, slope = self._solve(system, np.asarray(x, dtype=np.float64), t, h)
         n, middle = len(step.x), step.x + slope / 2
         by_middle, by_start = np.eye(n), np.zeros((n, n))

@@ -169,11 +169,7 @@ class PiecewiseRun:
         return larger_deviations(self._earlier_worst, self.run.state["worst"])
 
     def stored(self, begin_block: bool = False) -> dict[str, Any]:
-        """Return numbers and arrays, by name, from which the run resumes bitwise.
-
-        ``block`` (members, invariants) holds the largest deviations since the last block began; `begin_block` begins
-        another.
-        """
+        """Return the numbers from which the run resumes bitwise; `block` has the largest deviations since its begin."""
         assert self.run.initial is not None
         block = reduce(larger_deviations, np.moveaxis(self.run.state["worst"], 1, 0))
         if begin_block:

@@ -207,10 +207,7 @@ class Preparation:
     def start(
         self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None, *, begins: bool = True
     ) -> Start:
-        """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`.
-
-        Unless it `begins` a motion, x0 is any state; see `any_momenta_of`.
-        """
+        """Validate x0, any state unless it `begins` a motion, and attitude; return a start for `follow`."""
         representation = self._representations[0]
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(

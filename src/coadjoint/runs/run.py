@@ -47,27 +47,11 @@ TURNS = 1024
 
 
 class Run:
-    """A plan and a start, the state after some of the steps, and the points saved so far.
+    """A plan and a start, the state after some of the steps, and the points saved so far; a `state` resumes a run."""
 
-    A run with a `state` resumes after its steps; earlier points are not saved again.
-
-    Attributes
-    ----------
-    state : State
-        State after the last step taken.
-    saved : NamedArrays
-        Arrays of the saved points.
-    events : RecordedEvents or None
-        Crossings found, if events were given.
-    ending : TerminalEvent or None
-        Terminal event that ended a single-member run.
-    initial : ndarray or None
-        Invariants at the start, (members, invariants), if they are not those of the first saved point.
-    """
-
-    initial: NDArray[np.float64] | None = None
+    initial: NDArray[np.float64] | None = None  # invariants at the start, if not those of the first saved point
     events: RecordedEvents | None = None
-    ending: TerminalEvent | None = None
+    ending: TerminalEvent | None = None  # that ended a single-member run
     seconds = 0.0
     failed_count = 0
 

@@ -74,13 +74,7 @@ class Times(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """Last step before the first saved step that exceeds `max_points`.
-
-        Examples
-        --------
-        >>> Times(0.0, 0.5, 10, 4, max_points=2).reach, Times(0.0, 0.5, 10, 4, passed=1, max_points=2).reach
-        (7, 9)
-        """
+        """Last step before the first saved step that exceeds `max_points`."""
         last = self.passed + self.points
         if last == self.total_points:
             return self.steps
@@ -104,13 +98,7 @@ class Times(NamedTuple):
         return Times(self.t0, math.ldexp(self.h, -halvings), self.steps << halvings, 1)
 
     def after(self, number: int) -> Times:
-        """Return the same times with only the saved steps after step `number`.
-
-        Examples
-        --------
-        >>> Times(0.0, 0.5, 10, 4).after(4).saved
-        array([ 8, 10])
-        """
+        """Return the same times with only the saved steps after step `number`."""
         if not 0 <= number <= self.steps:
             raise ValueError(f"the state is that after step {number}; a run of {self.steps} steps cannot resume there")
         if self.marks is not None:

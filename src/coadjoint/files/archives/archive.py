@@ -171,10 +171,7 @@ class Archive:
         )
 
     def read(self, name: str, part: Sequence[range] | None = None) -> NDArray[Any]:
-        """Return an array, or the ascending ranges `part` along its axes; NaN where nothing is written yet.
-
-        ArchiveError: a chunk is missing or damaged, or the last point was replaced. ValueError: too little memory.
-        """
+        """Return an array, or the ascending ranges `part` along its axes; NaN where nothing is written yet."""
         array = self.arrays[name]
         ranges = tuple(map(range, array.shape)) if part is None else tuple(part)
         shape = tuple(map(len, ranges))

@@ -80,10 +80,7 @@ class ArchiveFolder:
             os.close(descriptor)
 
     def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
-        """Return a file of at most `max_bytes` bytes, or its first `head` bytes.
-
-        OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
-        """
+        """Return a file of at most `max_bytes` bytes, or its first `head` bytes; ValueError if it is longer."""
         with self._at(folder, file) as (path, inside):
 
             def opened(name: str, flags: int) -> int:

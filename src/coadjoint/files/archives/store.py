@@ -184,11 +184,8 @@ class ArchiveStore(Archive):
         raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; the computed part is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
-        """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later.
-
-        Along the dimension that grows, the region may begin within a chunk whose first rows are written. Along the
-        others it consists of whole chunks.
-        """
+        """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later."""
+        # Along the dimension that grows it may begin within a chunk, along the others it consists of whole ones.
         self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))

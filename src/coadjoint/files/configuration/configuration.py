@@ -60,26 +60,7 @@ class Configuration:
     text: str = field(default="", repr=False)
 
     def integrate(self, progress: bool = False, archive: str | Path | None = None) -> Solution:
-        """Integrate the described run.
-
-        Parameters
-        ----------
-        progress : bool
-            Show a progress bar.
-        archive : str or Path, optional
-            A new folder to which the run is written while it runs.
-
-        Returns
-        -------
-        Solution
-
-        Raises
-        ------
-        ConfigurationError
-            The scheme cannot be used for the system, or the saved states do not fit into memory.
-        IntegrationError
-            The run fails.
-        """
+        """Integrate the described run, into a new folder `archive` if it is given."""
         if archive is not None or self.workers is not None:
             return self._integrate_to_archive(archive, progress)
         self.check_memory()
@@ -103,13 +84,7 @@ class Configuration:
         return with_choice(solution, self.choice)
 
     def ready(self) -> PreparedRun:
-        """Return the prepared run.
-
-        Raises
-        ------
-        ConfigurationError
-            The scheme cannot be used for the system.
-        """
+        """Return the prepared run."""
         from coadjoint.runs.prepared_run import PreparedRun
 
         with section(self.path, "method"):
@@ -155,19 +130,7 @@ class Configuration:
             )
 
     def dataset(self, solution: Solution) -> xarray.Dataset:
-        """Return a solution of this configuration as a dataset, with the text of the file as an attribute.
-
-        Settings of a sweep are coordinates along the members, such as ``swept_inertia_2``.
-
-        Parameters
-        ----------
-        solution : Solution
-            From `integrate`, or the partial solution of its failure.
-
-        Returns
-        -------
-        xarray.Dataset
-        """
+        """Return a solution, or a partial one, as a dataset with the text of the file and the settings of a sweep."""
         dataset = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
         dataset.attrs.pop(CHECKSUM, None)  # it does not cover the additions
         return dataset.assign_coords(self.swept_coordinates())

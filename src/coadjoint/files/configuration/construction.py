@@ -77,18 +77,7 @@ class ConfigurationError(OneLineError):
 
 @contextmanager
 def section(name: str, key: str) -> Iterator[None]:
-    """Convert errors inside the context to `ConfigurationError` with the file `name` and the dotted `key`.
-
-    Converted are ValueError, TypeError, arithmetic and recursion errors, and MemoryError.
-
-    Examples
-    --------
-    >>> with section("run.toml", "run.step"):
-    ...     raise ValueError("step is 0")
-    Traceback (most recent call last):
-    ...
-    coadjoint.files.configuration.construction.ConfigurationError: run.toml: run.step: step is 0
-    """
+    """Convert errors inside the context to `ConfigurationError` with the file `name` and the dotted `key`."""
     cause: Exception
     try:
         yield

@@ -63,29 +63,7 @@ def outputs_of_text(text: str) -> dict[str, str | None]:
 
 
 def load(path: str | Path) -> Configuration:
-    """Read and validate a configuration file.
-
-    Parameters
-    ----------
-    path : str or Path
-        A TOML file.
-
-    Returns
-    -------
-    Configuration
-
-    Raises
-    ------
-    ConfigurationError
-        With file, key or line, what is wrong, and how to correct it.
-
-    Examples
-    --------
-    >>> load("none.toml")
-    Traceback (most recent call last):
-    ...
-    coadjoint.files.configuration.construction.ConfigurationError: none.toml: cannot be read (No such file or directory)
-    """
+    """Read and validate a configuration file, in TOML; ConfigurationError has file, key or line, and remedy."""
     require_packages("reading a configuration file", "pydantic")
     name, text = str(read_path(path, "path")), read_utf8(path)
     errors = ErrorCollector(name)

@@ -60,11 +60,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest.
-
-    `raw` holds the tables of the file, not validated; `axes` are in the order of their first keys; `orbits` are the
-    keys whose settings are elements of the algebra that move the given state.
-    """
+    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest."""
 
     name: str
     raw: Mapping[str, Any]

@@ -33,10 +33,7 @@ MOST_ROWS = 40
 
 
 class Run(NamedTuple):
-    """Blocks of one kind in order: `repeat` blocks for each of some angles of a part.
-
-    Unless it is negative, `skip` is the angle whose rotation is usually zero, and then nothing is moved.
-    """
+    """Blocks of one kind in order, `repeat` for each of some angles; none if the angle `skip` is zero."""
 
     kind: int
     rational: bool

@@ -57,13 +57,7 @@ def function(name: str, arguments: str, body: Sequence[str]) -> list[str]:
 
 
 def numbers(kind: str, name: str, values: Sequence[Value]) -> list[str]:
-    """Return the declaration of a constant array.
-
-    Examples
-    --------
-    >>> numbers("double", "weight", [0.5, 2.0])
-    ['static const double weight[2] = {0.5, 2.0};']
-    """
+    """Return the declaration of a constant array."""
     text = ", ".join(map(literal, values)) if len(values) else "0"
     line = f"static const {kind} {name}[{max(1, len(values))}] = {{{text}}};"
     return (

@@ -90,13 +90,7 @@ def factors_of(terms: Terms, monomial: int) -> list[Factor]:
 
 
 def power(x: str, exponent: int) -> str:
-    """Return a power with the bits of repeated multiplication.
-
-    Examples
-    --------
-    >>> power("y", 3), power("y", 9)
-    ('(y * y * y)', 'coadjoint_power(y, 9)')
-    """
+    """Return a power with the bits of repeated multiplication."""
     if exponent > LARGEST_POWER:
         return f"coadjoint_power({x}, {exponent})"
     return x if exponent == 1 else f"({' * '.join([x] * exponent)})"

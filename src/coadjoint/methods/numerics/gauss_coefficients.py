@@ -155,11 +155,8 @@ def node_polynomial(stages: int) -> list[Fraction]:
 
 
 def gauss_legendre(stages: int, number: Number = float) -> Collocation:
-    """Return the coefficients of the Gauss-Legendre method with s stages, of order 2 s.
-
-    In float64, nodes and weights are correctly rounded and mu_ij + mu_ji = 1 exactly. Source: E. Hairer, C. Lubich,
-    G. Wanner, Geometric Numerical Integration, II.1.3; E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231.
-    """
+    """Return the Gauss-Legendre method with s stages, of order 2 s; in float64 mu_ij + mu_ji = 1 exactly."""
+    # E. Hairer, C. Lubich, G. Wanner, GNI II.1.3; E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231.
     return _in_floats(stages, False) if number is float else _gauss(stages, number)
 
 

@@ -109,13 +109,7 @@ def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
 
 
 def independent(gradients: NDArray[Any]) -> list[int]:
-    """Return the rows of gradients (k, n) that are, up to rounding, linearly independent of the previous rows.
-
-    Examples
-    --------
-    >>> independent(np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
-    [0, 2]
-    """
+    """Return the rows of gradients (k, n) that are, up to rounding, linearly independent of the previous rows."""
     least = 2.0 ** -limit("DEPENDENT_BITS")
     selected: list[int] = []
     for row, gradient in enumerate(gradients):

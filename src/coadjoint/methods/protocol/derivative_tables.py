@@ -35,15 +35,15 @@ class DerivativeTables(NamedTuple):
     # `factors`: of Casimirs subtracted from H; `of_members`: those of a batch; `located`: differentiated fields.
 
     tables_at: Callable[..., Any]
-    keepalive: tuple[Any, ...]
     forward: Kernel
     backward: Kernel
     coefficient_count: int
     coefficients: Mapping[str, CoefficientMap]
     factors: Mapping[str, CoefficientMap]
     rules: Mapping[str, str]
-    shift: tuple[Any, ...]
-    reversible: bool
+    keepalive: tuple[Any, ...] = ()
+    shift: tuple[Any, ...] = ()
+    reversible: bool = False
     located: tuple[str, ...] = ()
     monomials: Mapping[str, tuple[CoefficientMap, CoefficientMap]] = {}
     of_members: NDArray[np.float64] | None = None
@@ -112,8 +112,6 @@ def runge_kutta_derivatives(
         coefficients={name: one.of_energy(energies[name]) for name, one in of_monomials.items()},
         factors=dict.fromkeys(energies, empty),
         rules=dict.fromkeys(energies, EXACT),
-        shift=(),
-        reversible=False,
         monomials={name: (one, empty) for name, one in of_monomials.items()},
         sources=lambda: loop.sources().within("base."),
     )

@@ -184,27 +184,13 @@ class RungeKuttaMethod(SubstepMethod):
         return work_of_iterations(system, group)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, by the defining formulas, without compensation.
-
-        Raises
-        ------
-        IntegrationError
-            The iteration of an implicit scheme does not converge.
-        """
+        """Return one step, by the defining formulas, without compensation."""
         self.properties(system)
         step = begin(self.coefficients, system, x, t, h)
         return np.asarray(step.x + step.coefficients.out @ self.evaluate(step).slopes)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return one step and its exact derivative.
-
-        Raises
-        ------
-        TypeError
-            A derivative is not known.
-        IntegrationError
-            The iteration of an implicit scheme does not converge.
-        """
+        """Return one step and its exact derivative."""
         self.properties(system)
         step = begin(self.coefficients, system, np.asarray(x, dtype=np.float64), t, h)
         slopes, derivatives = self.evaluate(step, tangent=True)

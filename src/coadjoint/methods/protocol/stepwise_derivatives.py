@@ -151,13 +151,10 @@ def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Ma
         start += size
     return DerivativeTables(
         tables_at=lambda h, *values: steps_at(*values),
-        keepalive=(),
         forward=StepwiseDerivatives.forward,
         backward=StepwiseDerivatives.backward,
         coefficient_count=start,
         coefficients=coefficients,
         factors=dict.fromkeys(sizes, CoefficientMap.of_triplets(())),
         rules=dict.fromkeys(sizes, DIFFERENCES),
-        shift=(),
-        reversible=False,
     )

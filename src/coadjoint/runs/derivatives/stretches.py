@@ -17,8 +17,7 @@ from coadjoint.runs.loops.groups import split_members
 
 Floats = NDArray[np.float64]
 
-ONE = np.ones(1, dtype=np.int64)
-"""The mark of a single step."""
+ONE = np.ones(1, dtype=np.int64)  # the mark of a single step
 
 
 class Stretch(NamedTuple):
@@ -49,19 +48,15 @@ class Stretch(NamedTuple):
         marks: NDArray[np.int64] = ONE,
         threads: int = 1,
     ) -> ForwardRun:
-        """Return the run of a kernel with tangents (members, count, n) and (members, count, d, d), which it overwrites.
-
-        `coefficients` are (count, their number), or with a first axis of members.
-        """
+        """Return the run of a kernel, which overwrites tangents (members, count, n) and (members, count, d, d)."""
         return ForwardRun(
-            **self._common(marks),
+            **self._common(marks, threads),
             carried=tangents.shape[1],
             at_points=np.zeros((len(marks), *tangents.shape)),
             at_groups=np.zeros((len(marks), *group_tangents.shape)),
             tangents=tangents,
             group_tangents=group_tangents,
             coefficients=coefficients,
-            threads=threads,
             apart=coefficients.ndim == 3,
         )
 
@@ -76,12 +71,9 @@ class Stretch(NamedTuple):
         marks: NDArray[np.int64] = ONE,
         threads: int = 1,
     ) -> BackwardRun:
-        """Return the run of a kernel with cotangents (members, n) and (members, d, d), which it overwrites.
-
-        Those at the marks are added; derivatives by coefficients (members, their number) are added to `coefficients`.
-        """
+        """Return the run of a kernel, which overwrites cotangents and adds to `coefficients` (members, number)."""
         return BackwardRun(
-            **self._common(marks),
+            **self._common(marks, threads),
             group_errors=self.group_errors,
             at_points=np.ascontiguousarray(at_points),
             at_groups=np.ascontiguousarray(at_groups),
@@ -90,15 +82,13 @@ class Stretch(NamedTuple):
             coefficients=coefficients,
             deviations=np.zeros(len(cotangents)),
             undone=self.undone,
-            threads=threads,
         )
 
-    def _common(self, marks: NDArray[np.int64]) -> dict[str, Any]:
-        names = ("t0", "h", "k0", "k1", "momenta", "errors", "groups")
-        fields = {name: getattr(self, name) for name in names}
+    def _common(self, marks: NDArray[np.int64], threads: int) -> dict[str, Any]:
         members, size = self.momenta.shape
+        own = {name: getattr(self, name) for name in ("t0", "h", "k0", "k1", "momenta", "errors", "groups")}
         sizes = {"members": members, "size": size, "square": self.groups[0].size, "marked": len(marks)}
-        return {**fields, **sizes, "marks": marks}
+        return {**own, **sizes, "marks": marks, "threads": threads}
 
 
 def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: int, workers: int = 1) -> bool:

@@ -42,10 +42,7 @@ class Group(NamedTuple):
     stride: int = 0
 
     def rows(self, columns: Integers, workers: int, block: int, begin: int = 0) -> Rows:
-        """Return rows (m,) for these columns of constants, in the given order without a stride.
-
-        Slots count from `begin`. Without a stride, each worker has a batch, in which `block` rows go side by side.
-        """
+        """Return rows (m,) for these columns of constants; slots count from `begin`, and each worker has a batch."""
         if self.stride:
             return self._in_columns(columns, begin)
         count = len(columns)
