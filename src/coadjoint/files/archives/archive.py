@@ -303,6 +303,10 @@ def chunk_file(indices: tuple[int, ...]) -> str:
     return ".".join(("c", *map(str, indices)))
 
 
+def _no_archive(path: Location) -> ArchiveError:
+    return ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named")
+
+
 def open_location(location: Location) -> Folder:
     """Open the folder of an archive to read it; ArchiveError if there is none."""
     return open_folder(location) if isinstance(location, Path) else location
@@ -313,7 +317,7 @@ def open_folder(path: Path) -> ArchiveFolder:
     try:
         return ArchiveFolder(path)
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
+        raise _no_archive(path) from None
     except NotADirectoryError:
         raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
     except OSError as reason:
@@ -333,7 +337,7 @@ def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, S
         version = attributes[VERSION_ATTRIBUTE]
         metadata = root["consolidated_metadata"]["metadata"]
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
+        raise _no_archive(path) from None
     except OSError as reason:
         raise ArchiveError(f"{path}: {ROOT_FILE} cannot be read ({reason.strerror})") from None
     except (ValueError, LookupError, TypeError, RecursionError):

@@ -16,6 +16,7 @@ from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import integrate
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
@@ -25,8 +26,6 @@ CONFIGURATION = "configuration"
 
 if TYPE_CHECKING:
     import xarray
-
-    from coadjoint.runs.prepared_run import PreparedRun
 
 
 @dataclass(frozen=True)
@@ -85,8 +84,6 @@ class Configuration:
 
     def ready(self) -> PreparedRun:
         """Return the prepared run."""
-        from coadjoint.runs.prepared_run import PreparedRun
-
         with section(self.path, "method"):
             return PreparedRun(
                 self.system,

@@ -29,6 +29,7 @@ from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made_systems
 from coadjoint.systems.system import System
 from coadjoint.validation import check_parameters, from_description, read_array_file, read_choice
 
@@ -138,7 +139,6 @@ def _hamiltonian_part(name: str, file: File) -> System:
 def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System:
     from coadjoint import systems
     from coadjoint.files.configuration.models import unknown_key
-    from coadjoint.systems.registry import ready_made_systems
 
     with section(name, "system"):
         make = ready_made_systems()[read_choice(system, "system", ready_made_systems())]

@@ -13,6 +13,7 @@ from coadjoint.files.datasets.named_axes import unstacked
 from coadjoint.files.records.records import safe_name
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
+from coadjoint.runs.events import RecordedEvents
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.fluids.reduced_mhd import fluid_of
@@ -338,3 +339,18 @@ def _coordinates(on_sphere: bool, rows: Floats, columns: Floats) -> Variables:
         name: ((name,), np.round(np.degrees(values), 12), {"standard_name": name, "long_name": name, "units": units})
         for name, values, units in named
     }
+
+
+def event_variables(events: RecordedEvents) -> dict[str, Any]:
+    """Return crossings as variables of a dataset, over ``crossing``."""
+    dims = ("crossing",)
+    variables: dict[str, Any] = {
+        "event_time": (dims, events.t, cf_attributes("time of a crossing")),
+        "event_x": ((*dims, *state_dimensions(events.x, 1)), split_complex(events.x), cf_attributes("momentum there")),
+        "event_which": (dims, events.which, {"long_name": "number of the event"}),
+        "event_member": (dims, events.member, {"long_name": "member that crosses"}),
+        "event_direction": (dims, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
+    }
+    if events.attitude is not None:
+        variables["event_attitude"] = ((*dims, "row", "column"), events.attitude, cf_attributes("group element there"))
+    return variables

@@ -12,9 +12,20 @@ import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.files.exports.c_flows import ATTITUDE, PartsInC
-from coadjoint.files.exports.c_runtime import FREE_BODY, includes, runtime
 from coadjoint.files.exports.c_stages import StagesInC
-from coadjoint.files.exports.c_statements import VECTORS, WIDTH, Inputs, Value, block, function, repeated, wrapped
+from coadjoint.files.exports.c_statements import (
+    FREE_BODY,
+    VECTORS,
+    WIDTH,
+    Inputs,
+    Value,
+    block,
+    function,
+    includes,
+    repeated,
+    runtime,
+    wrapped,
+)
 from coadjoint.files.output.output_files import write_header
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop
