@@ -212,7 +212,7 @@ def export(file: str | None, free_body: bool, library: bool, path: str | None, n
     for the compiled library. With --free-body, it is a header with functions for double and float. Both headers
     allocate nothing and need only sqrt. --library copies the compiled library, which runs tables by functions of C.
     """
-    from coadjoint.files.exports.c_runtime import free_body_header
+    from coadjoint.files.exports.c_statements import free_body_header
     from coadjoint.files.exports.table_export import write_interface
     from coadjoint.files.output.output_files import HEADERS, TEXTS, check_target, write_header, write_text
 

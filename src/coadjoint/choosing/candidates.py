@@ -15,11 +15,10 @@ import numpy as np
 from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial, cached_for_system, short_run
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.step_method import StepMethod
-from coadjoint.methods.protocol.substep_method import SubstepMethod
+from coadjoint.methods.protocol.step_method import CompiledStepMethod, StepMethod
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.system import System
@@ -33,11 +32,7 @@ PAIRS = 5
 
 @dataclass(frozen=True)
 class Candidate:
-    """A scheme that supports a system, with the work of its step.
-
-    `compensation_open` states whether compensated summation may be chosen, `in_lanes` whether members run side by side,
-    `group` is the representation of the group element.
-    """
+    """A scheme that supports a system, the work of its step, and whether it may compensate sums and use lanes."""
 
     system: System
     method: Method
@@ -77,10 +72,7 @@ class Candidate:
 
     @cached_property
     def _grows_like_time(self) -> bool:
-        """Whether phase errors grow linearly.
-
-        This holds for symmetric schemes and Poisson maps, and if restored invariants confine the motion to a curve.
-        """
+        """Whether phase errors grow linearly: symmetric schemes, Poisson maps, or a motion confined to a curve."""
         if self.method.symmetric or self.method.properties(self.system).poisson:
             return True
         invariants = self.method.restored(self.system)
@@ -98,10 +90,7 @@ class Candidate:
 def supported_candidates(
     system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool
 ) -> list[Candidate]:
-    """Return the schemes, at least one, that support a system and the attitude requested.
-
-    With `strict`, the ValueError or TypeError of an unsupported scheme is raised; else only if no scheme is left.
-    """
+    """Return the schemes, at least one, that support a system; with `strict` the error of any other one is raised."""
     members = len(momenta_of(system, x0)[0])
     in_lanes = members >= MIN_LANE_MEMBERS and system.dim <= limit("WIDEST")
     candidates: list[Candidate] = []
@@ -138,11 +127,8 @@ def _work(system: System, method: Method, representation: Any) -> Work:
 
 
 def with_measured_work(pilot: Pilot, candidate: Candidate) -> Candidate:
-    """Return a candidate with a step of the user with its measured work; others, and steps that fail, unchanged.
-
-    The time of a step is compared with that of the reference scheme in the same moment, whose work is counted, so that
-    the result depends little on the speed of the machine and on its load.
-    """
+    """Return a candidate with a step of the user with its measured work; others, and steps that fail, unchanged."""
+    # Timed beside the reference scheme, whose work is counted: the result depends little on the speed of the machine.
     if candidate.group is not None or candidate.method.own_steps or not _is_uncounted(candidate.method):
         return candidate
     note_progress(f"timing the steps of {type(candidate.method).__name__}")

@@ -111,11 +111,7 @@ def _expected_rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: 
 def fit(
     pilot: Pilot, candidate: Candidate, goal: float, limit: float, predicted_steps: float | None = None
 ) -> Fit | None:
-    """Fit the number of steps for a truncation error `goal` at the end of the span; None if none is found.
-
-    `limit` is the lowest cost so far, or its estimate: a scheme predicted to be much more expensive is abandoned.
-    `predicted_steps` is an estimate of the steps over the span.
-    """
+    """Fit the steps for a truncation error `goal` at the end; None if none is found up to about the cost `limit`."""
     order = candidate.method.order
     cost_limit = (1.0 + ABANDON_COST_EXCESS / order) * limit
     # Default: the steps of the reference, scaled by the order. With far fewer steps the error is not measurable.
@@ -181,12 +177,8 @@ def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, 
 
 
 def confirmed_fit(fitted: Fit, goal: float, required: float) -> Fit:
-    """Run a fit over the window once more, and correct its step until the error at the end serves `required`.
-
-    `goal` is the target of the truncation error. An error that may be rounding is measured too, since large steps
-    amplify rounding beyond its estimate. Fits with variable steps and expensive ones are returned unchanged. If no
-    correction helps, the error of the result exceeds `required`.
-    """
+    """Run a fit over the window once more, and correct its step until the error at the end serves `required`."""
+    # An error that may be rounding is measured too, since large steps amplify rounding beyond its estimate.
     pilot, order = fitted.pilot, fitted.candidate.method.order
     bound = min(ACCEPTED_RATIO * goal, required * (1.0 - ROUNDING_SHARE))
     # The reference has this rounding at most.
@@ -236,12 +228,8 @@ def extrapolated_fit(fitted: Fit, goal: float) -> Fit:
 def fit_of_tolerance(
     pilot: Pilot, candidate: Candidate, goal: float, limit: float, first: Fit | None = None
 ) -> Fit | None:
-    """Fit the tolerance of a scheme with variable steps to an error `goal` at the end of the span.
-
-    The error is roughly proportional to the tolerance, so few trials suffice. A scheme is abandoned if it is more
-    expensive than `limit`, the lowest cost so far. `first` is the first trial. Returns a fit whose candidate has the
-    tolerance, and whose steps are the variable ones; None if no tolerance is found.
-    """
+    """Fit the tolerance of variable steps to an error `goal` at the end; None if none is below the cost `limit`."""
+    # The error is roughly proportional to the tolerance, so few trials suffice.
     tolerance, best = _first_tolerance(pilot, goal), None
     for count in range(MAX_TOLERANCE_TRIALS):
         fitted = first if first is not None and count == 0 else _tolerance_trial(pilot, candidate, tolerance)
@@ -272,10 +260,7 @@ def _first_tolerance(pilot: Pilot, goal: float) -> float:
 
 
 def _tolerance_trial(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
-    """Return the fit by a trial with one tolerance; None if it fails.
-
-    An error that may be rounding is bounded by the sum of the tolerances of the steps.
-    """
+    """Return the fit by a trial with one tolerance, or None; a rounding-like error is at most the sum of tolerances."""
     adjusted = candidate.reaching(tolerance)
     trial = pilot.trial(adjusted.method)
     if trial is None:
@@ -292,14 +277,8 @@ def least_roundoff(pilot: Pilot) -> float:
 
 
 def roundoff(pilot: Pilot, steps: int, flows: int, compensated: bool, windows: float, margin: float = 1.0) -> float:
-    """Return the rounding error expected at the end, relative to the largest momentum; inf if it overflows.
-
-    Each update of the momentum is rounded, and its error grows like a change of the initial state, so unbiased errors
-    of N updates add up to sqrt(N) times one (Brouwer's law: phase errors like t^1.5). Rounded coefficients and steps
-    change the unit of time: an error of u times the length of the path. The result is at least `margin` times the
-    rounding seen in the reference. `flows` per step is 0 for schemes not composed of flows; `windows` is the length of
-    the run in windows.
-    """
+    """Return the rounding error expected at the end, relative to the largest momentum; inf if it overflows."""
+    # Brouwer's law: sqrt(N) unbiased updates, whose errors grow like the sensitivity, and rounded units of time.
     number = max(1.0, steps * max(1, flows))
     path = pilot.speed * pilot.window * windows
     growing = pilot.sensitivity.factor(windows)

@@ -86,12 +86,8 @@ class Growth(NamedTuple):
     whole: float
 
     def factor(self, windows: float, min_power: float = 1.0) -> float:
-        """Return the ratio (>= 1, or inf) of the error after `windows` >= 1 windows to that after one.
-
-        Linear, unless both doublings of time show a faster power, of which the lower is used; exponential if both are
-        faster than t^2.5, or the last one much faster. `min_power` is 1 for symmetric schemes and Poisson maps, else 2,
-        since their slow loss of integrals is invisible at first and then shifts phases quadratically.
-        """
+        """Return the ratio (>= 1, or inf) of the error after `windows` >= 1 windows to that after one."""
+        # Linear, unless both doublings show a faster power; exponential above t^2.5. `min_power` 2: lost integrals.
         if windows <= 1.0 or self.whole == 0.0:
             return 1.0
         late, early = _ratio(self.whole, self.half), _ratio(self.half, self.quarter)
@@ -123,12 +119,9 @@ class Trial(NamedTuple):
 
 
 class Pilot:
-    """A window from the start of a run, its reference, and the growth of small changes of the initial state in it.
+    """A window from the start of a run, its reference, and the growth of small changes of the initial state in it."""
 
-    `momenta` (members, n) are the initial states of the sampled members; `span` is negative for backward runs. Rounding
-    far below `accuracy` is not measured again. Raises ValueError if the reference cannot be computed: the motion blows
-    up, or no iteration converges.
-    """
+    # `momenta` (members, n) are those of the sampled members; rounding far below `accuracy` is not measured again.
 
     def __init__(
         self, system: System, momenta: NDArray[np.float64], t0: float, span: float, accuracy: float = 0.0
@@ -172,10 +165,7 @@ class Pilot:
         return short_run(self.system, method, start, self.t0, length, steps, every)
 
     def trial(self, method: Method, steps: int | None = None) -> Trial | None:
-        """Run a scheme over the window; None if a member fails. Without `steps`, those that it chooses are counted.
-
-        Growth is available for steps from `comparable_steps`; others are compared at the shared points or at the end.
-        """
+        """Run a scheme over the window; None if a member fails. Without `steps`, those that it chooses are counted."""
         run, members = self.run(method, self.points if steps is None else steps), len(self.momenta)
         if np.any(run.state["status"]):
             return None
@@ -322,10 +312,7 @@ def short_run(
     save_every: int = 1,
     advanced: bool = True,
 ) -> Run:
-    """Run without attitude and watching; a failure is recorded in `status` of its state.
-
-    Unless `advanced`, the run is returned before its first step.
-    """
+    """Run without attitude and watching (unless `advanced`, before its first step); `status` records failures."""
     start = start_without_groups(system, momenta)
     times = Times(t0, time / steps, steps, save_every)
     note_progress(f"a pilot run of {steps} steps by {type(method).__name__}")
@@ -336,10 +323,7 @@ def short_run(
 
 
 def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: float) -> NDArray[np.float64]:
-    """Return the members for a pilot: the first, and those with the largest errors in a coarse short run.
-
-    `momenta` has shape (members, n). Returns up to 4 of them, shape (k, n), in the order of the ensemble.
-    """
+    """Return up to 4 members for a pilot, in order: the first, and those with the largest errors in a coarse run."""
     members = len(momenta)
     if members <= SAMPLE_SIZE:
         return momenta
@@ -368,10 +352,7 @@ def _cache_of(system: System) -> dict[Hashable, Any]:
 
 
 def cached_for_system(system: System, key: Hashable, compute: Callable[[], ResultT]) -> ResultT:
-    """Return the cached result of `make` for an immutable system and a key, computing it on first use.
-
-    Unhashable keys are not cached, nor are exceptions. Callers must not modify the result.
-    """
+    """Return a result cached for an immutable system and a hashable key; callers must not modify it."""
     if system.dim > MAX_CACHED_DIMENSION:
         return compute()
     try:
@@ -388,10 +369,7 @@ def cached_for_system(system: System, key: Hashable, compute: Callable[[], Resul
 
 
 def loops_of(system: System, method: Method, h: float) -> Loops:
-    """Return the loops of a scheme that record the energy alone.
-
-    They are cached if they depend neither on the step nor on user functions, which may have state.
-    """
+    """Return the loops that record the energy alone, cached if they depend on neither the step nor user functions."""
 
     def build() -> Loops:
         return loops_of_system(system, method, h, casimirs={})

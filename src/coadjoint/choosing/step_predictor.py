@@ -28,10 +28,7 @@ MIN_ERROR = 2.0**-1000  # relative error in place of zero, of which no logarithm
 
 
 class SeriesErrorModel:
-    """Error model of series, c (h / r)^p, fitted to two of them; predicts the steps of any order.
-
-    With N steps over the time T, ``log N = log(T / r) + (log c - log goal) / p``.
-    """
+    """Error model c (h / r)^p of series, fitted to two: ``log N = log(T / r) + (log c - log goal) / p``."""
 
     def __init__(self, first: Fit, second: Fit) -> None:
         p, q = first.candidate.method.order, second.candidate.method.order
@@ -48,11 +45,7 @@ class SeriesErrorModel:
 
 
 class StepPredictor:
-    """Cost model of the remaining schemes with constant steps, from the fits so far.
-
-    `goal_of` maps a candidate to its target error at the end; `first_trial` is the first trial of a scheme with
-    variable steps, or None.
-    """
+    """Cost model of the remaining schemes with constant steps, from the fits so far."""
 
     def __init__(self, goal_of: Callable[[Candidate], float], first_trial: Fit | None) -> None:
         self._goal_of, self._first_trial = goal_of, first_trial
@@ -60,10 +53,7 @@ class StepPredictor:
         self._error_model: SeriesErrorModel | None = None
 
     def add_fit(self, fit: Fit) -> bool:
-        """Add a fit; return whether predictions have just become available.
-
-        A fit that was abandoned counts too, unless its error is meaningless.
-        """
+        """Add a fit, also an abandoned one; return whether predictions have just become available."""
         if fit.end >= MEANINGLESS_ERROR:
             return False
         self._fits.append(fit)

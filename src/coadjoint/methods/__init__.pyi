@@ -6,7 +6,6 @@ from .gauss_legendre import gauss_tableau as gauss_tableau
 from .numerics.solvers import Coefficients as Coefficients
 from .numerics.solvers import begin as begin
 from .numerics.solvers import iterate_to_stagnation as iterate_to_stagnation
-from .protocol.compiled_step import CompiledStepMethod as CompiledStepMethod
 from .protocol.cost_model import Operations as Operations
 from .protocol.cost_model import Work as Work
 from .protocol.flow_method import FlowMethod as FlowMethod
@@ -14,6 +13,7 @@ from .protocol.flow_method import Sweep as Sweep
 from .protocol.method import Method as Method
 from .protocol.properties import Properties as Properties
 from .protocol.runge_kutta import RungeKuttaMethod as RungeKuttaMethod
+from .protocol.step_method import CompiledStepMethod as CompiledStepMethod
 from .protocol.step_method import StepMethod as StepMethod
 from .registry import get as get
 from .registry import names as names

@@ -11,10 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.interface import limit
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.matrix_steps import matrix_tables
+from coadjoint.kernels.tables.steps import STEP_LOOP
 from coadjoint.methods.numerics.isospectral_stages import slope_along
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -23,19 +28,15 @@ from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.formal.formal_numbers import FormalNumber
-    from coadjoint.methods.protocol.cost_model import Work
 
 TYPICAL_DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
 
 
 class Exponentials(NamedTuple):
-    """Coefficients of a scheme whose stages are exponentials of combinations of the previous gradients.
+    """Coefficients of a scheme whose stages are exponentials of combinations of the previous gradients."""
 
-    Stage i + 1 is stage `stages[i][0]`, transformed by the combination `stages[i][1]`; the new state is the old one,
-    transformed by each combination in `out`, in this order.
-    """
+    # Stage i + 1 is stage `stages[i][0]` moved by combination `stages[i][1]`; `out` moves the old state, in order.
 
     stages: list[tuple[int, list[Fraction]]]
     out: list[list[Fraction]]
@@ -118,13 +119,7 @@ class CommutatorFree(CompiledStepMethod):
         object.__setattr__(self, "order", read_integer(self.order, "order of CommutatorFree", 2, 4))
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the coadjoint orbit is preserved, with every Casimir.
-
-        Raises
-        ------
-        ValueError
-            The system has no Lie algebra, and therefore no orbits.
-        """
+        """Return the properties: the coadjoint orbit is preserved, with every Casimir."""
         vectors = isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit)
         attitude = "every representation" if vectors else "none"
         return Properties(poisson=False, energy=False, casimirs="all", attitude=attitude)
@@ -153,9 +148,6 @@ class CommutatorFree(CompiledStepMethod):
         """Return the loop over steps of vectors, or of matrices."""
         if isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit):
             return super().loop_of_substeps(system, h, representation, fractions)
-        from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.tables.matrix_steps import matrix_tables
-        from coadjoint.kernels.tables.steps import STEP_LOOP
 
         integers, coefficients = self.constants()
         tables = matrix_tables(system, "commutator_free_matrices", integers[0], coefficients, fractions)
@@ -171,10 +163,7 @@ class CommutatorFree(CompiledStepMethod):
         return matrices.to_vector(end) if matrices.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and the derivative of its series; for matrices, that of the projection on the algebra.
-
-        A stream given as a function is differentiated by differences.
-        """
+        """Return one step and the derivative of its series; for matrices, that of the projection on the algebra."""
         orbit = orbit_of(system, "CommutatorFree")
         if isinstance(orbit, VectorOrbit):
             return self._advanced(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
@@ -218,8 +207,6 @@ class CommutatorFree(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products in its series."""
-        from coadjoint.methods.protocol.cost_model import work_of_evaluations, work_of_products
-
         scheme = SCHEMES[self.order]
         products = TYPICAL_DEGREE * (len(scheme.stages) + len(scheme.out))
         if isinstance(orbit_of(system, "CommutatorFree"), MatrixOrbit):
@@ -261,8 +248,6 @@ def apply_exponential(
 
 def substeps_and_degree(norm: float, unit: Any) -> tuple[int, int]:
     """Return the number of substeps of an exponential, each of norm at most 1, and the degree that suffices."""
-    from coadjoint.kernels.interface import limit
-
     if unit == 0:
         raise TypeError(
             "the step needs exponentials, which exact fractions cannot represent; take floats or mpmath.mpf"

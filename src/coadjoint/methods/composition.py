@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.protocol.composed import Composed, check_base
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.wrapper import Composed, check_base
+from coadjoint.methods.splitting import Splitting
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
@@ -158,9 +160,6 @@ class Composition(Composed):
     @classmethod
     def examples(cls) -> Sequence[Method]:
         """Return compositions of flows and of stages."""
-        from coadjoint.methods.gauss_legendre import GaussLegendre
-        from coadjoint.methods.splitting import Splitting
-
         outer = 1.0 / (2.0 - CUBE_ROOT_OF_2)
         fractions = (outer, 1.0 - 2.0 * outer, outer)
         return [cls(Splitting(order=2), fractions), cls(GaussLegendre(1), fractions)]

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.protocol.composed import Wrapper, check_base, composition_order
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper, check_base, composition_order
+from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
 
@@ -27,10 +28,7 @@ TANGENT_METHODS = ("formula", "complex step", "differences")
 
 
 def effective_scheme(system: Any, method: Method) -> Method:
-    """Return the scheme of a run: `Forced` around the given scheme if the system has forces.
-
-    TypeError: the given scheme is already `Forced`. ValueError: it takes steps backward in time, and a force does not.
-    """
+    """Return the scheme of a run: `Forced` around the given scheme if the system has forces."""
     if isinstance(method, Forced):
         raise TypeError(f"{method} is applied by runs to systems with forces automatically; give {method.base}")
     if not system.forces:
@@ -47,13 +45,7 @@ def check_supports(system: Any, method: Method) -> None:
 
 
 def check_steps(system: Any, t0: float, h: float) -> None:
-    """Raise ValueError if a force cannot act in steps from t0: backward, or if samples are not at starts of steps.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> check_steps(co.systems.rigid_body(), 0.0, -0.1)
-    """
+    """Raise ValueError if a force cannot act in steps from t0: backward, or with samples within steps."""
     if not system.forces:
         return
     for one in system.distinct:
@@ -90,12 +82,7 @@ class FlowOfForce(NamedTuple):
 
 
 def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, tau: float, order: int) -> FlowOfForce:
-    """Return the flow of a force on the Hamiltonian part with its derivative, in schemes of an order.
-
-    That of a function on matrices is taken after a projection on the algebra, so that gradients lie in it.
-    """
-    from coadjoint.methods.protocol.step_derivatives import derivative_of
-
+    """Return the flow of a force on the Hamiltonian part with its derivative, in schemes of an order."""
     known = force.tangent(system, x, t, tau)
     if known is not None:
         end = np.asarray(force.flow_of_order(system, x, t, tau, order), dtype=np.float64)

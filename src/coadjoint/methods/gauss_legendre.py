@@ -53,13 +53,7 @@ MAX_STAGES = 256  # order 512; coefficients take seconds
 
 
 def read_stages(value: Any, what: str) -> int:
-    """Validate a number of stages or iterations; raise an error that names the parameter.
-
-    Examples
-    --------
-    >>> read_stages(2, "stages")
-    2
-    """
+    """Validate a number of stages or iterations; raise an error that names the parameter."""
     return read_integer(value, what, 1, MAX_STAGES, reason="more would not be more accurate")
 
 
@@ -146,9 +140,6 @@ class GaussLegendre(RungeKuttaMethod):
 
 
 def _has_constant_bracket(system: System) -> bool:
-    """Return whether J(x) is constant, since it depends on coordinates of central elements only.
-
-    The schemes are then symplectic: J. Sanz-Serna, BIT 28 (1988) 877.
-    """
+    """Whether J(x) is constant; the schemes are then symplectic (J. Sanz-Serna, BIT 28 (1988) 877)."""
     triples = getattr(system.algebra, "triples", None)
     return triples is not None and not np.intersect1d(triples.k, np.concatenate([triples.i, triples.j])).size

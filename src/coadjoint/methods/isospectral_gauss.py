@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.matrix_steps import matrix_tables
+from coadjoint.kernels.tables.steps import STEP_LOOP
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_derivatives import LayerDerivatives, StageDerivatives, TwoLayerDerivatives
 from coadjoint.methods.numerics.isospectral_stages import increment_of, of_blocks, stages_of, two_layer_stages
+from coadjoint.methods.protocol.composed import SubstepMethod
+from coadjoint.methods.protocol.cost_model import Work, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.protocol.cost_model import Work
 
 MAX_STAGES = 8  # order 16, which rounding limits over any step whose stages converge
 
@@ -87,13 +87,7 @@ class IsospectralGauss(SubstepMethod):
         return [cls(1), cls(2), cls(3)]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are preserved.
-
-        Raises
-        ------
-        ValueError
-            The system is not a `MatrixSystem`.
-        """
+        """Return the properties: the bracket and every Casimir are preserved."""
         matrices_of(system)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
 
@@ -101,10 +95,6 @@ class IsospectralGauss(SubstepMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
-        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.tables.matrix_steps import matrix_tables
-        from coadjoint.kernels.tables.steps import STEP_LOOP
-
         a, b = _coefficients(self.stages)
         tables = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
         memory = scheme_memory(STEP_LOOP, tables.tables)
@@ -112,20 +102,12 @@ class IsospectralGauss(SubstepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products of each iteration; those of all substeps are counted together."""
-        from coadjoint.methods.protocol.cost_model import work_of_products
-
         # With one stage, an iteration is a Newton step.
         products = 8 if self.stages == 1 else 3 * self.stages
         return work_of_products(matrices_of(system), products, iterated=True)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,).
-
-        Raises
-        ------
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         matrices = matrices_of(system)
         (a, b), W = _coefficients(self.stages), matrices.matrices(x)
         if isinstance(matrices, TwoLayerSystem):
@@ -135,17 +117,7 @@ class IsospectralGauss(SubstepMethod):
         return np.asarray(matrices.to_vector(end) if matrices.is_in_numbers(x) else end)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its derivative in coordinates, for the projection on the algebra.
-
-        Nonlinear streams given as functions are differentiated by differences.
-
-        Raises
-        ------
-        ValueError
-            The system is not a `MatrixSystem`.
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step and its derivative in coordinates, for the projection on the algebra."""
         step = self.linearized(system, x, t, h)
         return step.end, step.tangents(np.eye(len(step.end))).T
 

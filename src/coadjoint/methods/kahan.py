@@ -10,17 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.numerics.solvers import linear_solve
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from coadjoint.methods.protocol.cost_model import Work
 
 TYPICAL_COLUMNS = 24  # typical number of products with f' in a step of many dimensions
 
@@ -61,13 +60,7 @@ class Kahan(CompiledStepMethod):
     failures: ClassVar[Mapping[str, str]] = {"UNDEFINED": "1 - h/2 f'(x) is singular: there is no next state"}
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: nothing is preserved.
-
-        Raises
-        ------
-        ValueError
-            The field is not quadratic: H is not quadratic or depends on time, or J is not linear.
-        """
+        """Return the properties: nothing is preserved; ValueError for a field that is not quadratic."""
         check_vector_states(system)
         if not system.has_quadratic_energy:
             raise ValueError(
@@ -101,8 +94,6 @@ class Kahan(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the field, of its derivative, and of the linear system."""
-        from coadjoint.methods.protocol.cost_model import work_of_evaluations
-
         return work_of_evaluations(system, substeps * (1 + min(system.dim, TYPICAL_COLUMNS)), self.explicit)
 
 

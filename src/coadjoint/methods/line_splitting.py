@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
 from coadjoint.memory import check_available_memory
+from coadjoint.methods.protocol.composed import SubstepMethod
+from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.methods.splitting import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -21,10 +24,6 @@ from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.protocol.cost_model import Work
 
 Complexes = NDArray[np.complex128]
 Matrix = NDArray[Any]
@@ -108,13 +107,7 @@ class LineSplitting(SubstepMethod):
         return (*half, *half[-2::-1])
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are preserved.
-
-        Raises
-        ------
-        ValueError
-            The system is not a fluid on the torus, or N is not prime.
-        """
+        """Return the properties: the bracket and every Casimir are preserved."""
         torus_of(system)
         return Properties(poisson=True, energy=False, casimirs="all", attitude="none")
 
@@ -122,9 +115,6 @@ class LineSplitting(SubstepMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
-        from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
-
         torus = torus_of(system)
         factor, constant = stream_of_modes(torus)
         integers = [torus.algebra.N, int(constant is not None), *np.ravel(lines(torus.algebra.N)).tolist()]
@@ -135,8 +125,6 @@ class LineSplitting(SubstepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the Fourier transforms."""
-        from coadjoint.methods.protocol.cost_model import Work
-
         numbers = system.dim / 2  # N^2 numbers, transformed for each of N lines
         cost = substeps * len(self.fractions) * TRANSFORM_COST * numbers**1.5 * np.log2(1.0 + numbers)
         return Work(lambda iterations, evaluations: cost)
@@ -214,23 +202,14 @@ class FlowsOfLines:
 
 @cache
 def lines(N: int) -> tuple[Line, ...]:
-    """Return the lines in the order of a step.
-
-    Examples
-    --------
-    >>> [line.k for line in lines(3)]
-    [(1, 0), (1, 1), (1, 2), (0, 1)]
-    """
+    """Return the lines in the order of a step: all slopes of (1, slope), then (0, 1)."""
     return (*(Line((1, slope), (0, 1)) for slope in range(N)), Line((0, 1), (N - 1, 0)))
 
 
 def flow(
     v: Complexes, dv: Complexes, factor: NDArray[np.float64], constant: Complexes | None, line: Line, h: float
 ) -> tuple[Complexes, Complexes]:
-    """Return modes v (N, N) and changes dv (directions, N, N) after the exact flow of a line over a time h.
-
-    `factor` and `constant` are those of `stream_of_modes`.
-    """
+    """Return modes v (N, N) and changes dv (directions, N, N) after the exact flow of a line over a time h."""
     N = len(v)
     indices = np.arange(N)
     d, s = indices[:, None], indices[None, :]

@@ -97,14 +97,7 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
         return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy, or the quadratic Casimirs, are preserved.
-
-        Raises
-        ------
-        ValueError
-            The Hamiltonian is not quadratic (``freeze="structure"``), or there is no Lie algebra
-            (``freeze="gradient"``).
-        """
+        """Return the properties: the energy, or the quadratic Casimirs, are preserved."""
         check_vector_states(system)
         if self.freeze == "structure":
             if not system.has_quadratic_energy:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, wrapped_step_tables
+from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.numerics.projection import (
     casimirs_restored,
     polynomial_casimirs,
@@ -16,15 +19,13 @@ from coadjoint.methods.numerics.projection import (
     project_with_tangent,
     restored_invariants,
 )
+from coadjoint.methods.protocol.composed import Wrapper, check_base
+from coadjoint.methods.protocol.cost_model import Work, work_of_projection
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper, check_base
+from coadjoint.methods.splitting import Splitting
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.protocol.cost_model import Work
 
 
 @dataclass(frozen=True)
@@ -76,19 +77,10 @@ class Projected(Wrapper):
     @classmethod
     def examples(cls) -> Sequence[Projected]:
         """Return projections of flows and of stages."""
-        from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
-        from coadjoint.methods.splitting import Splitting
-
         return [cls(Splitting(order=2)), cls(ExplicitRungeKutta("rk4"))]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy, and the Casimirs that are polynomials, are preserved.
-
-        Raises
-        ------
-        ValueError
-            The base cannot be used for the system, or the energy is not a polynomial, or depends on time.
-        """
+        """Return the properties: the energy, and the Casimirs that are polynomials, are preserved."""
         self.base.properties(system)
         if any(term.degree is None for term in system.hamiltonian.terms()):
             raise ValueError(
@@ -103,9 +95,6 @@ class Projected(Wrapper):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return a loop with a step of the loop of the base in each step."""
-        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, wrapped_step_tables
-
         inner = self.base.loop(system, h)
         tables = wrapped_step_tables(system, "projected", inner, self.restored(system))
         memory = scheme_memory(STEP_LOOP, tables.tables)
@@ -119,13 +108,7 @@ class Projected(Wrapper):
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, computed in NumPy for any number type; the invariants keep their values at x.
-
-        Raises
-        ------
-        IntegrationError
-            The projection, or the base, does not converge.
-        """
+        """Return one step, computed in NumPy for any number type; the invariants keep their values at x."""
         self.properties(system)
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
@@ -139,6 +122,4 @@ class Projected(Wrapper):
 
     def work(self, system: System, group: Representation = None) -> Work:
         """Return the work of the base, and of a projection."""
-        from coadjoint.methods.protocol.cost_model import work_of_projection
-
         return work_of_projection(self.base.work(system), 1 + len(self.restored(system)))

@@ -13,8 +13,8 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.gauss_legendre import read_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
 from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation, linear_solve
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
@@ -71,13 +71,7 @@ class RadauEnergy(CompiledStepMethod):
         return 2 * self.stages - 1
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the energy is preserved, quadratic or not.
-
-        Raises
-        ------
-        ValueError
-            The Hamiltonian depends on time.
-        """
+        """Return the properties: the energy is preserved, quadratic or not."""
         check_vector_states(system)
         if system.hamiltonian.timed:
             raise ValueError(
@@ -97,27 +91,13 @@ class RadauEnergy(CompiledStepMethod):
         return [self.stages], [*weights, *mu.ravel()]
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, computed in NumPy for any number type.
-
-        Raises
-        ------
-        IntegrationError
-            The iteration does not converge, or x . grad H vanishes.
-        """
+        """Return one step, computed in NumPy for any number type; IntegrationError if x . grad H vanishes."""
         step, slopes, _ = self._solve(system, x, t, h)
         return np.asarray(step.x + step.coefficients.out @ slopes)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative, by the implicit function theorem.
-
-        With nu_j = h b_j lambda_j: ``dX_i = 1 + sum_j mu_ij ((h b_j f'(X_j) + nu_j) dX_j + X_j dnu_j)``, ``grad H(X_i)
-        dX_i = grad H(x)``.
-
-        Raises
-        ------
-        IntegrationError
-            The iteration does not converge, or x . grad H vanishes.
-        """
+        """Return one step and its exact derivative, by the implicit function theorem."""
+        # nu_j = h b_j lambda_j, grad H(X_i) dX_i = grad H(x), dX_i = 1 + sum mu_ij ((h b_j f' + nu_j) dX_j + X_j dnu_j)
         step, slopes, multipliers = self._solve(system, np.asarray(x, dtype=np.float64), t, h)
         s, n, mu = self.stages, step.x.size, step.coefficients.mix
         points = step.points(slopes)

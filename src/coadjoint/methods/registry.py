@@ -126,17 +126,7 @@ def names() -> tuple[str, ...]:
 
 
 def scheme(name: str) -> type[Method]:
-    """Return a scheme as a class, by its name.
-
-    Parameters
-    ----------
-    name : str
-        One of `names`.
-
-    Returns
-    -------
-    type
-    """
+    """Return a scheme as a class, by its name."""
     schemes = _schemes()
     return schemes[read_choice(name, "method", schemes)]
 
@@ -178,18 +168,7 @@ def from_description(description: Mapping[str, Any]) -> Method:
 
 
 def read_method(value: Any) -> Method:
-    """Return the scheme for an instance, a name or a mapping, as `integrate` accepts.
-
-    Anything else raises TypeError or ValueError; the message has the nearest name.
-
-    Examples
-    --------
-    >>> read_method("Splitting").order, read_method({"name": "Splitting", "order": 4}).order
-    (2, 4)
-    >>> read_method("RK45")
-    Traceback (most recent call last):
-    ValueError: RK45 chooses each step by an estimate of the error, ...
-    """
+    """Return the scheme for an instance, a name or a mapping, as `integrate` takes it; errors name the nearest name."""
     if isinstance(value, Method):
         return value
     if isinstance(value, Mapping):
@@ -213,39 +192,18 @@ TABLEAU_NAMES = frozenset(("rk4", "runge2"))
 
 
 def parameters_of(name: str) -> dict[str, Any]:
-    """Return the parameters of a scheme with their defaults (``inspect.Parameter.empty`` if there is none).
-
-    Examples
-    --------
-    >>> parameters_of("Splitting")["order"]
-    2
-    """
+    """Return the parameters of a scheme with their defaults (``inspect.Parameter.empty`` if there is none)."""
     return {key: p.default for key, p in inspect.signature(scheme(name)).parameters.items()}
 
 
 def documentation_of(name: str) -> str:
-    """Return the docstring of a scheme without its examples; raise ValueError for an unknown name.
-
-    Examples
-    --------
-    >>> print(documentation_of("GaussLegendre").partition(":")[0])
-    The Gauss-Legendre method with s stages
-    """
+    """Return the docstring of a scheme without its examples; raise ValueError for an unknown name."""
     return (inspect.getdoc(scheme(name)) or "").partition("\nExamples\n")[0].rstrip()
 
 
 @plain.register(Method)
 def description_of(method: Method) -> dict[str, Any]:
-    """Return the plain form of a scheme, its name and parameters, for `from_description`.
-
-    TypeError: the scheme is not a dataclass, so that its parameters are unknown.
-
-    Examples
-    --------
-    >>> from coadjoint.methods.splitting import Splitting
-    >>> from_description(description_of(Splitting(order=4))) == Splitting(order=4)
-    True
-    """
+    """Return the name and parameters of a scheme, for `from_description`; TypeError if it is no dataclass."""
     if not dataclasses.is_dataclass(method):
         raise TypeError(f"{short(method)} is not a dataclass, so its parameters cannot be stored; make it one")
     values = {field.name: getattr(method, field.name) for field in dataclasses.fields(method) if field.init}

@@ -13,10 +13,15 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
+from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
+from coadjoint.methods.protocol.composed import Wrapper, check_base
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Wrapper, check_base
+from coadjoint.methods.splitting import Splitting
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -25,7 +30,6 @@ from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
 
 NO_STEP_MESSAGE = (
@@ -124,20 +128,10 @@ class ReversibleSteps(Wrapper):
     @classmethod
     def examples(cls) -> Sequence[ReversibleSteps]:
         """Return steps of flows and of stages."""
-        from coadjoint.methods.gauss_legendre import GaussLegendre
-        from coadjoint.methods.splitting import Splitting
-
         return [cls(Splitting(order=2)), cls(GaussLegendre(2), 0.2)]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties of the base except the bracket: steps whose length depends on the state are no Poisson
-        maps.
-
-        Raises
-        ------
-        ValueError
-            The base cannot be used for the system, the Hamiltonian depends on time, or the speed is not defined for it.
-        """
+        """Return those of the base except the bracket: variable steps are no Poisson maps."""
         check_vector_states(system)
         declared = self.base.properties(system)
         if system.hamiltonian.timed:
@@ -153,10 +147,6 @@ class ReversibleSteps(Wrapper):
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop with variable steps around the loop of the base."""
-        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-        from coadjoint.kernels.tables.invariants import invariants_table
-        from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
-
         # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
         inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)
         integers, keepalive = inner_loop_integers(inner, system, representation)
@@ -174,13 +164,7 @@ class ReversibleSteps(Wrapper):
         )
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return the motion over h by variable steps from a fresh start, in NumPy for any number type.
-
-        Raises
-        ------
-        IntegrationError
-            A step is undefined, or steps become too short.
-        """
+        """Return the motion over h by variable steps from a fresh start, in NumPy for any number type."""
         self.properties(system)
         speed, y, elapsed = self._speed(system), np.asarray(x), 0 * h
         rho = None
@@ -246,18 +230,7 @@ class Speed:
     given: Any
 
     def at(self, x: Any) -> tuple[Any, Any]:
-        """Return the speed Q at a state of any number type, and its rate of change Q' / Q along the motion.
-
-        Examples
-        --------
-        The speed of a rigid body is its angular velocity times the square root of 2/3:
-
-        >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(2, 4, 4))
-        >>> Q, rate = speed_of(body, None).at(np.array([0.0, 0.0, 3.0]))
-        >>> bool(abs(Q - 0.75 * (2 / 3) ** 0.5) < 1e-15), float(rate)
-        (True, 0.0)
-        """
+        """Return the speed Q at a state of any number type, and its rate of change Q' / Q along the motion."""
         system = self.system
         f = system.vector_field(x)
         if self.kind == "given":
@@ -269,10 +242,7 @@ class Speed:
 
 
 def speed_of(system: System, speed: Any) -> Speed:
-    """Return the speed for `ReversibleSteps`: a polynomial, or by default the root mean square size of D, x' = D x.
-
-    ValueError: the default needs a Lie algebra with a nonzero bracket; or the polynomial has another dimension.
-    """
+    """Return the speed for `ReversibleSteps`: a polynomial, or by default the root mean square size of D, x' = D x."""
     if isinstance(speed, Quadratic):
         return Speed(system, "given", speed.bind(system.dim))
     if isinstance(speed, Polynomial):
@@ -293,10 +263,7 @@ def speed_of(system: System, speed: Any) -> Speed:
 
 @lru_cache(maxsize=64)
 def _square_of_generators(algebra: Any) -> Quadratic | None:
-    """Return u -> |D_u|^2 / n, the mean square row norm of D_u, as a quadratic form; None if all brackets are zero.
-
-    D_u x = J(x) u, so that its entries are sums of structure constants times u.
-    """
+    """Return u -> |D_u|^2 / n with D_u x = J(x) u as a quadratic form; None if all brackets are zero."""
     from scipy import sparse
 
     i, j, k, c = algebra.triples

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
+from coadjoint.methods.protocol.cost_model import Work, work_of_iterations
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
@@ -20,7 +21,6 @@ from coadjoint.systems.system_checks import check_vector_states
 
 if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
-    from coadjoint.methods.protocol.cost_model import Work
 
 
 @dataclass(frozen=True)
@@ -61,16 +61,8 @@ class SphericalMidpoint(CompiledStepMethod):
     symmetric = True
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the bracket and every Casimir are preserved, and for some H the energy.
-
-        Since y is a multiple of the midpoint, H is preserved if it is linear, or homogeneous quadratic, in one spin, or
-        a sum of such functions over the spins.
-
-        Raises
-        ------
-        ValueError
-            The algebra does not consist of copies of so(3).
-        """
+        """Return the properties: the bracket and every Casimir are preserved, and for some H the energy."""
+        # y is a multiple of the midpoint: H is kept if linear, or homogeneous quadratic, in one spin, or a sum of such.
         check_vector_states(system)
         spins = spins_of(system)
         return Properties(poisson=True, energy=_keeps_energy(system, spins), casimirs="all", attitude="none")
@@ -81,28 +73,13 @@ class SphericalMidpoint(CompiledStepMethod):
         return "spherical_midpoint"
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, computed in NumPy for any number type with square roots.
-
-        Raises
-        ------
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step, computed in NumPy for any number type with square roots."""
         step, slope = self._solve(system, x, t, h)
         return np.asarray(step.x + slope)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative, by the implicit function theorem.
-
-        With y = r m / s, m = x + L/2, s its length and L = h f(y): ``dy = (r (1 - m m^T/s^2) dm + m x^T dx/r) / s``.
-
-        Raises
-        ------
-        TypeError
-            A spin has length 0, where the step is not differentiable.
-        IntegrationError
-            The iteration does not converge.
-        """
+        """Return one step and its exact derivative; TypeError if a spin has length 0."""
+        # With y = r m / s, m = x + L/2, s its length, L = h f(y): dy = (r (1 - m m^T/s^2) dm + m x^T dx/r) / s.
         step, slope = self._solve(system, np.asarray(x, dtype=np.float64), t, h)
         n, middle = len(step.x), step.x + slope / 2
         by_middle, by_start = np.eye(n), np.zeros((n, n))
@@ -130,8 +107,6 @@ class SphericalMidpoint(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the iterations."""
-        from coadjoint.methods.protocol.cost_model import work_of_iterations
-
         return work_of_iterations(system, group)
 
 

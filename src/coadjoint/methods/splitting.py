@@ -67,10 +67,7 @@ def _sweeps_of_steps(coefficients: Sequence[Any], number: Callable[[Any], Any]) 
 
 
 def _alternating(coefficients: Sequence[Any], number: Callable[[Any], Any]) -> list[Sweep]:
-    """Return forward and backward sweeps in turn: a first-order step and its adjoint.
-
-    The step advances time before the parts, its adjoint after them, so that both are evaluated at the same time.
-    """
+    """Return forward and backward sweeps in turn: a first-order step (time before parts) and its adjoint."""
     sweeps, elapsed = [], number(0)
     for k, coefficient in enumerate(coefficients):
         forward = k % 2 == 0
@@ -286,11 +283,8 @@ class Splitting(FlowMethod):
 
     @property
     def symmetric(self) -> bool:
-        """Whether a backward step undoes a step: true for every order but 1, unless processed.
-
-        A processed scheme P K P^-1 has a symmetric kernel K and is conjugate to it, but the processor over -h is not
-        that over h: a backward step undoes a step up to O(h^(order + 2)).
-        """
+        """Whether a backward step undoes a step: true for every order but 1, unless processed."""
+        # The processor over -h is not that over h: a backward step undoes a step up to O(h^(order + 2)).
         return self.order != 1 and not self._named.processed
 
     @property
@@ -320,15 +314,7 @@ class Splitting(FlowMethod):
         ]
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the Poisson bracket, every Casimir, and the spatial momentum in every representation
-        are preserved.
-
-        Raises
-        ------
-        ValueError
-            For a system without a Lie algebra, whose split flows are not linear; for a Hamiltonian that does not split
-            into functions of commuting coordinates; for parts that do not match it.
-        """
+        """Return the properties: the bracket, every Casimir, and the spatial momentum are preserved."""
         check_vector_states(system)
         if not system.has_structure_constants:
             raise ValueError(

@@ -23,17 +23,7 @@ ANY_TOLERANCE = 1e-9
 
 
 def default_scheme(system: Any) -> Method:
-    """Return the scheme of a run for which none is given, for systems with or without forces, and batches.
-
-    It is `Splitting()` of order 2 if it supports every system, otherwise the next one of `PREFERRED_SCHEMES`; for
-    matrices the suggested one. If none supports the system, the last one is returned, whose error names the reason.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> default_scheme(co.systems.rigid_body()), default_scheme(co.systems.sklyanin())
-    (Splitting(order=2...), GaussLegendre(stages=3...))
-    """
+    """Return the scheme of a run or a batch for which none is given: the first of `PREFERRED_SCHEMES` with support."""
     if system.has_matrices:
         return suggested_scheme(system.unforced)
     *first, last = DEFAULT_SCHEME, *PREFERRED_SCHEMES[1:]
@@ -55,10 +45,7 @@ def reference_scheme(order: int) -> Method:
 
 @cache
 def candidate_schemes(processed: bool = False) -> tuple[Method, ...]:
-    """Return the schemes from which `choose` selects by default, with processed splittings at the end if requested.
-
-    The first one chooses its own steps; the next two, at constant steps, predict the cost of others of their family.
-    """
+    """Return the schemes from which `choose` selects; the first has own steps, the next two predict costs of others."""
     from coadjoint.methods.taylor import Taylor
 
     return (
@@ -71,33 +58,7 @@ def candidate_schemes(processed: bool = False) -> tuple[Method, ...]:
 
 
 def suggested_scheme(system: System) -> Method:
-    """Return the suggested scheme for a system, if no accuracy is given.
-
-    It is the splitting of order 4 if it supports the system: it preserves the Poisson bracket, every Casimir, and the
-    attitude in every representation, and its energy does not drift. Otherwise, if H has no exact flows or J(x) is not
-    linear in x, it is Gauss-Legendre with three stages. For a system of matrices it is the first registered scheme that
-    is a Poisson map on it. For a given accuracy, `choose` selects scheme and step.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
-
-    Returns
-    -------
-    Method
-
-    Raises
-    ------
-    TypeError, ValueError
-        Neither supports the system; the error is that of the second one.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> suggested_scheme(co.systems.rigid_body()), suggested_scheme(co.systems.sklyanin())
-    (Splitting(order=4...), GaussLegendre(stages=3...))
-    """
+    """Return the suggested scheme for a system: the first preferred one, and for matrices one that is a Poisson map."""
     check_one_system(system)
     *first, last = PREFERRED_SCHEMES
     if system.has_matrices:

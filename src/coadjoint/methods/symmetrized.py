@@ -6,8 +6,8 @@ from decimal import Context, Decimal
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.composition import Composition
+from coadjoint.methods.protocol.composed import MAX_ORDER
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.wrapper import MAX_ORDER
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, read_integer
 

@@ -28,7 +28,6 @@ from coadjoint.methods.numerics.taylor_series import (
     expand_quadratic,
     own_step,
 )
-from coadjoint.methods.protocol.compiled_step import CompiledStepMethod
 from coadjoint.methods.protocol.cost_model import (
     LANES,
     Operations,
@@ -38,6 +37,7 @@ from coadjoint.methods.protocol.cost_model import (
 )
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
@@ -154,14 +154,7 @@ class Taylor(CompiledStepMethod):
         return not self.projected
 
     def properties(self, system: System) -> Properties:
-        """Return the properties: the group is preserved, and with `projected` the energy and the Casimirs that are
-        polynomials.
-
-        Raises
-        ------
-        ValueError
-            The field is not a polynomial: J is a function, or the Hamiltonian contains functions.
-        """
+        """Return the properties: the group, and with `projected` the energy and polynomial Casimirs are preserved."""
         check_vector_states(system)
         if system.algebra is None:
             raise ValueError(
@@ -211,9 +204,7 @@ class Taylor(CompiledStepMethod):
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the products of series, including the group element; for own steps, by the number of
-        evaluations.
-        """
+        """Return the work of the products of series; for own steps, by the number of evaluations."""
         operations = self.operations(system)
         if group is not None:
             operations = operations._replace(vectors=operations.vectors + self._vectors_of_group(system, group))
@@ -280,15 +271,7 @@ class Taylor(CompiledStepMethod):
         return unit._replace(vectors=unit.vectors * self.order**2, waiting=unit.waiting * self.order)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, computed in NumPy for any number type; the invariants keep their values at x.
-
-        Raises
-        ------
-        IntegrationError
-            The projection does not converge.
-        TypeError
-            Fractions with `projected`, whose equations have no rational solution.
-        """
+        """Return one step, computed in NumPy for any number type; with `projected` not for fractions."""
         self.properties(system)
         start = np.asarray(x)
         point = start.astype(np.float64) if start.dtype != object else start
@@ -300,13 +283,7 @@ class Taylor(CompiledStepMethod):
         return project(restored_invariants(system), point, end, number, float(t)).y if self.projected else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return one step and its exact derivative.
-
-        Raises
-        ------
-        IntegrationError
-            The projection does not converge.
-        """
+        """Return one step and its exact derivative."""
         self.properties(system)
         start = np.asarray(x, dtype=np.float64)
         if self.tolerance is None and system.has_structure_constants and system.has_quadratic_energy:

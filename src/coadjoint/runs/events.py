@@ -113,13 +113,7 @@ class Event:
 
 
 def read_events(value: Any) -> tuple[Event, ...]:
-    """Validate an event or a sequence of events (or None) and return a tuple; at most `MAX_EVENTS`.
-
-    Examples
-    --------
-    >>> len(read_events([Event(0), Event("x2", direction=1)]))
-    2
-    """
+    """Validate an event or a sequence of events (or None) and return a tuple; at most `MAX_EVENTS`."""
     if value is None:
         return ()
     events = (value,) if isinstance(value, Event) else value
@@ -213,17 +207,7 @@ class RecordedEvents:
         return self.chosen(self.member == read_integer(member, "member", 0))
 
     def ends(self, members: int) -> NDArray[np.float64]:
-        """Return the times at which terminal events ended the runs, (members,); NaN where none did.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-        >>> flip = co.Event("x2", terminal=True)
-        >>> sol = co.integrate(body, [(0.01, 1.0, 0.01), (0.0, 0.0, 1.0)], (0, 100), 0.05, events=flip)
-        >>> sol.events.ends(2).round(6)
-        array([21.335034,       nan])
-        """
+        """Return the times at which terminal events ended the runs, (members,); NaN where none did."""
         times = np.full(members, np.nan)
         last = np.flatnonzero(np.diff(self.member, append=-1))  # last crossing of each member
         for event, asked in enumerate(self.asked):

@@ -55,17 +55,8 @@ RESERVED_NAMES = frozenset(
 class Inputs:
     """Inputs of a prepared run: coefficients of the linear term of H, or constant torques.
 
-    `specification` is True (all coefficients, as the input ``linear``), a sequence of coordinates, or a mapping from
-    names to coordinates or to the label of a constant torque. `values` (m,) are the defaults of the system, first the
-    linear term, then the torques; `indices` maps each name to its indices in `values`, and `changing` has all of them
-    in this order.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> inputs = Inputs(co.systems.rigid_body((1, 2, 3)), {"rotors": (0, 2)})
-    >>> inputs.read({"rotors": (0.5, 0.25)})
-    array([0.5 , 0.  , 0.25])
+    `values` (m,) are the defaults, first the linear term, then the torques; `indices` maps each name to its indices in
+    them, and `changing` has all of these in order.
     """
 
     def __init__(self, system: System | Batch, specification: Any) -> None:
@@ -233,10 +224,7 @@ class Inputs:
         return values
 
     def writable(self, loop: CompiledLoop, watch: CompiledTables) -> WritableTables:
-        """Return the tables of the system of the `generic` values, for any other values.
-
-        Raise `NotWritable` if they depend on the inputs in a way that cannot be written into them.
-        """
+        """Return the tables, of `generic` values, for any others; `NotWritable` if inputs are no constants."""
         from coadjoint.program.sources import Coefficients
 
         values = self.generic
@@ -255,19 +243,12 @@ class Inputs:
         return WritableTables(loop, watch, indices, values, tangled)
 
     def settled(self, method: Method, system: Any = None) -> Method:
-        """Return the scheme with its automatic choices made explicit, valid for any linear term.
-
-        The choices are those for the system, or for another one that differs in its parameters, with the default
-        values of the inputs: they are made before the inputs are known.
-        """
+        """Return the scheme with its automatic choices fixed as for the default values, for any linear term."""
         coordinates, plain = np.sort(self.in_energy), self.system_at(self.values, system).unforced
         return method.settled(plain, coordinates.tolist()) if len(coordinates) else method
 
     def system_at(self, values: Floats, of: Any = None) -> Any:
-        """Return the system, or another one that differs in its parameters, with these values, (m,).
-
-        Of the other one, coefficients that are no inputs are kept.
-        """
+        """Return the system, or one with other parameters, whose further coefficients are kept, at values (m,)."""
         size, system = len(self._linear), self._unforced if of is None else of.unforced
         if size:
             linear, at = values[:size], self.in_energy
@@ -303,10 +284,7 @@ def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
 
 
 class InputLoops:
-    """Loops for any values of the inputs, for a scheme with fixed parts; h is negative for backward runs.
-
-    `representation` is an array (n, d, d), "coadjoint" or None. ValueError: the scheme takes no inputs for this system.
-    """
+    """Loops for any values of the inputs, for a scheme with fixed parts; h is negative for backward runs."""
 
     def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
         self.base = loops_of_system(inputs.system_at(inputs.generic), method, h, representation)

@@ -176,15 +176,7 @@ def integrate(
 def chosen_for(
     accuracy: float, system: Any, x0: Any, t_span: tuple[float, float], attitude: Any, method: Method | None
 ) -> Any:
-    """Return the `Choice` of `choose` for the arguments of `integrate`; a batch raises TypeError.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> chosen_for(1e-6, body, (1.0, 0.2, 0.1), (0, 1), False, co.Splitting(order=4)).method
-    Splitting(order=4...)
-    """
+    """Return the `Choice` of `choose` for the arguments of `integrate`; a batch raises TypeError."""
     check_system(system)
     if isinstance(system, Batch):
         raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")

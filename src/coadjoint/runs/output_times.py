@@ -45,17 +45,7 @@ class OutputTimes(NamedTuple):
 
 
 def output_times_of(t_eval: Any, times: Times, save_every: Any = 1, whole_steps: bool = False) -> OutputTimes:
-    """Validate `t_eval`, (k,), sorted in the direction of the run and within its span, and locate it among the steps.
-
-    Repeated times are allowed; times beyond an end by rounding are taken as that end. `save_every` must be 1, since
-    the two exclude each other. With `whole_steps` (for noise), times that differ from a step by rounding are that step.
-
-    Examples
-    --------
-    >>> found = output_times_of([0.0, 0.3, 0.5], Times(0.0, 0.25, 4, 1))
-    >>> found.number.tolist(), found.length.round(3).tolist()
-    ([0, 1, 2], [0.0, 0.05, 0.0])
-    """
+    """Validate `t_eval`, (k,), sorted in the direction of the run and in its span, and locate it among the steps."""
     if save_every != 1:
         raise ValueError("the run was given save_every and t_eval; give only one of them")
     values = read_numbers(t_eval, "t_eval")
@@ -100,12 +90,7 @@ def check_partial_steps(system: Any, moments: OutputTimes) -> None:
 
 
 def resample(run: Run, moments: OutputTimes) -> None:
-    """Replace the saved points of a finished run, the steps in `moments.marks`, by its states at `moments`.
-
-    After a terminal event in a single-member run, only the times before it and the event itself are kept; in an
-    ensemble, later states are NaN. A member whose partial step fails is marked as failed. ValueError: noise, or too
-    little memory.
-    """
+    """Replace the saved points of a finished run, the steps in `moments.marks`, by its states at `moments`."""
     marked_points, members = run.saved, len(run.start.momenta)
     direction, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
     if run.ending is not None:

@@ -42,10 +42,7 @@ def reject_noise(system: Any) -> None:
 
 
 class StepResult(NamedTuple):
-    """Momenta, group elements and invariants after one step for each row, and the invariants before it.
-
-    In failed rows these are NaN, and `status` is not zero.
-    """
+    """Momenta, elements and invariants after one step of each row; NaN in failed rows, whose `status` is not zero."""
 
     momenta: Floats
     groups: Floats
@@ -56,23 +53,7 @@ class StepResult(NamedTuple):
 
 
 class PartialSteps:
-    """Steps of arbitrary lengths by the scheme of a run, one for each of many states.
-
-    A step of length theta h has the properties of the scheme: its order, its invariants, the group element. It starts
-    without history: compensated sums are zero, and iterations have no previous values. The bits of a row depend on that
-    row only. `loops` are those of one direction; a system with noise raises ValueError.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> import numpy as np
-    >>> body, method = co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(order=4)
-    >>> parts = PartialSteps(body, method, co.prepare(body, method, 0.1).loops(0.1))
-    >>> x, none = np.array([[1.0, 0.2, 0.1]] * 2), np.empty((2, 0))
-    >>> some, _ = parts.take(x, none, np.zeros(2), np.array([0.1, 0.05]))
-    >>> bool((some[0] == co.integrate(body, x[0], (0, 0.1), 0.1, method).x[-1]).all())
-    True
-    """
+    """Steps of any lengths by the scheme of a run, without history; the bits of a row depend on that row only."""
 
     def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
         from coadjoint.kernels.tables.invariants import invariants_table
@@ -89,11 +70,7 @@ class PartialSteps:
         lengths: Floats,
         owners: NDArray[np.int64] | None = None,
     ) -> tuple[Floats, Floats]:
-        """Return the momenta and group elements after one step of each row; IntegrationError if a step fails.
-
-        `momenta` (m, size) and `groups` (m, d*d) are in the storage of the loops; rows that are not finite give NaN.
-        `owners` (m,) are the members of the rows; by default row i belongs to member i.
-        """
+        """Return the momenta and elements after one step of each row (of member `owners`), as stored in the loops."""
         result = self.attempt(momenta, groups, times, lengths, owners)
         failed = np.flatnonzero(result.status)
         if len(failed):

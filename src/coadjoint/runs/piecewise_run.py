@@ -46,12 +46,9 @@ class Sink(ABC):
 
 
 class PiecewiseRun:
-    """A run that holds only the points saved since the last `release_points`, at most `max_points`.
+    """A run that holds only the points saved since the last `release_points`, at most `max_points`."""
 
-    Pieces end at multiples of `max_points` points, counted over the whole run; `stored` resumes a run.
-    `order_undefined` is True if an interrupt has left the saved points of a batch in an undefined order; no further
-    `piece` can be taken.
-    """
+    # Pieces end at multiples of `max_points`; `order_undefined` after an interrupt that left a batch out of order.
 
     def __init__(
         self,
@@ -172,11 +169,7 @@ class PiecewiseRun:
         return larger_deviations(self._earlier_worst, self.run.state["worst"])
 
     def stored(self, begin_block: bool = False) -> dict[str, Any]:
-        """Return numbers and arrays, by name, from which the run resumes bitwise.
-
-        ``block`` (members, invariants) holds the largest deviations since the last block began; `begin_block` begins
-        another.
-        """
+        """Return the numbers from which the run resumes bitwise; `block` has the largest deviations since its begin."""
         assert self.run.initial is not None
         block = reduce(larger_deviations, np.moveaxis(self.run.state["worst"], 1, 0))
         if begin_block:

@@ -25,24 +25,8 @@ BYTES_PER_POINT = 24  # time, number and observed quantities
 class Plan:
     """System, scheme, loops and times of runs whose group elements have one shape; immutable.
 
-    `system` may be a `partial` that builds it lazily, from `base`, that without inputs. `groups` is the shape of the
-    initial group elements, (members, d, d). `workers` threads advance members, and `inside` share the work of each.
-    ValueError: too little memory.
-
-    Attributes
-    ----------
-    layout : Layout
-        Layout of the saved arrays and of those of the state.
-    rounds : list of list of MemberBatch
-        Calls of the loops: those of a round run concurrently, the rounds one after the other.
-    schedule : bytes
-        The schedule for the loops.
-    shared : dict
-        Fields of solutions that are the same for all runs.
-    events : int
-        Address of the event tables, or 0.
-    is_short : bool
-        Whether a run is one call of a loop in the calling thread, from the momenta alone, with a small state.
+    The calls of the loops in `rounds` run one after the other, and those of a round concurrently. `shared` are fields
+    of all solutions; `is_short` means one call in the calling thread, from the momenta alone, with a small state.
     """
 
     def __init__(

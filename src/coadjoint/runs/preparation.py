@@ -54,11 +54,9 @@ MAX_THREADS_INSIDE = 1024  # most threads that share one member
 
 
 class _Cache:
-    """Loops by their steps, and what the last calls have compiled; a copy of a prepared run begins with an empty one.
+    """Loops by their steps, and what the last calls have compiled; copies of a prepared run begin with an empty one."""
 
-    Threads share it; what is built holds its lock. A call removes an entry of `ends` while it runs, so that concurrent
-    calls never share one.
-    """
+    # A call removes an entry of `ends` while it runs, so that concurrent calls never share one.
 
     def __init__(self, step: float, loops: dict[float, Loops | InputLoops] | None = None) -> None:
         self.lock = threading.RLock()
@@ -75,21 +73,7 @@ class _Cache:
 
 
 class Preparation:
-    """A system, a scheme and a step with everything that does not depend on the initial state.
-
-    It is immutable, but for what the last runs need, which is kept.
-
-    Attributes
-    ----------
-    system, method, step, observe
-        The arguments of `prepare`. With inputs, the parts that the method chose for the system are fixed.
-    scheme : Method
-        The scheme that runs: the prepared one, around which the forces of the system are arranged.
-    inputs : Inputs or None
-        The prepared inputs.
-    initial_attitude
-        The prepared initial group element, an array, or the argument `attitude` of `prepare`.
-    """
+    """A system, a scheme and a step with everything that does not depend on the initial state; immutable."""
 
     def __init__(
         self,
@@ -129,10 +113,7 @@ class Preparation:
         return f"<prepared run of {self.system!r} by {self.method}, step {self.step:g}>"
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return everything prepared, so that another process need not derive it again.
-
-        Loops that contain another loop, as those with forces do, are rebuilt in the receiving process.
-        """
+        """Return everything prepared; loops that contain another loop are rebuilt in the receiving process."""
         loops = {h: loops for h, loops in self.cache.loops.items() if getattr(loops, "is_picklable", False)}
         fields = {name: value for name, value in vars(self).items() if name != "cache"}
         return {**fields, "loops": loops}
@@ -206,10 +187,7 @@ class Preparation:
         return self.inputs is not None
 
     def values_of(self, inputs: Mapping[str, Any], x0: Any = None) -> NDArray[np.float64] | None:
-        """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared.
-
-        From one state `x0`, values that may be a matrix are no values of members.
-        """
+        """Validate the inputs of a run and return their values, (m,) or (members, m); None if none were prepared."""
         if self.inputs is not None:
             values = self.inputs.read(inputs)
             if values.ndim > 1 and np.ndim(x0) == 1:
@@ -229,10 +207,7 @@ class Preparation:
     def start(
         self, x0: Any, attitude: Any = None, values: NDArray[np.float64] | None = None, *, begins: bool = True
     ) -> Start:
-        """Validate x0 and attitude, as in `run`, with the values of `values_of`; return a start for `follow`.
-
-        Unless it `begins` a motion, x0 is any state; see `any_momenta_of`.
-        """
+        """Validate x0, any state unless it `begins` a motion, and attitude; return a start for `follow`."""
         representation = self._representations[0]
         if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
             raise ValueError(

@@ -29,7 +29,7 @@ from coadjoint.validation import FLOAT64
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.backward import Pullback
-    from coadjoint.runs.derivatives.results import Tangents
+    from coadjoint.runs.derivatives.forward import Tangents
 
 
 class PreparedRun(Preparation):
@@ -363,10 +363,7 @@ class PreparedRun(Preparation):
         events: tuple[Event, ...] = (),
         moments: OutputTimes | None = None,
     ) -> Solution:
-        """Take the steps of `times`, whose step is the prepared one or its negative, from a validated state.
-
-        `values` are those of `values_of` for a run with inputs. If `moments` are given, they replace the saved points.
-        """
+        """Take the steps of `times` from a validated state; `moments`, if given, replace the saved points."""
         if moments is not None:
             check_partial_steps(self.system, moments)
             times = times.with_saved_steps(moments.marks)

@@ -23,10 +23,7 @@ def read_progress(progress: Any) -> bool:
 
 
 class progress_bar:
-    """Context manager of a progress bar over `steps` units; its value is called with each increment.
-
-    Without a terminal, a line is printed every `SECONDS_BETWEEN_LINES` and one at the end.
-    """
+    """Context manager of a progress bar, or of printed lines without a terminal; its value takes each increment."""
 
     def __init__(self, steps: int, shown: bool, unit: str = "step") -> None:
         self._bar: Any = None

@@ -47,27 +47,11 @@ TURNS = 1024
 
 
 class Run:
-    """A plan and a start, the state after some of the steps, and the points saved so far.
+    """A plan and a start, the state after some of the steps, and the points saved so far; a `state` resumes a run."""
 
-    A run with a `state` resumes after its steps; earlier points are not saved again.
-
-    Attributes
-    ----------
-    state : State
-        State after the last step taken.
-    saved : NamedArrays
-        Arrays of the saved points.
-    events : RecordedEvents or None
-        Crossings found, if events were given.
-    ending : TerminalEvent or None
-        Terminal event that ended a single-member run.
-    initial : ndarray or None
-        Invariants at the start, (members, invariants), if they are not those of the first saved point.
-    """
-
-    initial: NDArray[np.float64] | None = None
+    initial: NDArray[np.float64] | None = None  # invariants at the start, if not those of the first saved point
     events: RecordedEvents | None = None
-    ending: TerminalEvent | None = None
+    ending: TerminalEvent | None = None  # that ended a single-member run
     seconds = 0.0
     failed_count = 0
 
@@ -205,10 +189,7 @@ class Run:
         raise self.failure(solution_of_run(self, saved_points, observed, incomplete=incomplete, _taken=taken))
 
     def interrupted(self, observed: Observed | None) -> Solution:
-        """Return the points saved before an interrupt, after which the run cannot be resumed.
-
-        Members that had not reached a point are NaN there. The drifts are those over the saved points.
-        """
+        """Return the points saved before an interrupt; members that had not reached a point are NaN there."""
         order, numbers = self.loops.order, self.times.saved
         if order is not None and self.state.number < self.times.steps:
             inverse = np.argsort(order)
@@ -310,13 +291,7 @@ class Run:
 
 
 def first_point_not_finite(series: Any) -> int | None:
-    """Return the index of the first saved point at which a number of a series is not finite, or None.
-
-    Examples
-    --------
-    >>> first_point_not_finite([[0.0, 1.0], [2.0, np.inf], [np.nan, 3.0]])
-    1
-    """
+    """Return the index of the first saved point at which a number of a series is not finite, or None."""
     values = np.asarray(series)
     finite = np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
     return None if finite.all() else int(np.argmin(finite))
@@ -340,11 +315,7 @@ def advance_up(run: Run) -> None:
 
 
 def advance_in_turns(run: Run, first: int = 1) -> None:
-    """Take all steps of a run in one thread, some of them rounded up and as many down, in turns; `first` up or down.
-
-    Errors that rounding always commits in the same direction then remain, such as those of a small term in a sum, and
-    those of the directions themselves cancel.
-    """
+    """Take all steps in one thread, rounded up and down in turns: errors of constant direction remain."""
     steps = run.times.steps
     turns = min(steps, TURNS)
     for turn in range(turns):

@@ -129,10 +129,7 @@ class FinalStateRun:
 def solution_of_short_run(
     plan: Plan, momenta: NDArray[np.float64], began: float, start: Start | None = None
 ) -> Solution | None:
-    """Return the solution of a run whose plan `is_short`, from momenta (members * n,); without a start, of one vector.
-
-    It began at `began`. None: the momenta are not finite.
-    """
+    """Return the solution of a run whose plan `is_short`; None if the momenta (members * n,) are not finite."""
     layout = plan.layout
     numbers = np.zeros(layout.size)
     numbers[layout.momenta] = momenta

@@ -34,11 +34,7 @@ BYTES_PER_MEMBER = 100
 
 
 class Start(NamedTuple):
-    """Initial momenta (members, n) and group elements (members, d, d).
-
-    `representation` is that of the group elements (for a batch, of its first member); `single` means no axis of
-    members; `system` is the prepared one, without the inputs of the run.
-    """
+    """Initial momenta (members, n) and group elements (members, d, d); `single` means no axis of members."""
 
     momenta: NDArray[np.float64]
     groups: NDArray[np.float64]
@@ -67,10 +63,7 @@ def start_of(system: System | Batch, method: Method, x0: Any, attitude: Any) -> 
 
 
 def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
-    """Validate x0, (n,) or (members, n); return a copy (members, n), and whether it is a single state.
-
-    A batch takes one state for each member, or one for all. A coordinate that must be 1 is checked here alone.
-    """
+    """Validate x0, (n,) or (members, n); return a copy (members, n), and whether it is a single state."""
     size = vector_size(system)
     if size is not None:
         return vectors_of(x0, size)
@@ -84,10 +77,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
 
 def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
-    """Return what `momenta_of` returns, also for states that do not begin a motion.
-
-    Forces may have moved the coordinate that is 1 at the beginning; tangents are taken in every direction.
-    """
+    """Return `momenta_of`, also for states that begin no motion: forces may have moved a coordinate that is 1."""
     if system.has_matrices:
         rows = system.unforced.read(x0)
         if not len(rows):
@@ -140,10 +130,7 @@ def _checked(momenta: NDArray[np.float64], n: int, x0: Any) -> tuple[NDArray[np.
 
 
 def combined(system: Any, x0: Any) -> tuple[Any, Any]:
-    """Return a batch with named axes and x0 as members: every system with every state; anything else unchanged.
-
-    Dimensions of an `xarray.DataArray` x0 that are axes of the batch belong to these; the others are further axes.
-    """
+    """Return a batch with named axes and x0 as members, every system with every state; others unchanged."""
     if not isinstance(system, Batch) or system.combined:
         return system, x0
     shape, dims = system[0].shape, getattr(x0, "dims", None)
@@ -199,11 +186,7 @@ def read_attitude(attitude: Any, system: Any) -> Any:
 def with_group(
     system: System | Batch, momenta: NDArray[np.float64], single: bool, representation: Any, attitude: Any
 ) -> Start:
-    """Return the start of a run from validated momenta (members, n) and a representation of `representations_of`.
-
-    ValueError: an array `attitude`, (d, d) or (members, d, d), is singular, not finite, or no element of the group.
-    Otherwise the initial element is the unit element.
-    """
+    """Return the start of a run from validated momenta (members, n) and one of `representations_of`."""
     if representation is None:
         return start_without_groups(system, momenta, single)
     size = system.dim if isinstance(representation, str) else representation.shape[1]
@@ -258,11 +241,8 @@ def unit_groups(size: int) -> NDArray[np.float64]:
 
 
 def _surely_regular(matrices: NDArray[np.float64]) -> bool:
-    """Whether determinants prove that no matrix is singular, in a tenth of the time of a rank.
-
-    For entries of at most 1, singular values are at most d, so the least is >= |det| / d^(d - 1). A rank counts those
-    above 2 d^2 round-offs; a determinant is accurate to 2^(d - 1) d^(d + 2) round-offs. The bound exceeds both.
-    """
+    """Whether determinants prove that no matrix is singular, in a tenth of the time of a rank."""
+    # With entries <= 1 the least singular value is >= |det| / d^(d-1); det is accurate to 2^(d-1) d^(d+2) roundings.
     d = matrices.shape[-1]
     largest = max(map(abs, matrices.ravel().tolist())) if matrices.size <= SMALL_SIZE else 0.0
     if largest == 0.0:
@@ -278,11 +258,7 @@ def _ranks(matrices: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def representations_of(system: System | Batch, method: Method, attitude: Any) -> tuple[Representation, ...]:
-    """Return the representation of the group element, (n, d, d), "coadjoint" or None, for each system.
-
-    One unless `system` is a batch, whose members must have matrices of one size. ValueError if the scheme does not
-    support it.
-    """
+    """Return the representation of the group element, (n, d, d), "coadjoint" or None, for each member."""
     if system.is_batch:
         of_systems = [_read_representation(member, method, attitude) for member in system.distinct]
         representations = tuple(of_systems[owner] for owner in system.owners.tolist())

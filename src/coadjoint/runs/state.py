@@ -14,11 +14,7 @@ from coadjoint.short_repr import short
 
 
 class State:
-    """The state of a run after some of its steps, without the points saved so far.
-
-    A run resumed from a copy is bitwise equal to an uninterrupted one with the same system, scheme, times and start.
-    States are compared bitwise. `arrays` follow `coadjoint.kernels.arrays.Layout`, in the original order of members.
-    """
+    """The state of a run after some steps, compared bitwise; a run resumed from it has the bits of an unbroken one."""
 
     __slots__ = ("arrays", "number")
     __hash__ = None  # type: ignore[assignment]

@@ -107,10 +107,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
 def _from_point(
     solution: Solution, j: int, start: float, count: int, queries: Floats, direction: float, until: Floats
 ) -> StateAt:
-    """Return the states at ascending times up to `count` steps after saved point j; -1 is the start.
-
-    `until` holds the end of each member in the direction of the run, or NaN; later states are NaN.
-    """
+    """Return the states at ascending times after saved point j (-1: the start); NaN beyond `until` (members,)."""
     x, element, values = solution.x0, solution.attitude0, solution.initial
     if j >= 0:
         x, element = solution.x[j], None if solution.attitude is None else solution.attitude[j]

@@ -34,11 +34,9 @@ def accumulated_rounding(count: float, first: float, last: float, step: float) -
 
 
 class Times(NamedTuple):
-    """Start, signed step, number of steps, and the saved steps: every `save_every`-th, or `marks`.
+    """Start, signed step, number of steps, and the saved steps: every `save_every`-th, or `marks`."""
 
-    A resumed run skips the first `passed` saved steps; at most `max_points` saved points are in memory at once. With
-    output times `between`, at `elapsed` after the start, `marks` are the whole or partial steps that end there.
-    """
+    # Output times `between` are `elapsed` after the start, and `marks` the steps that end there.
 
     t0: float
     h: float
@@ -76,13 +74,7 @@ class Times(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """Last step before the first saved step that exceeds `max_points`.
-
-        Examples
-        --------
-        >>> Times(0.0, 0.5, 10, 4, max_points=2).reach, Times(0.0, 0.5, 10, 4, passed=1, max_points=2).reach
-        (7, 9)
-        """
+        """Last step before the first saved step that exceeds `max_points`."""
         last = self.passed + self.points
         if last == self.total_points:
             return self.steps
@@ -90,13 +82,7 @@ class Times(NamedTuple):
         return (min(last * self.save_every, self.steps) if self.marks is None else int(self.marks[last])) - 1
 
     def with_saved_steps(self, numbers: Any) -> Times:
-        """Return the same times with the given saved steps, ascending, from 0 to `steps`.
-
-        Examples
-        --------
-        >>> Times(0.0, 0.5, 10, 1).with_saved_steps([0, 3, 4]).saved
-        array([0, 3, 4])
-        """
+        """Return the same times with the given saved steps, ascending, from 0 to `steps`."""
         marks = np.array(numbers)
         integers = marks.ndim == 1 and (marks.dtype.kind in "iu" or not len(marks))
         if not integers or np.any(np.diff(marks) <= 0) or np.any((marks < 0) | (marks > self.steps)):
@@ -107,24 +93,12 @@ class Times(NamedTuple):
         return self._replace(passed=0, marks=np.ascontiguousarray(marks, dtype=np.int64))
 
     def refined_times(self, count: int) -> Times:
-        """Halve the step until there are at least `count` steps, and save every step.
-
-        Examples
-        --------
-        >>> Times(0.0, 1.0, 2, 1).refined_times(5)[1:3]
-        (0.25, 8)
-        """
+        """Halve the step until there are at least `count` steps, and save every step."""
         halvings = max(0, math.ceil(math.log2(count / self.steps))) if self.steps else 0
         return Times(self.t0, math.ldexp(self.h, -halvings), self.steps << halvings, 1)
 
     def after(self, number: int) -> Times:
-        """Return the same times with only the saved steps after step `number`.
-
-        Examples
-        --------
-        >>> Times(0.0, 0.5, 10, 4).after(4).saved
-        array([ 8, 10])
-        """
+        """Return the same times with only the saved steps after step `number`."""
         if not 0 <= number <= self.steps:
             raise ValueError(f"the state is that after step {number}; a run of {self.steps} steps cannot resume there")
         if self.marks is not None:
@@ -148,15 +122,7 @@ class StepDoesNotDivide(ValueError):
 
 
 def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
-    """Validate span, step and `save_every`; h has the sign of the span's direction.
-
-    ValueError: among others, for a step that does not divide the span, with the two nearest that do.
-
-    Examples
-    --------
-    >>> times_of((0.0, 1.0), 0.25, 1).steps
-    4
-    """
+    """Validate span, step and `save_every`; h has the sign of the span's direction."""
     ends = span_of(t_span)
     return times_between(ends, read_step(step), save_every)
 
@@ -188,10 +154,7 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
 
 
 class RecentTimes:
-    """The times of runs of one step; those of the last call are cached for an unchanged span and `save_every`.
-
-    Threads may share it: a call reads and replaces the last span and its times at once.
-    """
+    """The times of runs of one step; the last are cached, read and replaced at once, so that threads may share it."""
 
     def __init__(self, step: float) -> None:
         self._step = step
@@ -213,13 +176,7 @@ class RecentTimes:
 
 
 def is_same_span(t_span: Any, last: Any) -> bool:
-    """Return whether a span is a tuple of floats with the bits of another one.
-
-    Examples
-    --------
-    >>> is_same_span((0.0, 2.0), (0, 2)), is_same_span((0.0, 2.0), (-0.0, 2.0))
-    (True, False)
-    """
+    """Return whether a span is a tuple of floats with the bits of another one."""
     return (
         type(t_span) is tuple
         and len(t_span) == 2
@@ -243,13 +200,7 @@ def read_step(step: Any) -> float:
 
 
 def span_of(t_span: Any) -> tuple[float, float]:
-    """Validate t_span and return the start and the end.
-
-    Examples
-    --------
-    >>> span_of([0, 2])
-    (0.0, 2.0)
-    """
+    """Validate t_span and return the start and the end."""
     # Fast path: a tuple is unpacked directly.
     ends = t_span if type(t_span) is tuple else read_numbers(t_span, "t_span").tolist()
     if not isinstance(ends, list | tuple) or len(ends) != 2 or any(isinstance(end, list) for end in ends):

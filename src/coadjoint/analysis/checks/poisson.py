@@ -19,7 +19,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.derivatives.step_tangents import compiled_tangents
+from coadjoint.runs.derivatives.input_derivatives import compiled_tangents
 from coadjoint.systems.coordinates import CoordinateGroups
 
 SLOPE_STEPS = 4  # lengths of steps for the order of a defect, over a factor of 2.8

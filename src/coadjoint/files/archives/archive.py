@@ -96,21 +96,12 @@ class Block(NamedTuple):
 
 
 def blocks_of(members: int, size: int) -> list[Block]:
-    """Return all blocks of an ensemble.
-
-    Examples
-    --------
-    >>> blocks_of(5, 2)
-    [Block(number=0, first=0, last=2), Block(number=1, first=2, last=4), Block(number=2, first=4, last=5)]
-    """
+    """Return all blocks of an ensemble."""
     return [Block(k, first, min(first + size, members)) for k, first in enumerate(range(0, members, size))]
 
 
 class Archive:
-    """The path, arrays and attributes of an archive, as they were when its root was read.
-
-    The path of an archive elsewhere, which can only be read, is its `RemoteFolder`.
-    """
+    """The path (of one elsewhere its `RemoteFolder`), arrays and attributes of an archive when its root was read."""
 
     def __init__(self, path: Location, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
         self.path, self.arrays, self.attributes = path, dict(arrays), dict(attributes)
@@ -180,10 +171,7 @@ class Archive:
         )
 
     def read(self, name: str, part: Sequence[range] | None = None) -> NDArray[Any]:
-        """Return an array, or the ascending ranges `part` along its axes; NaN where nothing is written yet.
-
-        ArchiveError: a chunk is missing or damaged, or the last point was replaced. ValueError: too little memory.
-        """
+        """Return an array, or the ascending ranges `part` along its axes; NaN where nothing is written yet."""
         array = self.arrays[name]
         ranges = tuple(map(range, array.shape)) if part is None else tuple(part)
         shape = tuple(map(len, ranges))
@@ -198,9 +186,7 @@ class Archive:
         return values
 
     def _check_last_point(self) -> None:
-        """Raise ArchiveError if the last point was replaced: by a later end of a run whose last interval is shorter
-        than the others.
-        """
+        """Raise ArchiveError if the last point was replaced: a later end follows a shorter last interval."""
         steps = int(self.attributes.get(STEPS, 0))
         save_every = int(self.attributes.get(SAVE_EVERY, steps or 1))
         if self.attributes.get(FINISHED) and steps % save_every and read_root(self.path)[1].get(STEPS) != steps:
@@ -317,6 +303,10 @@ def chunk_file(indices: tuple[int, ...]) -> str:
     return ".".join(("c", *map(str, indices)))
 
 
+def _no_archive(path: Location) -> ArchiveError:
+    return ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named")
+
+
 def open_location(location: Location) -> Folder:
     """Open the folder of an archive to read it; ArchiveError if there is none."""
     return open_folder(location) if isinstance(location, Path) else location
@@ -327,7 +317,7 @@ def open_folder(path: Path) -> ArchiveFolder:
     try:
         return ArchiveFolder(path)
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
+        raise _no_archive(path) from None
     except NotADirectoryError:
         raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
     except OSError as reason:
@@ -335,10 +325,7 @@ def open_folder(path: Path) -> ArchiveFolder:
 
 
 def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, StoredArray], dict[str, Any]]:
-    """Return the arrays and attributes of an archive, as currently committed; `folder` is its folder, if open.
-
-    ArchiveError: missing, damaged, or of a later format.
-    """
+    """Return the arrays and attributes of an archive, as currently committed; `folder` is its folder, if open."""
     if folder is None:
         with open_location(path) as opened:
             return read_root(path, opened)
@@ -350,7 +337,7 @@ def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, S
         version = attributes[VERSION_ATTRIBUTE]
         metadata = root["consolidated_metadata"]["metadata"]
     except FileNotFoundError:
-        raise ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named") from None
+        raise _no_archive(path) from None
     except OSError as reason:
         raise ArchiveError(f"{path}: {ROOT_FILE} cannot be read ({reason.strerror})") from None
     except (ValueError, LookupError, TypeError, RecursionError):

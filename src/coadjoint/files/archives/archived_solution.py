@@ -53,11 +53,7 @@ Floats = NDArray[np.float64]
 
 
 class ArchivedSolution(StoredSolution):
-    """The solution in an archive as committed when it was opened; arrays are read with all checks of the archive.
-
-    A run without blocks is one block, whose state is committed with its points: invariants at the start and deviations
-    are taken from it. Of an ensemble all times are present from the beginning; values not computed yet are NaN.
-    """
+    """The solution in an archive as committed when it was opened; values not computed yet are NaN."""
 
     _in_memory = False
     _archive: Archive

@@ -41,12 +41,7 @@ def on_client(
     threads: int | None,
     progress: bool,
 ) -> None:
-    """Run blocks on the workers of a client.
-
-    Shared tables are sent to each worker once; if members have individual tables, each block gets its own.
-    ArchiveUnwritten: the cluster is lost, or a block cannot be written. ArchiveError: a worker does not see the
-    archive, or has another version of the library.
-    """
+    """Run blocks on the workers of a client; shared tables are sent once, individual ones with each block."""
     planned.prepared.loops(planned.times.h).build_all()  # built here rather than by each worker
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
         attempts = 0
@@ -74,10 +69,7 @@ def on_client(
 def _run_round(
     client: Any, store: ArchiveStore, remaining: list[Block], planned: PlannedRun, threads: int, bar: Any
 ) -> tuple[list[Block], BaseException | None]:
-    """Submit blocks and wait for them; return the unfinished ones, and the first failure.
-
-    OSError or CancelledError: the scheduler is lost.
-    """
+    """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
     archive, token, prepared = str(store.path), secrets.token_hex(4), planned.prepared
     shared_tables = not prepared.system.is_batch
     try:
@@ -181,11 +173,7 @@ class QuietWorker(Worker):
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Client]:
-    """Start single-threaded worker processes, which end with the context, and connect to them.
-
-    Connections use TLS with temporary credentials, passed to the workers through pipes. RuntimeError: the workers did
-    not start, or there is no private folder for temporary files.
-    """
+    """Start single-threaded workers that end with the context, and connect by TLS with temporary credentials."""
     security = Security.temporary()  # type: ignore[no-untyped-call]
     with private_folder() as folder:
         # Dask imports code from its temporary folder, whose default name all users share.

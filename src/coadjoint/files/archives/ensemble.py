@@ -82,10 +82,7 @@ INSECURE_PROTOCOLS = ("tcp", "ws", "ucx", "ucxx")
 
 
 class WorkerPool(NamedTuple):
-    """Workers of an ensemble: those of a Dask `client`, so many processes on this machine, or (both None) this process.
-
-    `threads` is the number per block; None is one on workers, and otherwise one for each core.
-    """
+    """Workers of an ensemble: of a Dask `client`, processes of this machine, or (both None) this process."""
 
     client: Any = None
     workers: int | None = None
@@ -259,10 +256,7 @@ def run_in_blocks(
     progress: bool = False,
     about: ExtraMetadata = NO_METADATA,
 ) -> Solution:
-    """Run an ensemble in blocks of `size` members; see `integrate_ensemble`.
-
-    `prepared` is prepared for all members; `about` has further metadata to write.
-    """
+    """Run an ensemble in blocks of `size` members; see `integrate_ensemble`."""
     planned = PlannedRun(prepared, prepared.times_of(t_span, save_every)[0], prepared.start(x0))
     if planned.start.single:
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
@@ -341,11 +335,7 @@ def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
 def run_block(
     archive: str, block: Block, prepared: PreparedRun, all_members: bool, threads: int | None
 ) -> dict[str, Any]:
-    """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if it is locked.
-
-    `prepared` is the run of all members (`all_members`) or of those of the block. ArchiveError: the archive is missing,
-    or of another version of the library. ArchiveUnwritten: it cannot be written.
-    """
+    """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if locked."""
     path, host = Path(archive), platform.node()
     try:
         with ExitStack() as opened:

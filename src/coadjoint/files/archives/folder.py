@@ -36,10 +36,7 @@ URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::[A-Za-z0-9+.-]+)*://")
 
 
 class ArchiveFolder:
-    """The open folder of an archive; it stays the same folder if its path is renamed.
-
-    Only `path` itself, from the user, may contain links.
-    """
+    """The open folder of an archive, also if its path is renamed; only `path`, from the user, may contain links."""
 
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
@@ -63,10 +60,7 @@ class ArchiveFolder:
 
     @contextmanager
     def _at(self, folder: str, file: str = "") -> Iterator[tuple[Path, int | None]]:
-        """Yield the path of a file in a subfolder, or in this folder for '', and the descriptor it is relative to.
-
-        On platforms without descriptors of folders this is None.
-        """
+        """Yield the path of a file in a subfolder ('': this one) and the descriptor it is relative to, if any."""
         if not USE_DIR_FD:
             reject_link(self.path / folder, None)
             yield self.path / folder / file, None
@@ -86,10 +80,7 @@ class ArchiveFolder:
             os.close(descriptor)
 
     def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
-        """Return a file of at most `max_bytes` bytes, or its first `head` bytes.
-
-        OSError: missing, unreadable or no regular file; ValueError: too long, or too little memory.
-        """
+        """Return a file of at most `max_bytes` bytes, or its first `head` bytes; ValueError if it is longer."""
         with self._at(folder, file) as (path, inside):
 
             def opened(name: str, flags: int) -> int:

@@ -114,10 +114,7 @@ def create_archive(
     workers: int | None = None,
     size: int | None = None,
 ) -> ArchiveStore:
-    """Create an archive from which a run can be resumed, before its first step.
-
-    `workers` is given for an ensemble in blocks, of `size` members if that is not None.
-    """
+    """Create an archive from which a run, or with `workers` an ensemble in blocks, can be resumed."""
     target, run = check_new(archive), planned.at_start()
     piece, points = run.piece(), planned.times.total_points
     metadata = metadata.with_batch_parameters(piece.system)

@@ -57,10 +57,7 @@ def archive_run(
     events: Any = None,
     about: ExtraMetadata = NO_METADATA,
 ) -> Solution:
-    """Run into a new archive; parameters as for `coadjoint.integrate`, and further metadata to write.
-
-    ArchiveError: the folder exists or cannot be written. IntegrationError: its partial solution is the archive.
-    """
+    """Run into a new archive; parameters as for `coadjoint.integrate`, and further metadata to write."""
     require_packages("an archive of a run", "xarray", "zarr")
     if t_eval is not None or read_events(events):
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
@@ -205,10 +202,7 @@ def _continue_run(
 
 
 def extended_times(store: ArchiveStore, planned: PlannedRun, t_end: Any) -> Times:
-    """Return the times of a run with another end.
-
-    The end must be a whole number of steps from the start, and later than the steps already taken.
-    """
+    """Return the times of a run with another end, a whole number of steps after those already taken."""
     end, attributes, times, step = read_number(t_end, "t_end"), store.attributes, planned.times, planned.prepared.step
     try:
         extended = times_between((times.t0, end), step, attributes[SAVE_EVERY])
@@ -233,12 +227,8 @@ def extended_times(store: ArchiveStore, planned: PlannedRun, t_end: Any) -> Time
 
 
 def extend_run(store: ArchiveStore, planned: PlannedRun) -> None:
-    """Set the end of a planned run, and return the run to the last state that does not depend on the old one.
-
-    Only the last point, which is always saved, events in the last step, and the drifts depend on the end. These are
-    recorded as maxima in each tenth of the steps, and the largest ones of each block of steps are stored. A block that
-    overlaps two tenths of the longer run is recomputed from the state at its start.
-    """
+    """Set the end of a planned run, and return the run to the last state that does not depend on the old one."""
+    # A block of steps that overlaps two tenths of the longer run is recomputed, as the drifts are maxima of tenths.
     states, times = store.states, planned.times
     # The last state of a finished run depends on the end, unless it has no steps.
     retained = (states[:-1] if store.attributes[FINISHED] else states) or states

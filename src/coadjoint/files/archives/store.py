@@ -184,11 +184,8 @@ class ArchiveStore(Archive):
         raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; the computed part is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
-        """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later.
-
-        Along the dimension that grows, the region may begin within a chunk whose first rows are written. Along the
-        others it consists of whole chunks.
-        """
+        """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later."""
+        # Along the dimension that grows it may begin within a chunk, along the others it consists of whole ones.
         self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))
@@ -203,10 +200,7 @@ class ArchiveStore(Archive):
         self._touched.add(name)
 
     def store_state(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> StoredState:
-        """Write the numbers and arrays from which a run resumes; return the entry for `commit`.
-
-        `about` holds plain numbers that can be read without the file.
-        """
+        """Write the numbers from which a run resumes; return the entry for `commit`, with `about`."""
         self.check_lock()
         raw, file = serialize_numbers(numbers), f"{STATE_FILE_PREFIX}{secrets.token_hex(6)}.npz"
         self.folder.write(HIDDEN_FOLDER, file, raw)
@@ -227,12 +221,8 @@ class ArchiveStore(Archive):
     def commit(
         self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState] = ()
     ) -> None:
-        """Commit everything written so far, atomically.
-
-        `attributes` are merged into those of the root; `lengths` are the rows along dimensions that grow; states not in
-        `states` are removed. ArchiveReplaced: the lock file was replaced, and nothing is committed; or the folder was
-        moved, and everything is committed in it. OSError: the previous commit stays valid.
-        """
+        """Commit everything written so far, atomically; states not in `states` are removed."""
+        # ArchiveReplaced: nothing was committed (another lock file), or all in a folder that was moved.
         self.check_lock()
         arrays = {
             name: array._replace(shape=(lengths[array.dims[0]], *array.shape[1:])) if array.grows else array

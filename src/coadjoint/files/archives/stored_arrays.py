@@ -51,10 +51,7 @@ CHECKSUM_BYTES = 4
 
 
 class StoredArray(NamedTuple):
-    """An array of an archive: dimensions, type, shape, shape of a chunk, and attributes.
-
-    `kind` is "float64", "int64", "bool" or "string"; the array grows if its first dimension is in `GROWING_DIMENSIONS`.
-    """
+    """An array of an archive: dimensions, type (float64, int64, bool or string), shape, chunk shape, attributes."""
 
     dims: tuple[str, ...]
     kind: str
@@ -188,17 +185,7 @@ def _sum_of(content: bytes) -> bytes:
 
 
 def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int, members: int | None = None) -> tuple[int, ...]:
-    """Return the chunk shape of an array: all of it, or `rows` rows of one that grows; large ones are split.
-
-    In ensembles, `members` of each block share a chunk, which is not split.
-
-    Examples
-    --------
-    >>> chunk_of(("time", "component"), (11, 3), 64), chunk_of(("component",), (3,), 64)
-    ((64, 3), (3,))
-    >>> chunk_of(("time", "member", "component"), (1, 10**6, 3), 1)
-    (1, 166667, 3)
-    """
+    """Return the chunk shape of an array: all of it, or `rows` rows of one that grows; large ones are split."""
     grows = dims[0] in GROWING_DIMENSIONS
     chunk = [rows, *shape[1:]] if grows else list(shape)
     if members is not None:

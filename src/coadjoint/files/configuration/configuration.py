@@ -16,6 +16,7 @@ from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import integrate
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import times_of
@@ -26,43 +27,13 @@ CONFIGURATION = "configuration"
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.runs.prepared_run import PreparedRun
-
 
 @dataclass(frozen=True)
 class Configuration:
-    """A validated run described by a configuration file.
+    """A validated run described by a configuration file, with the arguments of `coadjoint.integrate`.
 
-    Parameters
-    ----------
-    path : str
-        The file, for messages.
-    system, x0, t_span, step, method, save_every, t_eval, attitude, watch, observe, events, threads, workers
-        As for `coadjoint.integrate`.
-    output, archive, figure, movie : str or None
-        Paths of the results, relative to the current directory.
-    choice : Choice or None
-        Result of `choose` if the file gives an accuracy; `method` and `step` come from it.
-    swept : mapping
-        Settings of a sweep: key of the file -> values, one for each member.
-    text : str
-        Text of the file, stored with the results.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from coadjoint.files.configuration.loading import load
-    >>> lines = '''
-    ... system = {name = "rigid_body", parameters = {inertia = [1, 2, 3]}}
-    ... initial = {x = [1.0, 0.1, 0.5]}
-    ... method = {name = "Splitting", order = 4}
-    ... run = {t_span = [0, 10], step = 0.1}
-    ... '''
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = Path(folder, "body.toml").write_text(lines)
-    ...     configuration = load(f"{folder}/body.toml")
-    >>> configuration.integrate().x.shape
-    (101, 3)
+    The paths of results are relative to the current directory. `choice` is that for an accuracy in the file;
+    `swept` maps keys to values, one for each member.
     """
 
     path: str
@@ -88,26 +59,7 @@ class Configuration:
     text: str = field(default="", repr=False)
 
     def integrate(self, progress: bool = False, archive: str | Path | None = None) -> Solution:
-        """Integrate the described run.
-
-        Parameters
-        ----------
-        progress : bool
-            Show a progress bar.
-        archive : str or Path, optional
-            A new folder to which the run is written while it runs.
-
-        Returns
-        -------
-        Solution
-
-        Raises
-        ------
-        ConfigurationError
-            The scheme cannot be used for the system, or the saved states do not fit into memory.
-        IntegrationError
-            The run fails.
-        """
+        """Integrate the described run, into a new folder `archive` if it is given."""
         if archive is not None or self.workers is not None:
             return self._integrate_to_archive(archive, progress)
         self.check_memory()
@@ -131,15 +83,7 @@ class Configuration:
         return with_choice(solution, self.choice)
 
     def ready(self) -> PreparedRun:
-        """Return the prepared run.
-
-        Raises
-        ------
-        ConfigurationError
-            The scheme cannot be used for the system.
-        """
-        from coadjoint.runs.prepared_run import PreparedRun
-
+        """Return the prepared run."""
         with section(self.path, "method"):
             return PreparedRun(
                 self.system,
@@ -183,19 +127,7 @@ class Configuration:
             )
 
     def dataset(self, solution: Solution) -> xarray.Dataset:
-        """Return a solution of this configuration as a dataset, with the text of the file as an attribute.
-
-        Settings of a sweep are coordinates along the members, such as ``swept_inertia_2``.
-
-        Parameters
-        ----------
-        solution : Solution
-            From `integrate`, or the partial solution of its failure.
-
-        Returns
-        -------
-        xarray.Dataset
-        """
+        """Return a solution, or a partial one, as a dataset with the text of the file and the settings of a sweep."""
         dataset = solution.to_xarray().drop_encoding().assign_attrs({CONFIGURATION: self.text})
         dataset.attrs.pop(CHECKSUM, None)  # it does not cover the additions
         return dataset.assign_coords(self.swept_coordinates())

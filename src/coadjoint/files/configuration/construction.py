@@ -29,6 +29,7 @@ from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made_systems
 from coadjoint.systems.system import System
 from coadjoint.validation import check_parameters, from_description, read_array_file, read_choice
 
@@ -36,20 +37,7 @@ NPY_SUFFIX = ".npy"
 
 
 def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) -> Polynomial:
-    """Parse a polynomial in `dim` coordinates, as text or as a list of terms ``[coefficient, [exponent of x1, ...]]``.
-
-    A text has x1, x2, ..., or the `names` of the coordinates. The degree is at most 1024, and coefficients must fit in
-    float64.
-
-    Examples
-    --------
-    >>> parse_polynomial("0.5*x1^2 - x2*x3", 3)
-    0.5*x1^2 - x2*x3
-    >>> parse_polynomial([[0.5, [2, 0, 0]], [-1, [0, 1, 1]]], 3)
-    0.5*x1^2 - x2*x3
-    >>> parse_polynomial("p1^2 - q1", 2, ("q1", "p1"))
-    -x1 + x2^2
-    """
+    """Parse a polynomial from text or a list of terms ``[coefficient, [exponent of x1, ...]]``."""
     if isinstance(source, str):
         return formulas.parse_polynomial(source, dim, names_in(source, dim, names))
     if not isinstance(source, list):
@@ -90,18 +78,7 @@ class ConfigurationError(OneLineError):
 
 @contextmanager
 def section(name: str, key: str) -> Iterator[None]:
-    """Convert errors inside the context to `ConfigurationError` with the file `name` and the dotted `key`.
-
-    Converted are ValueError, TypeError, arithmetic and recursion errors, and MemoryError.
-
-    Examples
-    --------
-    >>> with section("run.toml", "run.step"):
-    ...     raise ValueError("step is 0")
-    Traceback (most recent call last):
-    ...
-    coadjoint.files.configuration.construction.ConfigurationError: run.toml: run.step: step is 0
-    """
+    """Convert errors inside the context to `ConfigurationError` with the file `name` and the dotted `key`."""
     cause: Exception
     try:
         yield
@@ -162,7 +139,6 @@ def _hamiltonian_part(name: str, file: File) -> System:
 def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System:
     from coadjoint import systems
     from coadjoint.files.configuration.models import unknown_key
-    from coadjoint.systems.registry import ready_made_systems
 
     with section(name, "system"):
         make = ready_made_systems()[read_choice(system, "system", ready_made_systems())]
@@ -280,21 +256,7 @@ MAX_LINE_LENGTH = 360  # of a joined message, without file name and separators
 
 
 class ErrorCollector:
-    """Collector of errors in the sections of the file `name`.
-
-    Examples
-    --------
-    >>> errors = ErrorCollector("run.toml")
-    >>> with errors.collect():
-    ...     raise ConfigurationError("run.toml: run.step: step is 0")
-    >>> with errors.collect():
-    ...     raise ConfigurationError("run.toml: initial.x: has 2 components")
-    >>> errors.raise_collected()
-    Traceback (most recent call last):
-    ...
-    coadjoint.files.configuration.construction.ConfigurationError: run.toml: run.step: step is 0; and initial.x: has 2
-    ...
-    """
+    """Collector of errors in the sections of the file `name`."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -332,13 +294,7 @@ class ErrorCollector:
 
 
 def join_messages(messages: Sequence[str]) -> str:
-    """Join messages in one line, each truncated; of those beyond the fourth, only the number is given.
-
-    Examples
-    --------
-    >>> join_messages(["run.step: is missing; give it", "initial.x[1]: must be a number, not 'a'"])
-    "run.step: is missing; give it; and initial.x[1]: must be a number, not 'a'"
-    """
+    """Join messages in one line, each truncated; of those beyond the fourth, only the number is given."""
     unique = list(dict.fromkeys(messages))
     if len(unique) == 1:
         return unique[0]
@@ -348,16 +304,7 @@ def join_messages(messages: Sequence[str]) -> str:
 
 
 def initial_state(system: Any, value: Any, folder: Path) -> Any:
-    """Return the initial state or states as `integrate` takes them, from numbers or a file ``.npy``.
-
-    Relative file names begin at `folder`. Entries of complex matrices may be pairs of real and imaginary part.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.fluids.sphere_euler import sphere_euler
-    >>> initial_state(sphere_euler(N=2), [[[0, 1], [2, 0]], [[-2, 0], [0, -1]]], Path()).tolist()
-    [[1j, (2+0j)], [(-2+0j), -1j]]
-    """
+    """Return initial states from numbers or a ``.npy`` file; entries of complex matrices may be pairs."""
     if isinstance(value, str):
         return array_of_file(folder / value, value)
     if not system.has_matrices or not system.complex:
@@ -384,11 +331,7 @@ def check_named(name: str, file: File) -> None:
 
 
 def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
-    """Return the named initial state of a file, or None if the file names none.
-
-    Systems list named states in ``states_by_name``, and have a method for each. A relative ``path`` begins at the
-    folder of the file. ConfigurationError: unknown state or parameter, or an invalid value.
-    """
+    """Return the state named in ``states_by_name`` of its system, or None if the file names none."""
     from coadjoint.files.configuration.models import keys_by_table, unknown_key
 
     if table.kind is None:

@@ -33,13 +33,7 @@ LABEL_WIDTH = 14  # characters of the first column
 
 @dataclass(frozen=True)
 class Plan:
-    """Description and cost of the run of a configuration file.
-
-    `dim` and `members` are the size of a state and the number of states; `points` is the number of saved states;
-    `memory` is in bytes (an archived run needs less), and so is `written`, the size of the dataset before compression
-    (None if unknown). `preparation_seconds` is measured; `seconds` is estimated from a trial of `tried` steps, None if
-    the trial failed for the reason `failed`.
-    """
+    """Description and cost of the run of a configuration file: sizes in bytes; seconds from `tried` steps."""
 
     configuration: Configuration
     dim: int
@@ -99,13 +93,7 @@ class Plan:
 
 
 def conserved_quantities(properties: Properties) -> str:
-    """Describe the conservation properties of a scheme, to round-off.
-
-    Examples
-    --------
-    >>> conserved_quantities(Properties(poisson=True, energy=False, casimirs="all", attitude="none"))
-    'Poisson bracket, all Casimirs; not the energy'
-    """
+    """Describe the conservation properties of a scheme, to round-off."""
     conserved = ["Poisson bracket"] if properties.poisson else []
     conserved += ["energy"] if properties.energy else []
     if properties.casimirs != "none":
@@ -122,13 +110,7 @@ def conserved_quantities(properties: Properties) -> str:
 
 
 def format_size(count: int) -> str:
-    """Format a number of bytes.
-
-    Examples
-    --------
-    >>> format_size(800), format_size(59_300), format_size(3 * 10**9)
-    ('800 bytes', '59 kB', '3.0 GB')
-    """
+    """Format a number of bytes."""
     if count < 1000:
         return f"{count} bytes"
     return f"{count / 1000:.0f} kB" if count < 1e6 else format_bytes(count)
@@ -149,27 +131,7 @@ def format_duration(seconds: float) -> str:
 
 
 def plan(configuration: Configuration) -> Plan:
-    """Describe the run of a configuration and estimate its cost; nothing is written.
-
-    Time and memory are those of this machine. The time is extrapolated from a trial over the first steps; motions that
-    become rougher later, or a different load of the machine, change it. ConfigurationError: the scheme cannot be used.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from coadjoint.files.configuration.loading import load
-    >>> lines = '''
-    ... system = {name = "rigid_body"}
-    ... initial = {x = [1.0, 0.1, 0.5]}
-    ... run = {t_span = [0, 1000], step = 0.125, save_every = 10}
-    ... '''
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = Path(folder, "body.toml").write_text(lines)
-    ...     cost = plan(load(f"{folder}/body.toml"))
-    >>> cost.steps, cost.points, cost.members, cost.properties.poisson
-    (8000, 801, 1, True)
-    """
+    """Describe the run of a configuration, and estimate its cost from a trial of the first steps."""
     if configuration.archive is None and configuration.workers is None:
         configuration.check_memory()
     began = time.perf_counter()

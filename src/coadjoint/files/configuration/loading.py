@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from coadjoint import systems
 from coadjoint.files.configuration.configuration import Configuration, check_archived
@@ -21,9 +23,10 @@ from coadjoint.files.configuration.construction import (
     state_by_name,
     system_of_file,
 )
+from coadjoint.files.configuration.models import File, OutputTable, SweepOnly, all_errors
 from coadjoint.files.configuration.parsing import ValidTables, parse_toml, read_utf8, valid_tables
 from coadjoint.files.configuration.sweeps import Sweep, read_sweep, swept_states, swept_system
-from coadjoint.files.records.stored_events import event_of_file
+from coadjoint.files.records.reconstruction import event_of_file
 from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.optional_packages import require_packages
@@ -36,12 +39,7 @@ from coadjoint.validation import read_path
 
 __all__ = ["ConfigurationError", "load"]
 
-if TYPE_CHECKING:
-    from pydantic import BaseModel
-
-    from coadjoint.files.configuration.models import File
-
-    Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model", bound=BaseModel)
 
 
 def system_of_text(text: str) -> Any:
@@ -56,36 +54,12 @@ def system_of_text(text: str) -> Any:
 
 def outputs_of_text(text: str) -> dict[str, str | None]:
     """Return the declared paths of results of a configuration from the text of its file, as stored with a result."""
-    from coadjoint.files.configuration.models import OutputTable
-
     name = "the configuration of this run"
     return _checked(name, OutputTable, parse_toml(name, text).get("output", {})).model_dump()
 
 
 def load(path: str | Path) -> Configuration:
-    """Read and validate a configuration file.
-
-    Parameters
-    ----------
-    path : str or Path
-        A TOML file.
-
-    Returns
-    -------
-    Configuration
-
-    Raises
-    ------
-    ConfigurationError
-        With file, key or line, what is wrong, and how to correct it.
-
-    Examples
-    --------
-    >>> load("none.toml")
-    Traceback (most recent call last):
-    ...
-    coadjoint.files.configuration.construction.ConfigurationError: none.toml: cannot be read (No such file or directory)
-    """
+    """Read and validate a configuration file, in TOML; ConfigurationError has file, key or line, and remedy."""
     require_packages("reading a configuration file", "pydantic")
     name, text = str(read_path(path, "path")), read_utf8(path)
     errors = ErrorCollector(name)
@@ -94,8 +68,6 @@ def load(path: str | Path) -> Configuration:
 
 def _parse_tables(name: str, raw: Mapping[str, Any], errors: ErrorCollector) -> tuple[ValidTables, Sweep | None]:
     """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
-    from coadjoint.files.configuration.models import SweepOnly
-
     sweep: Sweep | None = None
     if "sweep" in raw:
         raw_with_sweep, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
@@ -109,17 +81,11 @@ def _parse_tables(name: str, raw: Mapping[str, Any], errors: ErrorCollector) -> 
 
 
 def _system(name: str, file: File, sweep: Sweep | None) -> Any:
-    from coadjoint.files.configuration.models import File as Tables
-
-    return system_of_file(name, file) if sweep is None else swept_system(sweep, file, partial(_checked, name, Tables))
+    return system_of_file(name, file) if sweep is None else swept_system(sweep, file, partial(_checked, name, File))
 
 
 def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
     """Validate tables against a model; ConfigurationError with the key."""
-    from pydantic import ValidationError
-
-    from coadjoint.files.configuration.models import all_errors
-
     try:
         return model.model_validate(raw)
     except ValidationError as error:
@@ -162,8 +128,6 @@ def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
 def _configuration(
     name: str, text: str, tables: ValidTables, sweep: Sweep | None, errors: ErrorCollector
 ) -> Configuration:
-    from coadjoint.files.configuration.models import File as Tables
-
     file = tables.file
     if file is None:
         errors.raise_collected()
@@ -171,7 +135,7 @@ def _configuration(
     system: Any = None
     method: Any = None
     x0: Any = None
-    step, choice, check_tables = file.run.step, None, partial(_checked, name, Tables)
+    step, choice, check_tables = file.run.step, None, partial(_checked, name, File)
     if tables.has_system:
         with errors.collect():
             if tables.has("initial"):

@@ -356,29 +356,13 @@ OTHER_NAMES: Mapping[str, str] = types.MappingProxyType(
 
 
 def place_meant(key: str) -> str | None:
-    """Return the place in a file of what an argument or a usual name means, or None.
-
-    Examples
-    --------
-    >>> place_meant("x0"), place_meant("dt"), place_meant("plot"), place_meant("colour")
-    ('[initial] x', '[run] step', '[output] figure', None)
-    """
+    """Return the place in a file of what an argument or a usual name means, or None."""
     argument = OTHER_NAMES.get(key) or KEYWORDS.get(key, key).partition("=")[0]
     return PLACES.get(argument)
 
 
 def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> str:
-    """Describe an unknown key, with its place, the nearest known one, or all known ones if none is near.
-
-    `elsewhere` are the keys of other tables, as from `keys_by_table`.
-
-    Examples
-    --------
-    >>> unknown_key("stpe", ["t_span", "step"])
-    "unknown key; did you mean 'step'?"
-    >>> unknown_key("levr", ["name"], {"[system.parameters]": ["lever"]})
-    "unknown key; did you mean 'lever', which belongs to [system.parameters]?"
-    """
+    """Describe an unknown key, with its place, the nearest known one, or all known ones if none is near."""
     own_table, tables = places_of(key, elsewhere)
     if own_table is not None:
         return f"unknown key; {key!r} is a table of its own, {own_table}"
@@ -398,31 +382,14 @@ def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable
 
 
 def known_keys(table_path: Sequence[str | int], value: Any = None) -> list[str]:
-    """Return the keys that a table of a file may have; in the file itself those of tables, if the value is one.
-
-    Examples
-    --------
-    >>> known_keys(["events", "flip"])
-    ['g', 'direction', 'count', 'terminal']
-    """
+    """Return the keys that a table of a file may have; in the file itself those of tables, if the value is one."""
     is_table = not table_path and isinstance(value, Mapping)
     return [key for key in _table_at(table_path).model_fields if not is_table or key not in ("name", "sign")]
 
 
 def all_errors(error: ValidationError, elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> list[str]:
-    """Return the errors in the tables of a file: dotted key and reason.
-
-    `elsewhere` are the keys of other tables; the default is `keys_by_table`. Unknown keys come first; a missing key is
-    omitted if it is one of them, misspelled.
-
-    Examples
-    --------
-    >>> try:
-    ...     File.model_validate({"initial": {"x": [1.0]}, "run": {"t_span": [0, 1], "stpe": 0.1}})
-    ... except ValidationError as error:
-    ...     all_errors(error)
-    ["run.stpe: unknown key; did you mean 'step'?"]
-    """
+    """Return the errors in the tables of a file, dotted key and reason: unknown keys first."""
+    # A missing key is omitted if an unknown one is its misspelling.
     rank = {"extra_forbidden": 0, "missing": 2}
     entries = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
     messages: dict[str, str] = {}

@@ -8,17 +8,23 @@ import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from pydantic import ValidationError
 
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.files.configuration.models import (
+    File,
+    all_errors,
+    keys_by_table,
+    known_keys,
+    place_meant,
+    places_of,
+    unknown_key,
+)
 from coadjoint.methods import registry
 from coadjoint.systems.registry import ready_made_systems
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
-
-    from coadjoint.files.configuration.models import File
 
 MAX_BYTES = 2**28  # of a file; longer ensembles are given in Python
 MAX_NESTING = 64
@@ -100,11 +106,7 @@ SYSTEM_TABLES = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "
 
 @dataclass(frozen=True)
 class ValidTables:
-    """The valid part of a file.
-
-    `file` holds the tables, with misspelled keys under the nearest known name; `messages` the errors, with dotted keys;
-    `invalid` the invalid top-level tables and keys, to be skipped.
-    """
+    """The valid part of a file, under corrected keys; the `messages` of the rest, and its `invalid` top-level keys."""
 
     file: File | None
     messages: tuple[str, ...] = ()
@@ -121,18 +123,7 @@ class ValidTables:
 
 
 def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
-    """Return the valid part of the tables of a file, and the errors of the rest.
-
-    Examples
-    --------
-    >>> tables = valid_tables({"initial": {"x": [1.0]}, "run": {"t_span": [0, 1], "stpe": 0.1}, "method": {"name": 3}})
-    >>> tables.messages, tables.file.run.step
-    (("run.stpe: unknown key; did you mean 'step'?",), 0.1)
-    """
-    from pydantic import ValidationError
-
-    from coadjoint.files.configuration.models import File, all_errors, keys_by_table
-
+    """Return the valid part of the tables of a file, and the errors of the rest."""
     messages: list[str] = []
     invalid: set[str] = set()
     parameters = _parameters(raw)
@@ -169,8 +160,6 @@ def _correct_parameter_names(
     messages: list[str],
 ) -> Mapping[str, Any]:
     """Correct unknown parameter names of the system and of the scheme; append the errors to `messages`."""
-    from coadjoint.files.configuration.models import unknown_key
-
     for table_path, names in parameters.items():
         table = _value_at(raw, table_path)
         if not isinstance(table, Mapping):
@@ -184,8 +173,6 @@ def _correct_parameter_names(
 
 def _correction(key_path: tuple[str, ...], known: Iterable[str], elsewhere: Mapping[str, Iterable[str]]) -> str | None:
     """Return the known key to which an unknown one is corrected; None if there is none, or it belongs elsewhere."""
-    from coadjoint.files.configuration.models import place_meant, places_of
-
     *table_path, key = key_path
     if any(places_of(key, elsewhere)):
         return None
@@ -201,8 +188,6 @@ def _repair(
     raw: Mapping[str, Any], error: ValidationError, elsewhere: Mapping[str, Iterable[str]]
 ) -> tuple[Mapping[str, Any], set[str]]:
     """Correct unknown keys and replace invalid tables; return also the names of the latter."""
-    from coadjoint.files.configuration.models import known_keys
-
     invalid: set[str] = set()
     for entry in error.errors():
         key_path = tuple(str(key) for key in entry["loc"])

@@ -60,11 +60,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Sweep:
-    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest.
-
-    `raw` holds the tables of the file, not validated; `axes` are in the order of their first keys; `orbits` are the
-    keys whose settings are elements of the algebra that move the given state.
-    """
+    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest."""
 
     name: str
     raw: Mapping[str, Any]
@@ -117,11 +113,7 @@ class Sweep:
 
 
 def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
-    """Return the sweep of a file from its validated table, with random settings drawn and files read.
-
-    `name` is the path of the file, from whose folder relative names begin. ConfigurationError: a key that cannot be
-    swept, invalid settings, arrays of unequal lengths, or too many members.
-    """
+    """Return the sweep of a file from its validated table, with random settings drawn and files read."""
     axes: dict[str, dict[str, Any]] = {}
     errors = ErrorCollector(name)
     _check_keys(name, sweep.over, errors)
@@ -149,13 +141,7 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
 
 
 def parse_key(text: str) -> KeyPath:
-    """Parse a key into names and indices.
-
-    Examples
-    --------
-    >>> parse_key("system.parameters.inertia[2]")
-    ('system', 'parameters', 'inertia', 2)
-    """
+    """Parse a key into names and indices."""
     parts: list[str | int] = []
     for part in text.split("."):
         match = _PART.fullmatch(part)
@@ -194,13 +180,7 @@ def _file_value(raw: Any, path: KeyPath) -> Any:
 
 
 def replace_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a copy of the tables of a file with other values at some keys; list entries must exist.
-
-    Examples
-    --------
-    >>> replace_values({"initial": {"x": [1.0, 2.0]}}, {"initial.x[1]": 5.0}, "run.toml")
-    {'initial': {'x': [1.0, 5.0]}}
-    """
+    """Return a copy of the tables of a file with other values at some keys; list entries must exist."""
     tables = {key: deepcopy(table) if key != "sweep" else table for key, table in raw.items()}
     for key_text, value in values.items():
         *outer, last = parse_key(key_text)
@@ -231,10 +211,7 @@ BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a ma
 
 
 def swept_system(sweep: Sweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
-    """Return the common system of all members, or a `Batch` if the sweep changes it.
-
-    `file` is the first member; `check_tables` validates the tables of a member.
-    """
+    """Return the common system of all members, or a `Batch` if the sweep changes it; `file` is the first one."""
     axes = sweep.axes_of(_is_system_key)
     if not axes:
         return system_of_file(sweep.name, file)
@@ -301,11 +278,7 @@ def settings_group(key: str, settings: SettingsTable) -> str:
 
 
 def settings_of(key: str, settings: SettingsTable, sweep: SweepTable, value: Any, folder: Path) -> Any:
-    """Return the settings of a key: a list, or an array with the settings along its first axis.
-
-    `value` is the value in the file, which defines the shape of random numbers, or None; relative names of files
-    begin at `folder`. Settings of an orbit are elements of the algebra that move the given state, (samples, n).
-    """
+    """Return the settings of a key, as a list or along the first axis; `value`, in the file, has the shape."""
     kind = settings.kind
     if settings.values is not None:
         return settings.values
@@ -351,17 +324,7 @@ def _read_rows(file_name: str, column: int | None, folder: Path) -> NDArray[Any]
 def random_settings(
     kind: str, spread: Any, key: str, seed: int, samples: int, shape: tuple[int, ...]
 ) -> NDArray[np.float64]:
-    """Return random settings, (samples, ...), each a function of the seed, the key and the sample number alone.
-
-    `spread` holds both ends (uniform), mean and standard deviation (normal), the radius (sphere), or the standard
-    deviation of the components of an element of the algebra (orbit). Settings of different keys are independent.
-
-    Examples
-    --------
-    >>> few = random_settings("uniform", [2.0, 3.0], "initial.x", 7, 2, (3,))
-    >>> bool((few == random_settings("uniform", [2.0, 3.0], "initial.x", 7, 5, (3,))[:2]).all())
-    True
-    """
+    """Return random settings, (samples, ...), each a function of seed, key and sample number alone."""
     count, stream = math.prod(shape), int.from_bytes(sha256(key.encode()).digest()[:7], "little")
     if kind == "uniform":
         words = np.stack([random_words(seed, stream, float(s), 0, count) for s in range(samples)])
@@ -393,17 +356,7 @@ def _number_pair(values: list[Any], what: str, shape: tuple[int, ...]) -> tuple[
 
 
 def move_on_orbit(algebra: Any, x: NDArray[np.float64], u: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return exp(K) x on the same coadjoint orbit, K y = J(y) u: the motion of H = u.y for the time 1.
-
-    The series is summed in index order, in pieces of the exponent short enough to converge quickly.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> turned = move_on_orbit(co.algebras.so(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, np.pi / 2]))
-    >>> bool(np.allclose(abs(turned), [0.0, 1.0, 0.0]))
-    True
-    """
+    """Return exp(K) x, K y = J(y) u, the motion of H = u.y for the time 1, by a series in index order."""
     i, j, k, c = algebra.triples
     n, y = len(x), np.array(x)
 

@@ -48,35 +48,17 @@ def _numbers(*depths: int) -> AfterValidator:
 
 
 def nested_schema(*depths: int, **more: int) -> WithJsonSchema:
-    """Return the schema of numbers nested in lists to one of these depths.
-
-    Examples
-    --------
-    >>> nested_schema(1, maxItems=2).json_schema
-    {'type': 'array', 'items': {'type': 'number'}, 'minItems': 1, 'maxItems': 2}
-    """
+    """Return the schema of numbers nested in lists to one of these depths."""
     return WithJsonSchema({**union_schema(*map(list_schema, depths)), **more})
 
 
 def list_schema(depth: int) -> dict[str, Any]:
-    """Return the schema of numbers nested in lists.
-
-    Examples
-    --------
-    >>> list_schema(1)
-    {'type': 'array', 'items': {'type': 'number'}, 'minItems': 1}
-    """
+    """Return the schema of numbers nested in lists."""
     return {"type": "array", "items": list_schema(depth - 1), "minItems": 1} if depth else {"type": "number"}
 
 
 def union_schema(*schemas: dict[str, Any]) -> dict[str, Any]:
-    """Return the schema of a union.
-
-    Examples
-    --------
-    >>> union_schema({"type": "string"})
-    {'type': 'string'}
-    """
+    """Return the schema of a union."""
     return schemas[0] if len(schemas) == 1 else {"anyOf": list(schemas)}
 
 
@@ -121,13 +103,7 @@ def _name(value: str) -> str:
 
 
 def file_name_schema(*suffixes: str) -> WithJsonSchema:
-    r"""Return the schema of a file name with one of these suffixes; the commands validate the name.
-
-    Examples
-    --------
-    >>> file_name_schema(".nc", ".zarr").json_schema["pattern"]
-    '\\.(nc|zarr)(/\\.?)*$'
-    """
+    """Return the schema of a file name with one of these suffixes; the commands validate the name."""
     endings = "|".join(suffix.removeprefix(".") for suffix in suffixes)
     return WithJsonSchema({"type": "string", "pattern": rf"\.({endings})(/\.?)*$"})
 

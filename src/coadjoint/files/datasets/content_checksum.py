@@ -25,18 +25,7 @@ def with_checksum(dataset: xarray.Dataset) -> xarray.Dataset:
 
 
 def checksum_of(dataset: xarray.Dataset) -> str:
-    """Return SHA-256 of the names, dimensions, types, values and attributes of a dataset.
-
-    Integers of any width are hashed as int64, and text as UTF-8.
-
-    Examples
-    --------
-    >>> import xarray
-    >>> one = xarray.Dataset({"x": ("time", [1.0, 2.0]), "k": ("time", np.array([1, 2], dtype="int32"))})
-    >>> two = xarray.Dataset({"k": ("time", [1, 2]), "x": ("time", [1.0, 2.0])})
-    >>> checksum_of(one) == checksum_of(two), checksum_of(one) == checksum_of(two.assign_attrs(step=0.1))
-    (True, False)
-    """
+    """Return SHA-256 of the names, dimensions, types (integers as int64), values and attributes of a dataset."""
     digest = hashlib.sha256(_attributes(dataset.attrs))
     for name in sorted(map(str, dataset.variables)):
         variable = dataset.variables[name]

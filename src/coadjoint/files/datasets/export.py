@@ -19,6 +19,7 @@ from coadjoint.files.datasets.variables import (
     STATE_DIMENSIONS,
     angular_motion_variables,
     coordinates_of,
+    event_variables,
     parameters_of,
     start_variables,
     state_of,
@@ -27,8 +28,8 @@ from coadjoint.files.datasets.variables import (
     vorticity_variables,
 )
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
-from coadjoint.files.records.records import record_of, system_of
-from coadjoint.files.records.stored_events import event_record, events_of, not_stored, variables_of
+from coadjoint.files.records.reconstruction import events_of, not_stored
+from coadjoint.files.records.records import event_record, record_of, system_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods import registry
 from coadjoint.optional_packages import require_packages
@@ -93,7 +94,7 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
         raise TypeError(f"solution is {short(solution)}; it must be a Solution, such as co.integrate returns")
     variables = {**time_variables(solution), **summary_variables(solution), **start_variables(solution)}
     if solution.events is not None:
-        variables |= variables_of(solution.events)
+        variables |= event_variables(solution.events)
     fields, of_grid = vorticity_variables(solution, grid)
     variables |= fields | ({} if grid is False else angular_motion_variables(solution))
     coordinates = {**parameters_of(solution.system), **coordinates_of(solution), **of_grid}

@@ -38,11 +38,7 @@ def axes_attribute(axes: Mapping[str, Axis]) -> dict[str, str]:
 
 
 def unstacked(dataset: xarray.Dataset) -> xarray.Dataset:
-    """Return a dataset over ``member`` with the axes of its attributes as dimensions; unchanged if there are none.
-
-    Coordinates over the members that depend on some axes only are over these. A variable with the name of an axis gets
-    the suffix ``_values``.
-    """
+    """Return a dataset over ``member`` with the axes of its attributes as dimensions; unchanged if there are none."""
     axes = stored_axes(dataset.attrs, dataset.sizes.get(MEMBER, 1))
     if not axes:
         return dataset
@@ -88,10 +84,7 @@ def _reduced(dims: tuple[str, ...], values: Any) -> tuple[tuple[str, ...], Any]:
 
 
 def stacked(dataset: xarray.Dataset) -> xarray.Dataset:
-    """Return a dataset over ``member`` from one with axes as dimensions: the inverse of `unstacked`.
-
-    The attribute with the axes is removed.
-    """
+    """Return a dataset over ``member`` from one with axes as dimensions: the inverse of `unstacked`."""
     if AXES not in dataset.attrs:
         return dataset
     names = [name.entries(3)[0].text() for name in parsed(dataset.attrs[AXES], AXES).entries()]

@@ -13,6 +13,7 @@ from coadjoint.files.datasets.named_axes import unstacked
 from coadjoint.files.records.records import safe_name
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
+from coadjoint.runs.events import RecordedEvents
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.fluids.reduced_mhd import fluid_of
@@ -29,13 +30,7 @@ MAX_DEFAULT_BYTES = 1 << 27
 
 
 def state_dimensions(states: NDArray[Any], before: int) -> tuple[str, ...]:
-    """Return the dimensions of one state, for arrays with `before` leading axes.
-
-    Examples
-    --------
-    >>> state_dimensions(np.zeros((5, 3)), 1), state_dimensions(np.zeros((5, 2, 2), dtype=complex), 1)
-    (('component',), ('row', 'column', 'part'))
-    """
+    """Return the dimensions of one state, for arrays with `before` leading axes."""
     dimensions = STATE_DIMENSIONS[states.ndim - before - 1]
     return (*dimensions, "part") if np.iscomplexobj(states) else dimensions
 
@@ -46,10 +41,7 @@ def split_complex(states: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...], ...]) -> NDArray[Any]:
-    """Read an initial variable as float64 or complex128, optionally over members; ValueError unless valid.
-
-    `allowed` are its dimensions, without those of members and of complex parts; the numbers must be finite.
-    """
+    """Read an initial variable as float64 or complex128, optionally over members; ValueError unless valid."""
     if name not in dataset:
         raise ValueError(f"the dataset has no variable {name!r}; it is damaged, or was not written by coadjoint")
     variable = dataset[name]
@@ -97,13 +89,7 @@ OBSERVED_NAMES = "observed"
 
 
 def cf_attributes(long_name: str) -> dict[str, Any]:
-    """Return CF attributes of a quantity, in the units of the system.
-
-    Examples
-    --------
-    >>> cf_attributes("energy")
-    {'long_name': 'energy', 'units': '1'}
-    """
+    """Return CF attributes of a quantity, in the units of the system."""
     return {"long_name": long_name, "units": "1"}
 
 
@@ -200,15 +186,7 @@ def coordinates_of(solution: Solution) -> Variables:
 
 
 def parameters_of(system: Any) -> Variables:
-    """Return the numbers in which the systems of a batch differ, over the members, named like those of a sweep.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> bodies = co.batch([co.systems.rigid_body(inertia=(1, 2, c)) for c in (2.5, 3.0)])
-    >>> parameters_of(bodies)
-    {'swept_inertia_2': (('member',), array([2.5, 3. ]), {'long_name': 'system.parameters.inertia[2]'})}
-    """
+    """Return the numbers in which the systems of a batch differ, over the members, named like those of a sweep."""
     if not system.is_batch:
         return {}
     parameters_of_systems = [member.unforced.parameters or {} for member in system.distinct]
@@ -231,15 +209,8 @@ def over_members(values: Mapping[str, list[Any]]) -> Variables:
 
 
 def as_coordinates(values: Mapping[str, list[Any]]) -> dict[str, tuple[str, NDArray[Any]]]:
-    """Return the settings of a sweep as coordinates along the members: name -> key, and a value for each member.
-
-    Lists of numbers have a coordinate for each entry. Whole states are omitted, since a dataset has them as ``x0``.
-
-    Examples
-    --------
-    >>> as_coordinates({"system.parameters.inertia[2]": [2.5, 3.0]})
-    {'swept_inertia_2': ('system.parameters.inertia[2]', array([2.5, 3. ]))}
-    """
+    """Return the settings of a sweep as coordinates along the members: name -> key, and a value for each member."""
+    # Whole states are omitted, since a dataset has them as ``x0``.
     coordinates: dict[str, tuple[str, NDArray[Any]]] = {}
     for key, settings in values.items():
         if key == "initial.x":
@@ -306,10 +277,7 @@ def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[s
 
 
 def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Variables]:
-    """Return variables and coordinates; both empty without a fluid, for ``grid=False``, and by default if large.
-
-    `grid` is a shape, True for the default one of the system, None for this one if it is not large, or False.
-    """
+    """Return variables and coordinates of vorticity on a grid (None: if not large); empty without a fluid."""
     fluid = None if solution.system.is_batch else fluid_of(solution.system.unforced)
     if fluid is None:
         if grid is None or grid is False:
@@ -371,3 +339,18 @@ def _coordinates(on_sphere: bool, rows: Floats, columns: Floats) -> Variables:
         name: ((name,), np.round(np.degrees(values), 12), {"standard_name": name, "long_name": name, "units": units})
         for name, values, units in named
     }
+
+
+def event_variables(events: RecordedEvents) -> dict[str, Any]:
+    """Return crossings as variables of a dataset, over ``crossing``."""
+    dims = ("crossing",)
+    variables: dict[str, Any] = {
+        "event_time": (dims, events.t, cf_attributes("time of a crossing")),
+        "event_x": ((*dims, *state_dimensions(events.x, 1)), split_complex(events.x), cf_attributes("momentum there")),
+        "event_which": (dims, events.which, {"long_name": "number of the event"}),
+        "event_member": (dims, events.member, {"long_name": "member that crosses"}),
+        "event_direction": (dims, events.direction, {"long_name": "1 where g rises, -1 where it falls"}),
+    }
+    if events.attitude is not None:
+        variables["event_attitude"] = ((*dims, "row", "column"), events.attitude, cf_attributes("group element there"))
+    return variables

@@ -20,21 +20,9 @@ MAX_CACHED_BYTES = 2**20  # kept of a file that cannot be written; enough for th
 
 
 class DeferredErrorFile:
-    """A file object that raises the first failure of a write only in `close`.
+    """A file object that raises the first failure of a write only in `close`."""
 
-    HDF5 cannot close a file after a failed write, and crashes when the interpreter exits. Data written after a failure
-    stay in memory, since HDF5 may read them back, except pieces above 2^20 bytes, which are array data. `writing`
-    returns the context of each write, as `PendingOutput.writing`; its exceptions count as failures.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from contextlib import nullcontext
-    >>> with tempfile.TemporaryDirectory() as folder, DeferredErrorFile(Path(folder, "a"), nullcontext) as file:
-    ...     _ = file.write(b"momentum"), file.seek(0)
-    ...     file.read(3)
-    b'mom'
-    """
+    # HDF5 cannot close a file after a failed write, and crashes at exit; small pieces stay in memory, to be read back.
 
     def __init__(self, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0), 0o666)
@@ -169,10 +157,7 @@ FILE_LIST = "coadjoint_files"
 
 
 def write_zarr(dataset: xarray.Dataset, path: Path, writing: Callable[[], AbstractContextManager[None]]) -> None:
-    """Write a dataset to a new folder as Zarr format 2, with a list of its files in its index.
-
-    `writing` returns the context of each write, `PendingOutput.writing`. OSError, for instance for a full disk.
-    """
+    """Write a dataset to a new folder as Zarr format 2, with a list of its files in its index."""
     # Format 3 has no standard encoding of text, which component names need.
     dataset.to_zarr(_store(path, writing), mode="w", zarr_format=2, consolidated=True)
     index = json.loads((path / INDEX_FILE).read_text(encoding="utf-8"))
@@ -181,16 +166,7 @@ def write_zarr(dataset: xarray.Dataset, path: Path, writing: Callable[[], Abstra
 
 
 def foreign_file(path: Path) -> str:
-    """Return the name of a file that `write_zarr` did not write (or of the missing index); empty if there is none.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = Path(folder, "zarr.json").write_text("{}")
-    ...     foreign_file(Path(folder))
-    'zarr.json'
-    """
+    """Return the name of a file that `write_zarr` did not write (or of the missing index); empty if there is none."""
     try:
         listed = json.loads((path / INDEX_FILE).read_text(encoding="utf-8"))[FILE_LIST]
         known = set(listed) if isinstance(listed, list) else set()

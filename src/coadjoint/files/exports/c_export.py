@@ -12,9 +12,20 @@ import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.files.exports.c_flows import ATTITUDE, PartsInC
-from coadjoint.files.exports.c_runtime import FREE_BODY, includes, runtime
 from coadjoint.files.exports.c_stages import StagesInC
-from coadjoint.files.exports.c_statements import VECTORS, WIDTH, Inputs, Value, block, function, repeated, wrapped
+from coadjoint.files.exports.c_statements import (
+    FREE_BODY,
+    VECTORS,
+    WIDTH,
+    Inputs,
+    Value,
+    block,
+    function,
+    includes,
+    repeated,
+    runtime,
+    wrapped,
+)
 from coadjoint.files.output.output_files import write_header
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop
@@ -103,12 +114,9 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
 
 
 class Exported(NamedTuple):
-    """The statements of a step of the length h, of all steps of a run, and of the derivative of a step.
+    """Statements of a step, of all steps of a run, and of the derivative of a step; `lines` define what they call."""
 
-    `lines` define what they call. A run is `resumable` if it has functions for the first step and all others, and if
-    sums are `compensated`, these also take their errors. Group elements
-    have `side` rows, or there are none.
-    """
+    # `resumable`: functions for the first step and all others, which take the errors of `compensated` sums.
 
     lines: list[str]
     step: list[str]
@@ -121,15 +129,7 @@ class Exported(NamedTuple):
 
 
 def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
-    """Return the text of the header of `export_c`.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.prepare(co.systems.rigid_body((1, 2, 3)), co.Splitting(), step=0.1)
-    >>> "void body_run(double *x, double h, unsigned long steps)" in c_header(body, "body")
-    True
-    """
+    """Return the text of the header of `export_c`."""
     if type(name) is not str or not IDENTIFIER.fullmatch(name) or name.lower() == "coadjoint":
         raise ValueError(
             f"the functions cannot begin with {short(name)}; give a name of at most 41 letters, digits and underscores "

@@ -33,10 +33,7 @@ MOST_ROWS = 40
 
 
 class Run(NamedTuple):
-    """Blocks of one kind in order: `repeat` blocks for each of some angles of a part.
-
-    Unless it is negative, `skip` is the angle whose rotation is usually zero, and then nothing is moved.
-    """
+    """Blocks of one kind in order, `repeat` for each of some angles; none if the angle `skip` is zero."""
 
     kind: int
     rational: bool
@@ -218,11 +215,7 @@ class PartsInC:
 
 
 class Part(NamedTuple):
-    """The statements of a part with `number` angles: they are found at x, as `results`, and vectors are moved by them.
-
-    `changes` are the changes of the angles along v. The state is moved by `together` alone, if that is not empty, or
-    if sums are compensated by `corrected`, which moves its errors too. `turns` move a row of the group element.
-    """
+    """The statements of a part with `number` angles, found at x as `results`; vectors and states are moved by them."""
 
     number: int
     results: tuple[str, ...]

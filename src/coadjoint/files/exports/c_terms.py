@@ -48,13 +48,7 @@ def gradient_change(terms: Terms, k: int, number: Numbers, target: Callable[[int
 
 
 def chain_of(products: list[tuple[str, str]], start: str) -> str:
-    """Return start + the sum of products, the first one first, each sum rounded once.
-
-    Examples
-    --------
-    >>> chain_of([("a", "b"), ("c", "d")], "0.0")
-    'coadjoint_fma(c, d, coadjoint_fma(a, b, 0.0))'
-    """
+    """Return start + the sum of products, the first one first, each sum rounded once."""
     for a, b in products:
         start = f"coadjoint_fma({a}, {b}, {start})"
     return start
@@ -96,13 +90,7 @@ def factors_of(terms: Terms, monomial: int) -> list[Factor]:
 
 
 def power(x: str, exponent: int) -> str:
-    """Return a power with the bits of repeated multiplication.
-
-    Examples
-    --------
-    >>> power("y", 3), power("y", 9)
-    ('(y * y * y)', 'coadjoint_power(y, 9)')
-    """
+    """Return a power with the bits of repeated multiplication."""
     if exponent > LARGEST_POWER:
         return f"coadjoint_power({x}, {exponent})"
     return x if exponent == 1 else f"({' * '.join([x] * exponent)})"

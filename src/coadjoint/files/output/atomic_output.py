@@ -29,19 +29,7 @@ IN_USE_WAITS = tuple(2.0**-k for k in range(10, 0, -1))
 
 
 def write_atomically(path: Path, content: bytes, folder: int | None = None) -> None:
-    """Write a temporary file, sync it to disk, and rename it to `path`, without following symbolic links.
-
-    A missing folder is not created. `folder` is the descriptor that `path` is relative to. OSError: the disk is full,
-    or the folder is gone; an existing file is then unchanged.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_atomically(Path(folder, "answer.txt"), b"42")
-    ...     os.listdir(folder)
-    ['answer.txt']
-    """
+    """Write a temporary file, sync it to disk, and rename it to `path`, without following symbolic links."""
     temporary = path.with_name(f".{path.name}{TEMPORARY_SUFFIX}")
 
     def opened(name: str, flags: int) -> int:
@@ -91,21 +79,9 @@ class OutputAbandoned(Exception):
 
 
 class PendingOutput:
-    """A result being written to `path` in a hidden folder, until `finish` renames it to its target.
+    """A result being written in a hidden folder, until `finish` renames it; the folder is removed in any case."""
 
-    The folder is removed at the end of the ``with`` block in any case. It is locked while its process lives, so that
-    `remove_leftovers` recognizes the folders of killed runs.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     with PendingOutput(Path(folder, "answer.txt")) as unfinished:
-    ...         _ = unfinished.path.write_text("42")
-    ...         unfinished.finish()
-    ...     os.listdir(folder)
-    ['answer.txt']
-    """
+    # It is locked while its process lives, so that `remove_leftovers` recognizes the folders of killed runs.
 
     def __init__(self, target: Path) -> None:
         self._target, self._mutex, self._stopped = target, threading.RLock(), False
@@ -206,10 +182,7 @@ def _prefix(target: Path) -> str:
 
 
 def open_locked(path: Path, create: int = 0, folder: int | None = None) -> int | None:
-    """Open and lock a file; return its descriptor, or None if another process has locked or removed it.
-
-    Symbolic links are not followed. `folder` is the descriptor that `path` is relative to.
-    """
+    """Open and lock a file, not a link; return its descriptor, or None if another process has locked or removed it."""
     flags = os.O_RDWR | create | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     if not hasattr(os, "O_NOFOLLOW"):
         reject_link(path, folder)
@@ -245,10 +218,7 @@ def reject_link(path: Path, folder: int | None) -> None:
 
 
 def _restore_target(folder: Path, target: Path) -> bool:
-    """Restore a replaced folder if the result was not completed, and remove all but the lock.
-
-    Return whether the lock alone is left; nothing is removed if the folder stays replaced.
-    """
+    """Restore a replaced folder if the result is not complete; return whether the lock alone is left."""
     with suppress(OSError):
         if (folder / REPLACED_FOLDER).is_dir() and not os.path.lexists(target):
             os.replace(folder / REPLACED_FOLDER, target)

@@ -44,13 +44,7 @@ def check_movie(path: str | Path) -> Path:
 
 
 def check_speed(fps: float, target: Path) -> float:
-    """Validate the frames per second, at most 50 for a GIF.
-
-    Examples
-    --------
-    >>> check_speed(24, Path("run.gif"))
-    24.0
-    """
+    """Validate the frames per second, at most 50 for a GIF."""
     rate = read_positive(fps, "fps")
     if target.suffix == ".gif" and rate > MAX_GIF_FPS:
         raise ValueError(f"fps is {rate:g}; a GIF shows at most {MAX_GIF_FPS} frames per second")

@@ -55,18 +55,7 @@ FORMAT_NAMES = {
 
 
 def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
-    """Validate the path of a result, with one of the `suffixes`; nothing is left behind.
-
-    OutputError: unknown suffix, folder missing or not writable, or the target exists and is not a result.
-    MissingPackageError: the format needs a package that is not installed.
-
-    Examples
-    --------
-    >>> check_target("run.csv")
-    Traceback (most recent call last):
-    ...
-    coadjoint.files.output.output_files.OutputError: run.csv: the suffix sets the format; it must be .nc or .zarr
-    """
+    """Validate the path of a result: suffix, required packages, folder, and a target that may be replaced."""
     target, allowed = read_path(path, "path"), tuple(suffixes)
     if target.suffix not in allowed:
         choices = " or ".join(part for part in (", ".join(allowed[:-1]), allowed[-1]) if part)
@@ -117,20 +106,8 @@ def _try_target(target: Path) -> None:
 
 
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
-    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a checksum of its content.
-
-    It is written beside the target and renamed. A file is replaced in one step; when a Zarr store, which is a folder,
-    is replaced, there is a moment without either. Errors are those of `check_target`; after an OSError the target is
-    unchanged.
-
-    Examples
-    --------
-    >>> import tempfile, xarray
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_dataset(xarray.Dataset({"x": ("time", [1.0, 2.0])}), f"{folder}/run.zarr")
-    ...     xarray.open_zarr(f"{folder}/run.zarr")["x"].values
-    array([1., 2.])
-    """
+    """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a checksum of its content."""
+    # A Zarr store is a folder: when one is replaced, there is a moment without either.
     target = check_target(path)
     dataset = with_checksum(dataset)
     write = write_netcdf if target.suffix == ".nc" else write_zarr
@@ -151,15 +128,7 @@ def _run_in_thread(work: Callable[[], None], abandon: Callable[[], None]) -> Non
 
 
 def write_figure(figure: Figure, path: str | Path) -> None:
-    """Write a figure as PNG, PDF or SVG, atomically; errors as for `check_target`.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from matplotlib.figure import Figure
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_figure(Figure(), f"{folder}/empty.png")
-    """
+    """Write a figure as PNG, PDF or SVG, atomically; errors as for `check_target`."""
     target = check_target(path, FIGURES)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=target.suffix[1:])
@@ -169,16 +138,7 @@ def write_figure(figure: Figure, path: str | Path) -> None:
 
 
 def write_text(text: str, path: str | Path) -> None:
-    """Write JSON text to a ``.json`` file, atomically; errors as for `check_target`.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     write_text("{}", f"{folder}/empty.json")
-    ...     Path(f"{folder}/empty.json").read_text()
-    '{}'
-    """
+    """Write JSON text to a ``.json`` file, atomically; errors as for `check_target`."""
     _write(text, check_target(path, TEXTS))
 
 

@@ -27,17 +27,7 @@ _QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
 
 
 class Entry:
-    """An unvalidated value of a record from a file, and its path in the record for messages.
-
-    Examples
-    --------
-    >>> record = Entry({"dim": 3, "basis": ["e1", 2]}, "algebra")
-    >>> record["dim"].integer(1)
-    3
-    >>> [name.text() for name in record["basis"].entries()]
-    Traceback (most recent call last):
-    ValueError: algebra.basis[1] is 2; it must be text
-    """
+    """An unvalidated value of a record from a file, and its path in the record for messages."""
 
     def __init__(self, value: Any, path: str, depth: int = 0) -> None:
         self.value, self.path, self._depth = value, path, depth
@@ -177,16 +167,7 @@ class Entry:
 
 
 def parsed(value: Any, path: str) -> Entry:
-    """Parse an attribute that contains JSON.
-
-    Examples
-    --------
-    >>> parsed("[1, 2]", "t_span").entries()[1].number()
-    2.0
-    >>> parsed("[1, 2", "t_span")
-    Traceback (most recent call last):
-    ValueError: t_span is '[1, 2', which is no JSON: Expecting ',' delimiter: line 1 column 6 (char 5)
-    """
+    """Parse an attribute that contains JSON."""
     if not isinstance(value, str):
         raise ValueError(f"{path} is {short(value, 60)}; it must be text, JSON")
     try:
@@ -200,15 +181,7 @@ def parsed(value: Any, path: str) -> Entry:
 
 @contextmanager
 def as_value_errors(entry: Entry) -> Iterator[None]:
-    """Convert errors of the library inside the context to ValueError with the path of the entry.
-
-    Examples
-    --------
-    >>> with as_value_errors(Entry({}, "system.algebra")):
-    ...     raise TypeError("constants are missing")
-    Traceback (most recent call last):
-    ValueError: system.algebra: constants are missing
-    """
+    """Convert errors of the library inside the context to ValueError with the path of the entry."""
     try:
         with np.errstate(all="ignore"):  # overflows are rejected here or in the run
             yield

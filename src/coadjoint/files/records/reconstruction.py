@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 from collections.abc import Mapping
 from math import prod
 from typing import Any
@@ -10,44 +11,39 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, SUM, MatrixAlgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
+from coadjoint.files.configuration.construction import parse_polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors
-from coadjoint.files.records.matrix_records import matrix_system_of
 from coadjoint.memory import check_available_memory
+from coadjoint.runs.events import Event
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name
+from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.matrices.matrix_system import MAX_POWERS, MatrixSystem
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.system import System
-from coadjoint.validation import from_description
+from coadjoint.validation import from_description, read_integer
 
 Axes = dict[str, Axis]
+
+MATRIX_KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "energy_sign", "powers", "not_stored")
 
 BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 BYTES_PER_MEMBER = 100  # of a batch; a reference and its start
 
 
 def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | Batch:
-    """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants.
-
-    ValueError: the motion depends on functions, which were not stored; or the record is damaged.
-
-    Examples
-    --------
-    >>> from coadjoint.files.records.records import record_of
-    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
-    >>> system_of(record_of(rigid_body((1, 2, 2.5)))).parameters
-    {'inertia': (1.0, 2.0, 2.5)}
-    >>> system_of({"name": "rigid_body", "parameters": {"inertia": [1, 2]}})
-    Traceback (most recent call last):
-    ValueError: system.parameters: inertia has shape (2,); give three principal moments, or a symmetric (3, 3)
-    """
+    """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants."""
     entry = record if isinstance(record, Entry) else Entry(dict(record), "system")
     if "members" not in entry:
         return _system_of(entry, dim)
@@ -272,3 +268,100 @@ def _quadratic_of(record: Entry, dim: int) -> Quadratic:
     with as_value_errors(record):
         values = np.concatenate([values, values[indices[:, 0] < indices[:, 1]]])
         return Quadratic(coo_array((values, (rows, columns)), shape=(dim, dim)), linear=linear, constant=constant)
+
+
+def matrix_system_of(record: Entry) -> MatrixSystem:
+    """Rebuild the matrix system of a record; ValueError if the record is damaged."""
+    algebra = _matrix_algebra_of(record.reject_unknown(*MATRIX_KEYS)["matrices"])
+    with as_value_errors(record):
+        check_available_memory(300 * algebra.N**2, f"matrices of {algebra}")
+    stream = _stream_of(record["stream"], algebra.N)
+    linear = _matrix_of(record["linear"], algebra) if "linear" in record else None
+    sign, powers, name = record["energy_sign"].integer(-1, 1), record["powers"].integer(0, MAX_POWERS), record["name"]
+    if "layers" in record:
+        record["layers"].integer(2, 2)
+        second = _stream_of(record["second_stream"], algebra.N) if "second_stream" in record else None
+        with as_value_errors(record):
+            return TwoLayerSystem(algebra, stream, second, energy_sign=sign, name=name.text(), powers=powers)
+    with as_value_errors(record):
+        return MatrixSystem(algebra, stream, linear, energy_sign=sign, name=name.text(), powers=powers)
+
+
+def _matrix_algebra_of(record: Entry) -> MatrixAlgebra:
+    if "blocks" in record:
+        blocks = [_matrix_algebra_of(block) for block in record.reject_unknown("blocks")["blocks"].entries()]
+        with as_value_errors(record):
+            return MatrixAlgebra.sum(*blocks)
+    record.reject_unknown("kind", "N", "q")
+    kind, N, q = record["kind"].text(), record["N"].integer(2, MAX_MATRIX_SIZE), record["q"].integer(0, MAX_MATRIX_SIZE)
+    with as_value_errors(record):
+        if kind == SUM:
+            raise ValueError("a sum has blocks")
+        return MatrixAlgebra(kind, N, q)
+
+
+def _stream_of(record: Entry, N: int) -> Any:
+    table = record.table()
+    if "weights" in table:
+        weights = _square(record.reject_unknown("weights")["weights"], N)
+        with as_value_errors(record):
+            return Weights(weights)
+    if "spectrum" in table:
+        spectrum = _square(record.reject_unknown("spectrum")["spectrum"], N)
+        with as_value_errors(record):
+            return Circulants(spectrum)
+    if "inverse of" in table:
+        of = _stream_of(record.reject_unknown("inverse of")["inverse of"], N)
+        with as_value_errors(record):
+            if not isinstance(of, DiagonalSolve):
+                raise ValueError("the inverse is that of a stream with main and beside")
+            return Inverse(of)
+    record.reject_unknown("main", "beside", "factor")
+    main, beside, factor = _square(record["main"], N), _square(record["beside"], N), record["factor"].number()
+    with as_value_errors(record):
+        return DiagonalSolve(main, beside, factor)
+
+
+def _square(record: Entry, N: int) -> NDArray[np.float64]:
+    return np.array([row.numbers(N) for row in record.entries(N)])
+
+
+def _matrix_of(record: Entry, algebra: MatrixAlgebra) -> NDArray[Any]:
+    parts = [_square(part, algebra.N) for part in record.entries(1 + algebra.complex)]
+    return parts[0] + 1j * parts[1] if algebra.complex else parts[0]
+
+
+def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
+    """Return the event of a table: ``g``, an index or name of a coordinate or a polynomial, and options of `Event`."""
+    names = coordinates_of(system)
+    if not names:
+        raise ValueError(f"an event of a file needs coordinates; the states of {system.unforced.name} are matrices")
+    options = dict(table)
+    g = options.pop("g")
+    if isinstance(g, str) and g not in names:
+        g = parse_polynomial(g, system.dim, names)
+    elif isinstance(g, list):
+        g = parse_polynomial(g, system.dim)
+    elif not isinstance(g, str):
+        g = read_integer(g, "g", 0, system.dim - 1)
+    return Event(g, name=name, **options)
+
+
+def not_stored(x: NDArray[Any], t: float) -> float:
+    """Raise an error in place of the function of an event, which datasets do not contain."""
+    raise ValueError("the function of this event was not stored; give the events again")
+
+
+def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
+    """Parse the events of `event_record`, with `not_stored` for functions; ValueError if damaged."""
+    events = []
+    with as_value_errors(entry):
+        for name, table in json.loads(entry.text()).items():
+            if table["g"] is None:
+                events.append(Event(**{**table, "g": not_stored}, name=name))
+            elif isinstance(table["g"], dict):
+                g = invariants_of(Entry({name: table["g"]}, entry.path), system.dim)[name]
+                events.append(Event(**{**table, "g": g}, name=name))
+            else:
+                events.append(event_of_file(name, table, system))
+    return tuple(events)

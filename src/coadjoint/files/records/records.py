@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import importlib
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL
-from coadjoint.files.records.matrix_records import matrix_record
+from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
+from coadjoint.algebra.polynomials.polynomial_format import plain as text_of
+from coadjoint.files.records.entries import CASIMIR, ENERGY, EXACT, INTEGRAL, STREAM
 from coadjoint.files.records.reconstruction import system_of
+from coadjoint.runs.events import Event
 from coadjoint.short_repr import plain
 from coadjoint.systems.batch import Axis, Batch
 from coadjoint.systems.forces import registry as described
@@ -26,6 +30,8 @@ from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
+from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.system import System
 
 __all__ = ["record_of", "safe_name", "system_of"]
@@ -35,21 +41,8 @@ STORABLE_TYPES = (Polynomial, Quadratic)
 
 
 def record_of(system: System | Batch) -> dict[str, Any]:
-    """Return a system as plain numbers, lists and text for `json`; `system_of` rebuilds it, bitwise.
-
-    A ready-made system is its name and parameters. Any other is its structure constants (i, j, k, c), its Hamiltonian,
-    sign, polynomial Casimirs and integrals, and representation, and the name, basis, Casimirs and representation of its
-    algebra; a matrix system is its algebra and its stream. A formula is its text. Functions of Python cannot be
-    stored, and are listed under ``"not_stored"``. A batch is the list of its different systems, with pairs of the
-    number of a system and of successive members that have it; a system with forces is its Hamiltonian part and the
-    forces.
-
-    Examples
-    --------
-    >>> from coadjoint.systems.bodies.rigid_body import rigid_body
-    >>> record_of(rigid_body((1, 2, 3)))
-    {'name': 'rigid_body', 'parameters': {'inertia': [1.0, 2.0, 3.0]}}
-    """
+    """Return a system as plain numbers, lists and text for `json`; `system_of` rebuilds it, bitwise."""
+    # A ready-made system is its name and parameters; functions of Python are listed under "not_stored".
     if isinstance(system, Batch):
         return _batch_record(system)
     if system.forces:
@@ -233,13 +226,7 @@ def _form_record(H: Quadratic) -> dict[str, Any]:
 
 
 def safe_name(name: str) -> str:
-    """Convert a name to at most 64 letters, digits and underscores, for variables and files.
-
-    Examples
-    --------
-    >>> safe_name("x1*x3 + x2^2")
-    'x1_x3_x2_2'
-    """
+    """Convert a name to at most 64 letters, digits and underscores, for variables and files."""
     letters = "".join(letter if letter.isascii() and letter.isalnum() else " " for letter in name)
     return "_".join(letters.split())[:MAX_NAME_LENGTH] or "unnamed"
 
@@ -247,3 +234,74 @@ def safe_name(name: str) -> str:
 def axes_record(axes: Mapping[str, Axis]) -> list[list[Any]]:
     """Return axes as plain lists for `json`."""
     return [[name, axis.length, None if axis.values is None else axis.values.tolist()] for name, axis in axes.items()]
+
+
+def matrix_record(system: MatrixSystem) -> dict[str, Any]:
+    """Return a matrix system as plain numbers, lists and text; streams that are functions are not stored."""
+    record: dict[str, Any] = {
+        "name": system.name,
+        "matrices": _matrix_algebra_record(system.algebra),
+        "energy_sign": system.energy_sign,
+        "powers": system.powers,
+    }
+    missing = []
+    stream = _stream_record(system.stream)
+    if stream is None:
+        function = getattr(system.stream, "function", system.stream)
+        missing.append(f"{STREAM}{getattr(function, '__name__', type(function).__name__)}")
+    else:
+        record["stream"] = stream
+    if isinstance(system, TwoLayerSystem):
+        record["layers"] = 2
+        second = None if system.second_stream is None else _stream_record(system.second_stream)
+        if second is not None:
+            record["second_stream"] = second
+        elif system.second_stream is not None:
+            missing.append(f"{STREAM}{type(system.second_stream).__name__}")
+    if system.linear is not None:
+        record["linear"] = _matrix_record(system.linear)
+    if system.energy_function is not None:
+        missing.append(f"{ENERGY}{getattr(system.energy_function, '__name__', type(system.energy_function).__name__)}")
+    if system.closed_form is not None:
+        missing.append(f"{EXACT}{getattr(system.closed_form, '__name__', type(system.closed_form).__name__)}")
+    return {**record, "not_stored": missing} if missing else record
+
+
+def _matrix_algebra_record(algebra: MatrixAlgebra) -> dict[str, Any]:
+    if algebra.blocks:
+        return {"blocks": [_matrix_algebra_record(block) for block in algebra.blocks]}
+    return {"kind": algebra.kind, "N": algebra.N, "q": algebra.q}
+
+
+def _stream_record(stream: Any) -> dict[str, Any] | None:
+    if type(stream) is Weights:
+        return {"weights": stream.weights.tolist()}
+    if type(stream) is DiagonalSolve:
+        return {"main": stream.main.tolist(), "beside": stream.beside.tolist(), "factor": float(stream.factor)}
+    if type(stream) is Inverse:
+        return {"inverse of": _stream_record(stream.of)}
+    if type(stream) is Circulants:
+        return {"spectrum": stream.spectrum.tolist()}
+    return None
+
+
+def _matrix_record(matrix: NDArray[Any]) -> list[Any]:
+    return [matrix.real.tolist(), matrix.imag.tolist()] if np.iscomplexobj(matrix) else [matrix.tolist()]
+
+
+def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
+    """Return events as JSON, and the names of events whose g is a function; these have a null g."""
+    tables, missing = {}, []
+    for event, name in zip(events, names, strict=True):
+        g: Any = event.g
+        if isinstance(g, Polynomial):
+            text = text_of(g.monomials, default_names(g.dim))
+            # A coordinate alone would be read as a name, which may be that of another coordinate of the system.
+            g = invariants_record({name: g})[name] if text in default_names(g.dim) else text
+        if isinstance(g, Quadratic):
+            g = invariants_record({name: g})[name]
+        if not isinstance(g, int | str | dict | list):
+            missing.append(name)
+            g = None
+        tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}
+    return json.dumps(tables), missing

@@ -123,16 +123,7 @@ def _missing(path: Path | str, what: str, stored: Mapping[str, Any]) -> ArchiveE
 
 
 def fingerprint_of(value: Any) -> dict[str, Any]:
-    """Return a fingerprint of a value and of everything its functions read, for `same_fingerprint`.
-
-    Examples
-    --------
-    >>> def times(a):
-    ...     return lambda x: a * x
-    >>> first, second, third = (fingerprint_of(times(a)) for a in (1.0, 2.0, 1.0))
-    >>> same_fingerprint(first, second), same_fingerprint(first, third)
-    (False, True)
-    """
+    """Return a fingerprint of a value and of everything its functions read, for `same_fingerprint`."""
     contents, written = contents_of(value), contents_of(value, written=True)
     return {
         "python": ".".join(platform.python_version_tuple()[:2]),
@@ -143,11 +134,7 @@ def fingerprint_of(value: Any) -> dict[str, Any]:
 
 
 def same_fingerprint(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
-    """Whether two values, including everything their functions read, are equal.
-
-    Bytecode is compared if the version of Python is the same, otherwise source text; functions without text are
-    unequal.
-    """
+    """Whether two values and all their functions read are equal, by bytecode or, if Python differs, source text."""
     if not {"python", "contents", "written"} <= first.keys() & second.keys():
         return False
     compared = "contents" if first["python"] == second["python"] else "written"

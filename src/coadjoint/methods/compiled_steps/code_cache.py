@@ -15,11 +15,7 @@ from coadjoint.private_folders import WRITABLE_BY_OTHERS, check_private, private
 
 
 def cached_library(name: str, build: Callable[[Path], None]) -> ctypes.CDLL:
-    """Load a library from the cache, after `build` has written it there if it is missing or damaged.
-
-    If the cache cannot be used, warn, and build in a temporary folder. OSError: the library cannot be loaded; `build`
-    must not raise it.
-    """
+    """Load a library from the cache, after `build` (which raises no OSError) has written it there if necessary."""
     try:
         folder = _cache_folder()
         path = _cached(folder, name)
@@ -72,10 +68,7 @@ def _home() -> Path:
 
 
 def _cached(folder: Path, name: str) -> Path | None:
-    """Return the undamaged library of this name, or None; remove damaged ones.
-
-    PermissionError: another user can have written it.
-    """
+    """Return the undamaged library of this name, or None; remove damaged ones. PermissionError: of another user."""
     for path in sorted(folder.iterdir()):
         if path.name.startswith(f"{name}-"):
             if path.name == _cache_name(name, _trusted_content(path)):

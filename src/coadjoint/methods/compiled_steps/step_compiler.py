@@ -40,17 +40,7 @@ Stamp = tuple[int, ...] | None
 
 @dataclass(frozen=True)
 class CompiledStep:
-    """A compiled step from a file of the user.
-
-    Parameters
-    ----------
-    name : str
-        Name that ``STEP_SCHEME`` gives it.
-    path : str
-        The file.
-    digest : str
-        Digest of the file, of the user's headers that it includes, and of the options in ``CXX``.
-    """
+    """A compiled step: its name in ``STEP_SCHEME``, its file, and the digest of the file, its headers and options."""
 
     name: str
     path: str
@@ -239,10 +229,7 @@ def _compiler() -> list[str]:
 
 
 class PreprocessedSource(NamedTuple):
-    """Preprocessed `text` with its source `files`, in order, and the `folders` searched for headers.
-
-    `files` maps names to whether they are system headers; `folders` is empty if the compiler does not list them.
-    """
+    """Preprocessed `text`, its source `files` (name -> whether a system header), and the `folders` of headers."""
 
     text: bytes
     files: dict[bytes, bool]

@@ -19,11 +19,7 @@ NODE = "c"
 
 
 class FormalNumber(PowerSeries):
-    """A power series in the step with coefficients in a ring of polynomials; see `formal_numbers`.
-
-    It supports the arithmetic of numbers, for formulas of steps; floats are converted exactly. Numbers are not ordered:
-    steps that branch or iterate to a tolerance cannot be evaluated.
-    """
+    """A power series in the step over a ring of polynomials, without an order; floats are converted exactly."""
 
     __slots__ = ()
 
@@ -136,11 +132,3 @@ def vector(entries: Any) -> NDArray[Any]:
     result = np.empty(len(listed), dtype=object)
     result[:] = listed
     return result
-
-
-def is_short(value: Any) -> bool:
-    """Return whether a number is exactly a fraction with a small denominator, such as 0.375 or 1/3 but not 0.1."""
-    return Fraction(value).denominator <= MAX_SHORT_DENOMINATOR
-
-
-MAX_SHORT_DENOMINATOR = 2**20  # floats with larger denominators are measured numbers, not short fractions

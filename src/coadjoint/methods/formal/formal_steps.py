@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import rational
-from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, is_short, vector
+from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, vector
 from coadjoint.methods.numerics.solvers import Coefficients
+from coadjoint.methods.protocol.method import is_short
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
 
@@ -64,12 +65,9 @@ class StagesOfTableau(FormalStages):
 
 
 class StagesOfCollocation(FormalStages):
-    """All stages at once: X(c) is a polynomial in the node c, modulo the polynomial whose roots are the nodes.
+    """All stages at once: X(c) = x + h int_0^c L, modulo the polynomial whose roots are the nodes."""
 
-    Expressions that are equal at all nodes are computed once, and are rational although the nodes are not. The slopes L
-    are the interpolation polynomial of the slopes at the nodes; the points are X(c) = x + h int_0^c L, the end x + h
-    int_0^1 L.
-    """
+    # Expressions equal at all nodes are computed once, and are rational although the nodes are not.
 
     def __init__(self, nodes: Sequence[Fraction], x: NDArray[Any], h: FormalNumber) -> None:
         self.x, self.h, ring = x, h, h.ring
@@ -99,11 +97,8 @@ class StagesOfCollocation(FormalStages):
 
 
 def formal_end(stages: FormalStages, system: System, solver: str, iterations: int) -> NDArray[Any]:
-    """Return the end of a step with slopes computed by `solver`, a key of ``solvers.SOLVERS``.
-
-    Explicit and implicit stages are treated alike: each pass through the equations gains a power of h. `iterations` is
-    the number of passes before the output or the linear system, for solvers with a fixed number.
-    """
+    """Return the end of a step with slopes computed by `solver`, a key of ``solvers.SOLVERS``."""
+    # Explicit and implicit stages are treated alike: each pass through the equations gains a power of h.
 
     def product(momentum: NDArray[Any], slope: NDArray[Any]) -> NDArray[Any]:
         return system.sign * (system.structure_matrix(momentum) @ slope)
@@ -138,14 +133,7 @@ DIGITS = 50  # decimal digits of irrational coefficients: those published, and m
 
 
 def rational_tableau(coefficients: Callable[..., Coefficients]) -> tuple[Coefficients, float]:
-    """Return a tableau in fractions, and their relative error: 0 if the tableau is rational.
-
-    Examples
-    --------
-    >>> from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
-    >>> rational_tableau(ExplicitRungeKutta("rk4").coefficients)[1]
-    0.0
-    """
+    """Return a tableau in fractions, and their relative error: 0 if the tableau is rational."""
     from mpmath import mp, workdps
 
     with workdps(DIGITS):

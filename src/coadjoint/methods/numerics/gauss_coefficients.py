@@ -55,12 +55,8 @@ def _root(degree: int, radau: bool, z: Any) -> Any:
 
 
 def _collocation(roots: Sequence[Any]) -> Collocation:
-    """Return the method with given points of [-1, 1], for which P_0, ..., P_{s-1} are discretely orthogonal.
-
-    The Lagrange polynomials are then l_j(z) = b_j sum_k (2k + 1) P_k(z_j) P_k(z), with 1/b_j = sum_k (2k + 1)
-    P_k(z_j)^2 and integral_{-1}^z P_k = (P_{k+1}(z) - P_{k-1}(z)) / (2k + 1): no linear system is solved, without
-    cancellation.
-    """
+    """Return the method with points of [-1, 1] for which P_0, ..., P_{s-1} are discretely orthogonal."""
+    # l_j = b_j sum_k (2k+1) P_k(z_j) P_k, 1/b_j = sum_k (2k+1) P_k(z_j)^2: no linear system and no cancellation.
     s = len(roots)
     values = [_legendre(s, z) for z in roots]
     nodes, weights, mu = np.empty(s, dtype=object), np.empty(s, dtype=object), np.empty((s, s), dtype=object)
@@ -84,11 +80,7 @@ def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _in_integers(roots: Sequence[decimal.Decimal]) -> Collocation:
-    """Return the result of `_collocation` for decimals a hundred times faster, with its sums of products in integers.
-
-    All |P_k(z)| <= 1, so that integers in units of 10^-DIGITS are as accurate as decimals, and sums of their products
-    exact.
-    """
+    """Return `_collocation` of decimals a hundred times faster, as integers in units of 10^-DIGITS (|P_k| <= 1)."""
     from flint import fmpz_mat
 
     s = len(roots)
@@ -163,19 +155,13 @@ def node_polynomial(stages: int) -> list[Fraction]:
 
 
 def gauss_legendre(stages: int, number: Number = float) -> Collocation:
-    """Return the coefficients of the Gauss-Legendre method with s stages, of order 2 s.
-
-    In float64, nodes and weights are correctly rounded and mu_ij + mu_ji = 1 exactly. Source: E. Hairer, C. Lubich,
-    G. Wanner, Geometric Numerical Integration, II.1.3; E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231.
-    """
+    """Return the Gauss-Legendre method with s stages, of order 2 s; in float64 mu_ij + mu_ji = 1 exactly."""
+    # E. Hairer, C. Lubich, G. Wanner, GNI II.1.3; E. Hairer, R. McLachlan, A. Razakarivony, BIT 48 (2008) 231.
     return _in_floats(stages, False) if number is float else _gauss(stages, number)
 
 
 def radau(stages: int, number: Number = float) -> Collocation:
-    """Return the coefficients of the Radau IIA method with s stages, of order 2 s - 1; the last node is 1.
-
-    Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, IV.5.
-    """
+    """Return the Radau IIA method with s stages, of order 2 s - 1 (E. Hairer, G. Wanner, Solving ODEs II, IV.5)."""
     return _in_floats(stages, True) if number is float else _radau(stages, number)
 
 
@@ -185,12 +171,8 @@ MAX_EXTRAPOLATION_DEGREE = 9
 
 @functools.lru_cache(maxsize=64)
 def extrapolation(stages: int, ratio: float) -> NDArray[np.float64]:
-    """Return E (s, s) with x + sum_j E_ij L_j the polynomial of a Gauss step extrapolated to the nodes of the next one.
-
-    E_ij is the integral of l_j / b_j from 1 to 1 + ratio c_i, in units of the old step, with the sum for l_j of
-    `_collocation` truncated at degree `MAX_EXTRAPOLATION_DEGREE`. `ratio` is next step over old step, negative for a
-    step back. E = [[ratio / 2]] for s = 1.
-    """
+    """Return E (s, s) with x + sum_j E_ij L_j the polynomial of a Gauss step at the nodes of the next one."""
+    # The integral of l_j / b_j from 1 to 1 + ratio c_i, truncated at a degree; `ratio` is next step over old step.
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = _gauss_roots(stages, decimal.Decimal)
         top = min(stages, MAX_EXTRAPOLATION_DEGREE + 1)

@@ -40,10 +40,7 @@ class Stages(NamedTuple):
 
 
 def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, scheme_name: str) -> Stages:
-    """Return the stages of a step of length h from W (N, N) at time t, with coefficients a (s, s).
-
-    IntegrationError: the iteration does not converge; `scheme_name` is for the message.
-    """
+    """Return the stages of a step of length h from W (N, N) at time t, with coefficients a (s, s)."""
     identity, times = np.eye(len(W)), [t + h * float(row.sum()) for row in a]
     P0 = system.stream_of(W, t)
     V = np.stack([identity + h * row.sum() * P0 for row in a])
@@ -113,14 +110,7 @@ class StagnationTest:
 
 
 def as_blocks(X: Matrix) -> Matrix:
-    """Return A + eps B, given as (..., 2, N, N), as matrices ``[[A, B], [0, A]]``: products are those of dual numbers.
-
-    Examples
-    --------
-    >>> as_blocks(np.array([[[1.0]], [[2.0]]]))
-    array([[1., 2.],
-           [0., 1.]])
-    """
+    """Return A + eps B, given as (..., 2, N, N), as ``[[A, B], [0, A]]``: products are those of dual numbers."""
     A, B = X[..., 0, :, :], X[..., 1, :, :]
     rows = np.concatenate([A, B], axis=-1), np.concatenate([np.zeros_like(A), A], axis=-1)
     return np.concatenate(rows, axis=-2)

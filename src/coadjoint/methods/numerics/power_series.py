@@ -9,13 +9,7 @@ from typing import Any, Self
 
 
 class PowerSeries:
-    """The power series sum_k coefficients[k] t^k; sums and products have the known coefficients of both operands.
-
-    Examples
-    --------
-    >>> (PowerSeries([1, 1, 0]) * PowerSeries([1, -1, 0]) + 2).coefficients
-    [3, 0, -1]
-    """
+    """The series sum_k coefficients[k] t^k; sums and products have the known coefficients of both operands."""
 
     __slots__ = ("coefficients",)
 

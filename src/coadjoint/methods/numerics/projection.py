@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.interface import limit
 from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
@@ -48,11 +49,8 @@ def restored_invariants(system: System) -> list[HamiltonianLike]:
 def project_with_tangent(
     system: System, x: NDArray[Any], z: NDArray[Any], dz: NDArray[Any], time: float
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the projected state y and dy/dx, for a state z with dz/dx; the values of the invariants are those at x.
-
-    With y = z + G(z)^T lambda and C(y) = C(x): ``dy = (1 + sum_a lambda_a C_a''(z)) dz + G(z)^T dlambda`` and ``G(y) dy
-    = G(x) dx``.
-    """
+    """Return the projected state y and dy/dx, for a state z with dz/dx and the invariants at x."""
+    # From y = z + G(z)^T lambda: dy = (1 + sum lambda_a C_a''(z)) dz + G(z)^T dlambda and G(y) dy = G(x) dx.
     projected = project(restored_invariants(system), x, z, float, time)
     corrected = dz + sum(
         multiplier * (C.hessian(z) @ dz)
@@ -66,12 +64,8 @@ def project_with_tangent(
 def project(
     invariants: Sequence[HamiltonianLike], x: NDArray[Any], z: NDArray[Any], number: Number, time: float
 ) -> OnLevelSet:
-    """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages.
-
-    Linearly dependent gradients add no direction: restoring the other invariants restores these too. TypeError:
-    fractions. IntegrationError: Newton's iteration, with the Gram matrix of the gradients at z, does not converge.
-    """
-    from coadjoint.kernels.interface import limit
+    """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages."""
+    # Linearly dependent gradients add no direction: restoring the other invariants restores these too.
 
     exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
     unit = roundoff(number)
@@ -115,15 +109,7 @@ def _terms_of(C: HamiltonianLike, y: NDArray[Any]) -> Any:
 
 
 def independent(gradients: NDArray[Any]) -> list[int]:
-    """Return the rows of gradients (k, n) that are, up to rounding, linearly independent of the previous rows.
-
-    Examples
-    --------
-    >>> independent(np.array([[1.0, 0.0], [2.0, 0.0], [1.0, 1.0]]))
-    [0, 2]
-    """
-    from coadjoint.kernels.interface import limit
-
+    """Return the rows of gradients (k, n) that are, up to rounding, linearly independent of the previous rows."""
     least = 2.0 ** -limit("DEPENDENT_BITS")
     selected: list[int] = []
     for row, gradient in enumerate(gradients):

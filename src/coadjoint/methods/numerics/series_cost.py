@@ -104,10 +104,7 @@ def factored_products(system: System, lanes: int) -> FactoredProducts | None:
 
 
 def _count_factors(pairs: NDArray[np.float64], lengths: dict[Hashable, int]) -> int:
-    """Return the number of factored products in a row, and add new ones with the number of entries of their sums.
-
-    The products are the entries of a symmetric matrix, those of squares twice; all are set to zero.
-    """
+    """Return the number of factored products in a row, and add the lengths of new sums; `pairs` is set to zero."""
     pairs[np.diag_indices(len(pairs))] /= 2.0
     count = 0
     while np.any(pairs):

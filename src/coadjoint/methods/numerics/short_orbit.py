@@ -21,10 +21,7 @@ MIN_STEPS = 8  # of an orbit that leaves float64; fewer do not sample the motion
 
 
 class ShortOrbit(NamedTuple):
-    """States (k + 1, n) at evenly spaced times, and the derivative (k, n, n) of each with respect to its predecessor.
-
-    `spacing` is negative for backward motion.
-    """
+    """States (k + 1, n), spaced evenly (negative: backward), and the derivative of each by its predecessor."""
 
     points: Floats
     tangents: Floats
@@ -36,10 +33,7 @@ class ShortOrbit(NamedTuple):
         return float(np.max(np.sum(self.points**2, axis=1))) or 1.0
 
     def propagated(self, fields: Floats) -> Floats:
-        """Return the first-order errors (k + 1, n, m) due to m perturbations of the vector field at the points.
-
-        `fields` has the same shape; the integral is computed by the trapezoidal rule.
-        """
+        """Return the first-order errors (k + 1, n, m) of m perturbations of the field, by the trapezoidal rule."""
         half = 0.5 * self.spacing
         errors = np.zeros_like(fields)
         for k, tangent in enumerate(self.tangents):
@@ -57,10 +51,7 @@ def _product(matrix: Floats, columns: Floats) -> Floats:
 
 @ignore_overflow
 def short_orbit(method: Method, system: System, x0: Floats, t: float = 0.0, steps: int = STEPS) -> ShortOrbit:
-    """Return the orbit from a state over some dozens of radians, with tangents, by Python steps of a scheme.
-
-    It ends early if the motion leaves the range of float64; ValueError if that happens within `MIN_STEPS` steps.
-    """
+    """Return some dozens of radians of a motion, with tangents; it ends early if the motion overflows."""
     spacing = RELATIVE_STEP / rate_at(system, x0, t)
     points, tangents = [x0], []
     for k in range(steps):
@@ -87,11 +78,7 @@ def orbit_overflow_error(x0: Floats, spacing: float) -> ValueError:
 
 @ignore_overflow
 def rate_at(system: System, x0: Floats, t: float = 0.0) -> float:
-    """Return the rate at which the motion rotates or grows at a state, per unit of time.
-
-    It is the larger of |f|/|x| and |(Df)^2|^(1/2), f the vector field; 1 at an equilibrium with (Df)^2 = 0. ValueError:
-    the field overflows.
-    """
+    """Return the rate per unit of time at which the motion turns or grows: the larger of |f|/|x| and |(Df)^2|^(1/2)."""
     size, jacobian = float(np.linalg.norm(x0)), system.jacobian(x0, t)
     turning = float(np.linalg.norm(jacobian @ jacobian)) ** 0.5
     speed = float(np.linalg.norm(system.vector_field(x0, t))) / size if size > 0.0 else 0.0

@@ -224,10 +224,8 @@ def implicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
 
 
 def structure_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
-    """Return the slopes of equation (7), linear in the stages X, with J(Z) frozen: W_j = h b_j sign J(Z_j) M.
-
-    dL_j = W_j dX_j + (derivative of L_j with respect to Z_j) dZ_j.
-    """
+    """Return the slopes of equation (7), linear in the stages, with J(Z) frozen: W_j = h b_j sign J(Z_j) M."""
+    # dL_j = W_j dX_j + (derivative of L_j with respect to Z_j) dZ_j.
     iterates = iterate(step, iterations)
     frozen = iterates[-1]
     blocks = step.structure_hessians(frozen)
@@ -285,10 +283,8 @@ def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.flo
 
 
 def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], start: NDArray[Any], unit: Any) -> bool:
-    """Test whether iterations from points that differ by roundings end as far apart as the corrections are large.
-
-    ``at_round_off`` in ``stages/stagnation.hpp`` is its counterpart for steps in C++.
-    """
+    """Test whether iterations from points that differ by roundings end as far apart as the corrections are large."""
+    # The counterpart of ``at_round_off`` in ``stages/stagnation.hpp``.
     component = np.arange(start.shape[1])
     spacing = 0 if start.dtype == object else np.finfo(start.dtype).smallest_subnormal
     ends: list[NDArray[Any]] = []

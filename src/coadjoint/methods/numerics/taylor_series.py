@@ -33,14 +33,7 @@ TOO_SHORT_MESSAGE = (
 
 
 class Dual:
-    """A number with its derivative, an array; supports sums and products with dual and plain numbers.
-
-    Examples
-    --------
-    >>> square = Dual(3.0, np.array([1.0])) * Dual(3.0, np.array([1.0]))
-    >>> square.value, square.derivative
-    (9.0, array([6.]))
-    """
+    """A number with its derivative, an array; supports sums and products with dual and plain numbers."""
 
     __array_ufunc__ = None
 
@@ -69,10 +62,7 @@ class Dual:
 
 
 def expand(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any, order: int) -> list[NDArray[Any]]:
-    """Return x_1 h, ..., x_p h^p of the motion x' = field(x) from x, by x_(k+1) = f_k / (k + 1).
-
-    The field consists of sums and products; the entries of x are numbers of one type, or `Dual`.
-    """
+    """Return x_1 h, ..., x_p h^p of x' = field(x), a field of sums and products, by x_(k+1) = f_k / (k + 1)."""
     terms = [x]
     for k in range(order):
         # The number of products up to a power grows like its square.
@@ -105,14 +95,8 @@ def near_power_of_two(a: float) -> float:
 
 
 def logarithm_of_step(sizes: Sequence[float], largest: float, tolerance: float) -> float:
-    """Return the binary logarithm of the length of a step, relative to the time h of the terms x_1 h, ..., x_p h^p.
-
-    At this length the last terms are `tolerance` times `largest` (the largest state so far) if the terms decay
-    geometrically from `largest`; the last four terms are tested, since even or odd ones may vanish. The length is at
-    most half the radius of convergence, estimated from the middle and last terms: the truncation error is then less
-    than the last term, and decaying motions decay in the series too. Source: A. Jorba, M. Zou, Experimental Mathematics
-    14 (2005), section 3.2.
-    """
+    """Return log2 of a step in units of the time h of the terms; A. Jorba, M. Zou, Exp. Math. 14 (2005), 3.2."""
+    # There the last terms are `tolerance * largest`; at most half the radius of convergence, so that decay is kept.
     order = len(sizes)
     last = range(max(1, order + 1 - DECIDING_TERMS), order + 1)
     level, last_size = near_log2(largest), max(sizes[k - 1] for k in last)
@@ -136,20 +120,7 @@ def advance_by_own_steps(
     tolerance: float,
     to_level_set: Callable[[NDArray[Any]], NDArray[Any]],
 ) -> NDArray[Any]:
-    """Return the state after a time h of either sign, in steps of lengths chosen from the series.
-
-    The field consists of sums and products; the entries of x are numbers of one type, or `Dual`. `tolerance` is the
-    error of a step relative to the largest state so far; `to_level_set`, a projection, is applied to the end of each
-    step. IntegrationError: steps no longer change the time.
-
-    Examples
-    --------
-    The motion x' = x^2 from 1, at t = 1/2:
-
-    >>> end = advance_by_own_steps(lambda x: x * x, np.array([1.0], dtype=object), 0.5, 12, 1e-12, lambda z: z)
-    >>> bool(abs(end[0] - 2) < 1e-10)
-    True
-    """
+    """Return the state after a time h of either sign, in steps chosen from the series, each ending on the level set."""
     elapsed, memory = h * 0, None
     for _ in range(MAX_STEPS):
         terms, scale, length, memory = own_step(field, x, h, order, tolerance, memory)
@@ -209,10 +180,7 @@ def _size(x: NDArray[Any]) -> float:
 def expand_quadratic(
     system: LiePoissonSystem, x: NDArray[np.float64], h: float, order: int
 ) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
-    """Return the terms of `expand` for a quadratic Hamiltonian, and their derivatives by x, by products of matrices.
-
-    The field is L x + Q(x) x / 2 with symmetric Q(x) y, so its derivative at x is L + Q(x).
-    """
+    """Return `expand` with derivatives for x' = L x + Q(x) x / 2, with Jacobian L + Q(x): H is quadratic."""
     linear = system.jacobian(np.zeros(len(x)))
     terms, derivatives, quadratic = [x], [np.eye(len(x))], list[NDArray[np.float64]]()
     for k in range(order):

@@ -37,13 +37,8 @@ MAX_MONOMIALS = 4000
 
 @long_operation("Splitting.tuned")
 def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], starts: Floats) -> ChosenParts:
-    """Return shift and order of the automatic parts with the smallest error along motions from `starts` (members, n).
-
-    The field of the modified Hamiltonian of a scheme differs from that of the motion by J times the gradient of the
-    first term; the tangent map carries this difference from each point to all later ones. For a scheme of order two all
-    permutations of the parts are compared; for a higher order the best of these are compared by the scheme's own first
-    term. The automatic choice is returned unless another one is better.
-    """
+    """Return shift and order of the automatic parts with the least error along motions from `starts` (members, n)."""
+    # Permutations are compared by the h^2 term, and the best of them by the first term of the scheme itself.
     method = scheme("auto")
     automatic, terms = decompose(system, "auto").choice, system.hamiltonian.terms()
     if system.dim > MAX_ORBIT_DIMENSION or not all(term.differentiable for term in terms):
@@ -101,10 +96,7 @@ def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Seque
 
 
 class PartOrderErrors:
-    """Errors of each bracket of the h^2 term along orbits; the error of any order of the parts is their combination.
-
-    The parts are those of the Hamiltonian, or of the Hamiltonian minus a Casimir.
-    """
+    """Errors of each bracket of the h^2 term along orbits; the error of any order of the parts is their combination."""
 
     def __init__(self, system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> None:
         self._brackets = NestedBrackets(system.algebra, parts)

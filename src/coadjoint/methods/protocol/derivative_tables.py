@@ -8,48 +8,110 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.tables.cotangents import flow_cotangents, runge_kutta_cotangents, with_step
 from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.program.added_part import CoefficientMap, terms_of, with_added_part
+from coadjoint.program.provenance import in_parts
+from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 if TYPE_CHECKING:
-    from coadjoint.program.added_part import CoefficientMap
+    from coadjoint.kernels.loop import CompiledLoop
+    from coadjoint.methods.protocol.flow_method import FlowMethod
     from coadjoint.program.sources import Sources
+    from coadjoint.systems.lie_poisson import LiePoissonSystem
+    from coadjoint.systems.system import System
 
 EXACT = "exact"
 ADDED_PART = "added part"
 DIFFERENCES = "differences"
+COEFFICIENTS = ("base.terms.offset", "base.terms.weight", "base.terms.coefficient")
 
 Kernel = str | Callable[[Any, Any, int, int], None]
 
 
 class DerivativeTables(NamedTuple):
-    """Tables of a scheme, and the coefficients in them that depend on parameters.
+    """Tables of a scheme by step (and inputs), their kernels, and maps from coefficients to entries of parameters."""
 
-    `tables_at(h)` are those of a step h, or `tables_at(h, values)` with inputs, and `forward` and `backward` names of
-    kernels for them, or functions of tables, run, and the first and last of its members. `keepalive` must live as long
-    as the tables. Derivatives by `coefficient_count` coefficients are mapped to those by the entries of the parameters
-    by `coefficients`, and derivatives by the factors of Casimirs subtracted from the energy, `shift`, by `factors`. The
-    `rules` are those above. `reversible` steps can be undone from their end.
-
-    `monomials` are `coefficients` and `factors` by the monomials of the derivatives of the energy, with factors of one.
-    The members of a batch may differ in coefficients of H: then `of_members` are the factors of the Casimirs, (members,
-    casimirs), `coefficients` and `factors` those of each, and `tables_at` returns the ranges of members that share
-    tables, (first, last, tables).
-
-    The coefficients are all entries of the fields `located`, one after the other; if there are none, they are those of
-    the derivative of the energy only. `sources` are those of the tables.
-    """
+    # `factors`: of Casimirs subtracted from H; `of_members`: those of a batch; `located`: differentiated fields.
 
     tables_at: Callable[..., Any]
-    keepalive: tuple[Any, ...]
     forward: Kernel
     backward: Kernel
     coefficient_count: int
     coefficients: Mapping[str, CoefficientMap]
     factors: Mapping[str, CoefficientMap]
     rules: Mapping[str, str]
-    shift: tuple[Any, ...]
-    reversible: bool
+    keepalive: tuple[Any, ...] = ()
+    shift: tuple[Any, ...] = ()
+    reversible: bool = False
     located: tuple[str, ...] = ()
     monomials: Mapping[str, tuple[CoefficientMap, CoefficientMap]] = {}
     of_members: NDArray[np.float64] | None = None
     sources: Callable[[], Sources] = unrecorded
+
+
+def flow_derivatives(
+    method: FlowMethod,
+    system: LiePoissonSystem,
+    h: float,
+    representation: Any,
+    energies: Mapping[str, EnergyDerivative],
+) -> DerivativeTables:
+    """Return the tables of flows and of their transposes."""
+    # Parameters that are in no coefficient, as those of functions, are differentiated as an added part of size zero.
+    program = method.program(system, group=representation)
+    apart = {name: G.apart for name, G in energies.items()}
+    found = {name: in_parts(program, G) for name, G in apart.items()}
+    others = [name for name, pair in found.items() if pair is None]
+    own, empty, added = {name: pair[0] for name, pair in found.items() if pair}, CoefficientMap.of_triplets(()), None
+    in_added = [G if name in others else G.of_functions for name, G in apart.items()]
+    if others or any(G.functions for G in in_added):
+        added = with_added_part(program, method, system, representation, EnergyDerivative.joined(in_added))
+        split = added.split({name: G.size for name, G in apart.items()})
+        own = {name: one.joined(added.renumbered(own[name])) if name in own else one for name, one in split.items()}
+    monomials = {name: (own[name], pair[1] if pair else empty) for name, pair in found.items()}
+    built = flow_cotangents(program, system, representation, h, method.compensates, added)
+    terms = built.tables.base.terms
+
+    def tables_at(step: float) -> Any:
+        return built.tables if step == h else with_step(built.tables, step)
+
+    return DerivativeTables(
+        tables_at=tables_at,
+        keepalive=built.keepalive,
+        forward="flow_directions",
+        backward="flow_cotangents",
+        coefficient_count=len(terms.offset) + len(terms.weight) + len(terms.coefficient),
+        coefficients={name: one.of_energy(energies[name]) for name, (one, _) in monomials.items()},
+        factors={name: one.of_energy(energies[name]) for name, (_, one) in monomials.items()},
+        rules={name: ADDED_PART if name in others else EXACT for name in energies},
+        shift=program.shift,
+        reversible=True,
+        located=COEFFICIENTS,
+        monomials=monomials,
+        sources=lambda: built.sources().within("base."),
+    )
+
+
+def runge_kutta_derivatives(
+    loop: CompiledLoop, system: System, energies: Mapping[str, EnergyDerivative]
+) -> DerivativeTables:
+    """Return the tables of stages and of their transposes; derivatives by parameters are those of the computed map."""
+    apart = {name: energy.apart for name, energy in energies.items()}
+    joined = EnergyDerivative.joined(list(apart.values()))
+    added, coefficients = terms_of(joined, system.dim)
+    of_monomials = coefficients.split({name: G.size for name, G in apart.items()})
+    empty = CoefficientMap.of_triplets(())
+    built = runge_kutta_cotangents(loop, system, added, joined.functions)
+    return DerivativeTables(
+        tables_at=lambda step: built.tables,
+        keepalive=built.keepalive,
+        forward="runge_kutta_directions",
+        backward="runge_kutta_cotangents",
+        coefficient_count=len(added.offset) + len(added.weight) + len(added.coefficient),
+        coefficients={name: one.of_energy(energies[name]) for name, one in of_monomials.items()},
+        factors=dict.fromkeys(energies, empty),
+        rules=dict.fromkeys(energies, EXACT),
+        monomials={name: (one, empty) for name, one in of_monomials.items()},
+        sources=lambda: loop.sources().within("base."),
+    )

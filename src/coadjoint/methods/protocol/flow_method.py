@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.methods.protocol.composed import Composed, Wrapper
+from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.wrapper import Composed, Wrapper
 from coadjoint.program.numbers import Number, precision_of
 from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
@@ -32,7 +34,6 @@ from coadjoint.systems.system import System
 from coadjoint.validation import read_bool, read_choice, read_integer, read_list
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
@@ -125,9 +126,7 @@ class FlowMethod(Method):
         return self._program_loop(self.program(system, group=representation), h, compact=representation is None)
 
     def _program_loop(self, program: Program, h: float, compact: bool = False) -> CompiledLoop:
-        from coadjoint.kernels.loop import CompiledLoop
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
-        from coadjoint.kernels.tables.structures import unrecorded
 
         tables = flow_tables(program, h, bool(self.compensated), compact)
         fixed = FLOW_LOOP, tables.tables, tables.keepalive, program.shift
@@ -150,7 +149,7 @@ class FlowMethod(Method):
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
     ) -> DerivativeTables:
         """Return the tables of flows and of their transposes."""
-        from coadjoint.methods.protocol.flow_derivatives import flow_derivatives
+        from coadjoint.methods.protocol.derivative_tables import flow_derivatives
 
         self.properties(system)
         return flow_derivatives(self, cast(Any, system), h, representation, energies)
@@ -168,8 +167,6 @@ class FlowMethod(Method):
     @property
     def known_to(self) -> float:
         """Zero if all coefficients are short fractions, else the rounding error of the published coefficients."""
-        from coadjoint.methods.formal.formal_numbers import is_short
-
         sweeps = [*self.sweeps(Fraction), *self.processor(Fraction)]
         return 0.0 if all(is_short(sweep.coefficient) for sweep in sweeps) else COEFFICIENT_ERROR
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.properties import Properties, check_attitude
+from coadjoint.methods.protocol.step_derivatives import DenseStep, LinearizedStep, derivative_of
 from coadjoint.program.numbers import Number
 from coadjoint.short_repr import short
 from coadjoint.systems.system import System
@@ -23,7 +25,6 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-    from coadjoint.methods.protocol.step_derivatives import LinearizedStep
     from coadjoint.program.table import Program
     from coadjoint.systems.energy_derivatives import EnergyDerivative
     from coadjoint.systems.system_stacks import SystemStack
@@ -38,6 +39,7 @@ NO_ERROR_CONTROL = (
 )
 BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
 MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
+MAX_SHORT_DENOMINATOR = 2**20  # floats with larger denominators are measured numbers, not short fractions
 SIZE_SAMPLES = 240  # samples of the size of a motion, at output points that do not affect own steps
 
 
@@ -144,10 +146,7 @@ class Method(metaclass=ExplainedCalls):
         return (1.0,)
 
     def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
-        """Return a symmetric scheme of order two and the fractions of the step at which forces act around it.
-
-        By default the scheme itself, once. ValueError: the order is only that of steps without forces.
-        """
+        """Return a symmetric scheme of order two and the fractions of the step at which forces act around it."""
         return self, (1.0,)
 
     def loop(self, system: System, h: float, representation: Representation = None) -> CompiledLoop:
@@ -236,8 +235,6 @@ class Method(metaclass=ExplainedCalls):
         IntegrationError
             The iteration of an implicit scheme does not converge.
         """
-        from coadjoint.methods.protocol.step_derivatives import derivative_of
-
         result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
         return result.value, result.derivative
 
@@ -245,8 +242,6 @@ class Method(metaclass=ExplainedCalls):
         """Return how `tangent` is computed: by "formula", "complex step" or "differences", with about nine digits."""
         if type(self).tangent is not Method.tangent:
             return "formula"
-        from coadjoint.methods.protocol.step_derivatives import derivative_of
-
         return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
@@ -255,17 +250,11 @@ class Method(metaclass=ExplainedCalls):
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
         """Return a step from a vector, with its derivative as a linear map; by default from its matrix, `tangent`."""
-        from coadjoint.methods.protocol.step_derivatives import DenseStep
-
         end, matrix = self.tangent(system, x, t, h)
         return DenseStep(np.asarray(end), np.asarray(matrix))
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop that carries tangent vectors with the state; None: `tangent` is called for every step.
-
-        The bits of the state do not depend on the vectors. ValueError or TypeError: no support for the system, or a
-        derivative that is not known.
-        """
+        """Return the loop that carries tangent vectors, with the same bits of states; None: `tangent` is called."""
         return None
 
     @property
@@ -280,10 +269,7 @@ class Method(metaclass=ExplainedCalls):
         raise TypeError(f"runs by {self} have no derivatives; take a Splitting or a Runge-Kutta method")
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        """Return one step as a power series in h; TypeError if it is not known, for the parameters or the system.
-
-        The state x (n,) and the step h consist of formal numbers, whose coefficients are exact polynomials.
-        """
+        """Return one step as a power series in h, of formal numbers; TypeError if it is not known."""
         raise TypeError(f"a step of {self} is not known as a power series in exact numbers")
 
     @property
@@ -348,10 +334,7 @@ class Method(metaclass=ExplainedCalls):
         return self
 
     def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
-        """Return the length of the next own step, with the sign of h, and the memory for the one after it.
-
-        `memory` is that of the step before, None at the start. For schemes with own steps and `fixed_steps`.
-        """
+        """Return the length of the next own step, with the sign of h, and the memory (None at the start) after it."""
         raise NotImplementedError
 
     takes_tolerance: ClassVar[bool] = False
@@ -370,17 +353,11 @@ class Method(metaclass=ExplainedCalls):
         raise TypeError(f"the adjoint of {self} is not known as a scheme; take a splitting, or a Runge-Kutta tableau")
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the same scheme with automatic choices fixed, such as parts; TypeError or ValueError if it cannot be.
-
-        Systems that differ only in the linear term of H at these coordinates then have tables of one structure.
-        """
+        """Return the scheme with automatic choices fixed, for any linear terms at these coordinates."""
         return self
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
-        """Return those of many systems whose tables differ only in coefficients of H.
-
-        The constants of these tables are found by the `sources` of the loop of the first system of a stack.
-        """
+        """Return those of many systems whose tables differ only in coefficients of H, the `sources` of a loop."""
         from coadjoint.systems.system_stacks import stacks_of
 
         return stacks_of(systems)
@@ -395,8 +372,6 @@ class Method(metaclass=ExplainedCalls):
 
     def check_attitude(self, system: System, representation: Any) -> None:
         """Raise ValueError if the scheme cannot preserve the group in this representation, "coadjoint" or (n, d, d)."""
-        from coadjoint.methods.protocol.attitude import check_attitude
-
         check_attitude(declared_properties(self, system).attitude, type(self).__name__, system, representation)
 
     @classmethod
@@ -414,3 +389,8 @@ def declared_properties(method: Method, system: System) -> Properties:
             "it must return coadjoint.methods.Properties"
         )
     return declared
+
+
+def is_short(value: Any) -> bool:
+    """Return whether a number is exactly a fraction with a small denominator, such as 0.375 or 1/3 but not 0.1."""
+    return Fraction(value).denominator <= MAX_SHORT_DENOMINATOR

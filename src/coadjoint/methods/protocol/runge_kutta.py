@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, Step, begin, read_tableau
+from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.substep_method import SubstepMethod
-from coadjoint.methods.protocol.wrapper import Wrapper
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice
@@ -23,7 +23,6 @@ from coadjoint.validation import read_choice
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
@@ -46,25 +45,13 @@ class RungeKuttaMethod(SubstepMethod):
 
     @property
     def function_iterations(self) -> int:
-        """Number of function iterations before the output, or before the linear system.
-
-        For an explicit scheme s - 1, one from each stage to the next; 0 for implicit schemes, which iterate to
-        convergence.
-        """
+        """Number of function iterations before the output or the linear system; 0 if they converge."""
         return len(self.coefficients().node) - 1 if self.solver == "explicit" else 0
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix E of the initial guess X_i = x + sum_j E_ij L_j, L the slopes of the previous substep.
+        """Return E (s, s) of the initial guess X_i = x + sum_j E_ij L_j, L the slopes of the previous substep.
 
-        Parameters
-        ----------
-        ratio : float
-            Length of the substep relative to the previous one.
-
-        Returns
-        -------
-        (s, s) array
-            Zero, so that X_i = x, unless overridden; used by implicit schemes only.
+        The substep is `ratio` times as long as the previous one. Zero unless overridden; for implicit schemes only.
         """
         return np.zeros_like(self.coefficients().mix)
 
@@ -84,11 +71,7 @@ class RungeKuttaMethod(SubstepMethod):
 
     @property
     def collocation(self) -> Sequence[Fraction] | None:
-        """For a collocation method, the rational polynomial whose roots are the nodes, lowest power first.
-
-        Power series of the step are then rational even if the nodes are not. If it is None, they use the numbers of the
-        tableau.
-        """
+        """For a collocation method, the rational polynomial whose roots are the nodes, lowest power first."""
         return None
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
@@ -133,26 +116,13 @@ class RungeKuttaMethod(SubstepMethod):
         return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
 
     def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
-        """Return the slopes of a step by `solver`, with their derivatives if `tangent`.
-
-        Parameters
-        ----------
-        step : Step
-            The step at its start.
-        tangent : bool
-            Whether to compute derivatives.
-
-        Returns
-        -------
-        Evaluation
-        """
+        """Return the slopes of a step by `solver`, with their derivatives if `tangent`."""
         return SOLVERS[read_choice(self.solver, "solver", SOLVERS)](step, self.function_iterations, tangent)
 
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over stages, for this tableau and solver."""
-        from coadjoint.kernels.loop import CompiledLoop, scheme_memory
         from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
         read_choice(self.solver, "solver", SOLVERS)
@@ -197,10 +167,11 @@ class RungeKuttaMethod(SubstepMethod):
         fractions: Sequence[float],
     ) -> DerivativeTables:
         """Return the tables of the stages and of their derivatives, with substeps of these fractions of the step."""
-        from coadjoint.methods.protocol.runge_kutta_derivatives import runge_kutta_derivatives
+        from coadjoint.methods.protocol.derivative_tables import runge_kutta_derivatives
 
         self.properties(system)
-        return runge_kutta_derivatives(self, system, h, representation, energies, fractions)
+        loop = self.loop_of_substeps(system, h, representation, fractions)
+        return runge_kutta_derivatives(loop, system, energies)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
         """Return whether the first number of the memory of a member is positive."""
@@ -213,27 +184,13 @@ class RungeKuttaMethod(SubstepMethod):
         return work_of_iterations(system, group)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
-        """Return one step, by the defining formulas, without compensation.
-
-        Raises
-        ------
-        IntegrationError
-            The iteration of an implicit scheme does not converge.
-        """
+        """Return one step, by the defining formulas, without compensation."""
         self.properties(system)
         step = begin(self.coefficients, system, x, t, h)
         return np.asarray(step.x + step.coefficients.out @ self.evaluate(step).slopes)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return one step and its exact derivative.
-
-        Raises
-        ------
-        TypeError
-            A derivative is not known.
-        IntegrationError
-            The iteration of an implicit scheme does not converge.
-        """
+        """Return one step and its exact derivative."""
         self.properties(system)
         step = begin(self.coefficients, system, np.asarray(x, dtype=np.float64), t, h)
         slopes, derivatives = self.evaluate(step, tangent=True)
@@ -245,10 +202,7 @@ class RungeKuttaMethod(SubstepMethod):
 
 @dataclass(frozen=True)
 class PairOfTableaux(Wrapper, RungeKuttaMethod):
-    """A Runge-Kutta method over half a step, then its adjoint over the other half.
-
-    The adjoint ends where a backward step of the base starts: X_i = x + sum_j (out_j - mix_ij) L_j. It is implicit.
-    """
+    """A Runge-Kutta method over half a step, then its adjoint, X_i = x + sum_j (out_j - mix_ij) L_j, over the other."""
 
     offered = False
     explicit = False

@@ -28,20 +28,8 @@ class Derivative(NamedTuple):
 
 
 def derivative_of(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64]) -> Derivative:
-    """Return a function (n,) -> (n,) at x with its derivative.
-
-    A complex step, exact to round-off for an analytic function that supports complex numbers, is compared with a
-    difference in one direction. If it fails or deviates, central differences are used, with about nine digits.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> found = derivative_of(lambda x: np.array([x[0] * x[1], x[1] ** 2]), np.array([2.0, 3.0]))
-    >>> found.by, found.derivative.tolist()
-    ('complex step', [[3.0, 2.0], [0.0, 6.0]])
-    >>> derivative_of(lambda x: abs(x) * x, np.array([2.0, -3.0])).by
-    'differences'
-    """
+    """Return a function (n,) -> (n,) at x with its derivative, by complex steps or else by central differences."""
+    # A complex step, exact for analytic functions, is compared with a difference in one direction.
     value = np.array(function(x.copy()), dtype=np.float64)
     exact = _by_complex_steps(function, x)
     if exact is not None:

@@ -1,19 +1,25 @@
-"""Base class of user-defined schemes whose step is one Python function."""
+"""Base classes of schemes with a step of their own: one Python function, or a step in C++."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
+from coadjoint.kernels.functions.step_functions import StepFunction
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables, step_tables
+from coadjoint.methods.protocol.composed import SubstepMethod
+from coadjoint.methods.protocol.cost_model import (
+    Operations,
+    Work,
+    work_of_evaluations,
+    work_of_iterations,
+    work_of_operations,
+)
 from coadjoint.methods.protocol.method import Representation
-from coadjoint.methods.protocol.substep_method import SubstepMethod
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.protocol.cost_model import Work
 
 
 class StepMethod(SubstepMethod):
@@ -72,9 +78,6 @@ class StepMethod(SubstepMethod):
                 f"{type(self).__name__} is a StepMethod, which computes no group element, but its properties have "
                 f'attitude="{self.properties(system).attitude}"; set it to "none"'
             )
-        from coadjoint.kernels.functions.step_functions import StepFunction
-        from coadjoint.kernels.loop import CompiledLoop
-        from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables
 
         function = StepFunction(self, system)
         tables = function_tables(system, function.address, fractions, function.compiled)
@@ -82,6 +85,53 @@ class StepMethod(SubstepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""
-        from coadjoint.methods.protocol.cost_model import work_of_evaluations
-
         return work_of_evaluations(system, substeps * self.order, self.explicit)
+
+
+class CompiledStepMethod(SubstepMethod):
+    """A scheme with a step in C++, and the same step in NumPy.
+
+    The C++ file derives from ``StepScheme`` of ``steps/step_scheme.hpp``, which documents its inputs. It is in the
+    folder of the Python file of the scheme, or anywhere else if it is compiled by `compile_step`.
+    """
+
+    @property
+    @abstractmethod
+    def compiled_step(self) -> Any:
+        """Name that a C++ file of the library gives to its step by ``STEP_SCHEME``, or the result of `compile_step`."""
+
+    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
+        """Return the integers and the coefficients that the compiled step reads; none by default.
+
+        Returns
+        -------
+        integers, numbers : sequences
+        """
+        return [], []
+
+    def operations(self, system: System) -> Operations | None:
+        """Return the operations of a step; None for a scheme that iterates, whose work is counted in evaluations.
+
+        Parameters
+        ----------
+        system : LiePoissonSystem or PoissonSystem
+            The system.
+
+        Returns
+        -------
+        Operations or None
+        """
+        return None
+
+    def loop_of_substeps(
+        self, system: System, h: float, representation: Representation, fractions: Sequence[float]
+    ) -> CompiledLoop:
+        """Return the loop over steps of this kind."""
+        tables = step_tables(system, self, representation, fractions)
+        memory = scheme_memory(STEP_LOOP, tables.tables)
+        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=memory, sources=tables.sources)
+
+    def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
+        """Return the work of the operations of a step, or of its iterations."""
+        operations = self.operations(system)
+        return work_of_iterations(system, group) if operations is None else work_of_operations(operations, substeps)

@@ -43,12 +43,7 @@ class ElementSteps(Protocol):
 
 
 class StepwiseDerivatives:
-    """The derivatives of the steps of a scheme by the state and by the entries of parameters.
-
-    The former is that of `Method.linearized`. The latter are central differences of order 8 of the step in Python, with
-    about twelve digits, by the scheme that `method_of` returns for a system. With an attitude, `elements` are those of
-    the steps.
-    """
+    """Derivatives of steps by the state (`Method.linearized`) and by parameters (central differences of order 8)."""
 
     def __init__(
         self,
@@ -148,11 +143,7 @@ def matrix_of(run: ForwardRun | BackwardRun, member: int) -> Floats:
 
 
 def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Mapping[str, int]) -> DerivativeTables:
-    """Return the derivatives of a scheme without compiled ones, in the form of these.
-
-    `steps_at(*values)` are the steps, with inputs if there are any, and `sizes` the numbers of entries of the
-    parameters, in their order.
-    """
+    """Return the derivatives of a scheme without compiled ones, in the form of these; `sizes` are of parameters."""
     coefficients, start = {}, 0
     for name, size in sizes.items():
         entries = np.arange(size)
@@ -160,13 +151,10 @@ def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Ma
         start += size
     return DerivativeTables(
         tables_at=lambda h, *values: steps_at(*values),
-        keepalive=(),
         forward=StepwiseDerivatives.forward,
         backward=StepwiseDerivatives.backward,
         coefficient_count=start,
         coefficients=coefficients,
         factors=dict.fromkeys(sizes, CoefficientMap.of_triplets(())),
         rules=dict.fromkeys(sizes, DIFFERENCES),
-        shift=(),
-        reversible=False,
     )

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.tables.recording import FlaggedSteps
+from coadjoint.kernels.tables.recording import FlaggedSteps, values_along
 from coadjoint.runs.events import Event
 from coadjoint.runs.loops.execution import status_name
 from coadjoint.runs.partial_steps import PartialSteps
@@ -63,11 +63,7 @@ class MemberFailure(NamedTuple):
 
 
 class WatchedEvents:
-    """Events compiled for a system, and their location; `coordinates` is empty for matrices.
-
-    Each function is called once at x0 (n,) and t0. TypeError or ValueError: unknown coordinates, wrong dimensions,
-    functions that do not return a number.
-    """
+    """Events compiled for a system, and their location; `coordinates` is empty for matrices."""
 
     def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
         from coadjoint.kernels.tables.invariants import invariants_table
@@ -86,8 +82,6 @@ class WatchedEvents:
 
     def values(self, states: Floats, t: Floats) -> Floats:
         """Evaluate all events at states (m, n) and times (m,); shape (m, E)."""
-        from coadjoint.kernels.tables.recording import values_along
-
         out = np.empty((len(t), 1, len(self.events)))
         values_along(self.compiled.tables, states[:, None], t, out)
         return out[:, 0]
@@ -95,11 +89,8 @@ class WatchedEvents:
     def locate(
         self, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float
     ) -> tuple[Crossings, list[MemberFailure]]:
-        """Return the crossings in the flagged steps, ordered by member and time, and the members that failed.
-
-        A member fails if an event is NaN at a grid point, or if a partial step fails within a successful step; its
-        crossings from that step on are dropped.
-        """
+        """Return the crossings in the flagged steps, by member and time, and the members that failed."""
+        # Crossings of failed members are dropped from the step of the failure on.
         for function in self.compiled.keepalive:
             if (raised := getattr(function, "raised", lambda: None)()) is not None:
                 raise raised
@@ -219,13 +210,7 @@ class _Search:
 
 
 def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, ...]:
-    """Return the names of events: as given, else that of the coordinate, else "event k".
-
-    Examples
-    --------
-    >>> names_of([Event(1), Event(lambda x: x[0], name="mine"), Event("x1")], ("x1", "x2"))
-    ('x2', 'mine', 'x1')
-    """
+    """Return the names of events: as given, else that of the coordinate, else "event k"."""
     names: list[str] = []
     for k, event in enumerate(events):
         name = event.name
@@ -284,18 +269,8 @@ class MatrixEventFunction:
 
 
 def roots(values: Values, before: Floats, after: Floats, resolution: Floats) -> Floats:
-    """Find a root of each of m functions by inverse quadratic interpolation and bisection, independently of the others.
-
-    ``values(indices, theta)`` evaluates some of the functions; `before` and `after` (m,) are the values at 0 and 1, of
-    different signs (`after` may be zero); `resolution` (m,) is that of theta. T. R. Chandrupatla, Adv. Eng. Softw. 28
-    (1997) 145-149; the first point is that of the secant.
-
-    Examples
-    --------
-    >>> one = np.array([1.0])
-    >>> float(roots(lambda indices, theta: theta**3 - 0.125, -0.125 * one, 0.875 * one, 2.0**-50 * one)[0])
-    0.5
-    """
+    """Find a root of each of m functions between 0 and 1, where the values `before` and `after` differ in sign."""
+    # T. R. Chandrupatla, Adv. Eng. Softw. 28 (1997) 145-149; the first point is that of the secant.
     found = np.ones(len(before))
     indices = np.flatnonzero(after != 0.0)
     a, b, fa, fb = np.ones(len(indices)), np.zeros(len(indices)), after[indices], before[indices]
@@ -327,16 +302,7 @@ def roots(values: Values, before: Floats, after: Floats, resolution: Floats) -> 
 
 
 def minimize_each(values: Values, count: int) -> tuple[Floats, Floats]:
-    """Minimize functions that are positive at 0 and at 1 by golden sections; stop at a value that is not positive.
-
-    `values` as for `roots`; exact for unimodal functions. Return theta and value, (count,).
-
-    Examples
-    --------
-    >>> theta, value = minimize_each(lambda indices, theta: (theta - 0.25) ** 2 + 1.0, 1)
-    >>> abs(float(theta[0]) - 0.25) < 1e-6, float(value[0])
-    (True, 1.0)
-    """
+    """Minimize functions, positive at 0 and 1, by golden sections up to a value that is not; return theta and value."""
     position, smallest = np.ones(count), np.full(count, np.inf)
     indices = np.arange(count)
     low, high = np.zeros(count), np.ones(count)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,19 +17,19 @@ from coadjoint.systems.parameter_differences import DISTANCE, NODES, WEIGHTS
 
 Floats = NDArray[np.float64]
 
-# Largest matrix whose exponential is differentiated in all directions at once, by blocks of twice the size.
-LARGEST_BLOCK = 16
+LARGEST_BLOCK = 16  # largest matrix whose exponential is differentiated in all directions at once, by larger blocks
 
 
 class AttitudeDerivatives:
-    """The attitude A = A0 exp(t X) G of the element G of a loop, with X linear in the initial momentum.
+    """The attitudes A = A0 exp(t X) G of members with the elements G of their loops, X linear in the momentum x0."""
 
-    X is -sign times the sum of c rho(grad C(x0)) over the Casimirs C that were subtracted from the energy, with the
-    factors c. Without such Casimirs the loop starts at A0, and A = G.
-    """
+    # X = -sign sum c rho(grad C(x0)) over the Casimirs subtracted from the energy; without any A = G, started at A0.
 
-    def __init__(self, system: Any, shift: Sequence[tuple[Any, float]], representation: Any) -> None:
-        self.factors = np.array([factor for _, factor in shift])
+    def __init__(
+        self, system: Any, shift: Sequence[tuple[Any, float]], representation: Any, of_members: Floats | None = None
+    ) -> None:
+        # (casimirs,), or (members, casimirs) if members differ
+        self.factors = np.array([factor for _, factor in shift]) if of_members is None else of_members
         rho = -np.swapaxes(_dual_coadjoint(system), 1, 2) if isinstance(representation, str) else representation
         # X = sum over Casimirs c and coordinates j of factors[c] x0[j] of_casimir[c, j].
         self.of_casimir = np.zeros((len(shift), system.dim, *rho.shape[1:]))
@@ -39,50 +39,42 @@ class AttitudeDerivatives:
             for i, j, value in zip(*entries, strict=True):
                 self.of_casimir[number, j] -= system.sign * value * rho[i]
 
-    def with_factors(self, factors: Floats) -> AttitudeDerivatives:
-        """Return the derivatives for other factors of the same Casimirs."""
-        other = copy.copy(self)
-        other.factors = factors
-        return other
-
     @property
     def shifted(self) -> bool:
         """Whether a Casimir was subtracted."""
-        return len(self.factors) > 0
+        return self.factors.shape[-1] > 0
 
-    def _generator(self, x0: Floats) -> Floats:
-        return np.asarray(np.einsum("c,j,cjab->ab", self.factors, x0, self.of_casimir))
+    def _generator(self, x0: Floats, factors: Floats) -> Floats:
+        return np.asarray(np.einsum("c,j,cjab->ab", factors, x0, self.of_casimir))
 
     def element(self, x0: Floats, A0: Floats, t: float, G: Floats) -> Floats:
-        """Return the attitude (d, d) of a shifted run at a time since the start."""
+        """Return the attitude (d, d) of one member of a shifted run at a time since the start."""
         from scipy.linalg import expm
 
-        return np.asarray(A0 @ expm(t * self._generator(x0)) @ G)
+        return np.asarray(A0 @ expm(t * self._generator(x0, self.factors)) @ G)
 
     def tangents(
         self, x0: Floats, A0: Floats, times: Floats, G: Floats, dx0: Floats, dA0: Floats, factors: Floats, dG: Floats
     ) -> Floats:
-        """Return the tangents (points, k, d, d) of the attitudes at times since the start, of one member.
-
-        `G` (points, d, d) are the elements of the loop and `dG` (points, k, d, d) their tangents; `dx0` (k, n), `dA0`
-        (k, d, d) and `factors` (k, casimirs) are the directions.
-        """
+        """Return the tangents (points, members, k, d, d) along k directions, from arrays with an axis of members."""
         if not self.shifted:
             return dG
-        X = self._generator(x0)
-        dX = np.einsum("c,kj,cjab->kab", self.factors, dx0, self.of_casimir)
-        dX += np.einsum("kc,j,cjab->kab", factors, x0, self.of_casimir)
-        # The derivative of the exponential is linear: many directions are combined from those of a basis.
-        basis, weights = dX, np.eye(len(dX))
-        if len(dX) > len(x0) + len(self.factors):
-            of_x0 = np.einsum("c,cjab->jab", self.factors, self.of_casimir)
-            of_factors = np.einsum("j,cjab->cab", x0, self.of_casimir)
-            basis, weights = np.concatenate([of_x0, of_factors]), np.concatenate([dx0, factors], axis=1)
-        out = np.empty_like(dG)
-        for point, t in enumerate(times.tolist()):
-            E, of_basis = _exponentials(t * X, t * basis)
-            dE = np.tensordot(weights, of_basis, axes=1)
-            out[point] = dA0 @ (E @ G[point]) + A0 @ (dE @ G[point] + E @ dG[point])
+        out = np.empty(dG.shape)
+        for m in range(len(x0)):
+            own, of_own = self._of_member(m), factors[m] if factors.ndim == 3 else factors
+            X = self._generator(x0[m], own)
+            dX = np.einsum("c,kj,cjab->kab", own, dx0[m], self.of_casimir)
+            dX += np.einsum("kc,j,cjab->kab", of_own, x0[m], self.of_casimir)
+            # The derivative of the exponential is linear: many directions are combined from those of a basis.
+            basis, weights = dX, np.eye(len(dX))
+            if len(dX) > x0.shape[1] + len(own):
+                of_x0 = np.einsum("c,cjab->jab", own, self.of_casimir)
+                of_factors = np.einsum("j,cjab->cab", x0[m], self.of_casimir)
+                basis, weights = np.concatenate([of_x0, of_factors]), np.concatenate([dx0[m], of_own], axis=1)
+            for point, t in enumerate(times.tolist()):
+                E, of_basis = _exponentials(t * X, t * basis)
+                dE = np.tensordot(weights, of_basis, axes=1)
+                out[point, m] = dA0[m] @ (E @ G[point, m]) + A0[m] @ (dE @ G[point, m] + E @ dG[point, m])
         return out
 
     def cotangents(
@@ -91,30 +83,30 @@ class AttitudeDerivatives:
         """Return the cotangents of x0, A0, the factors, and the elements of the loop, for those of the attitudes."""
         from scipy.linalg import expm, expm_frechet
 
-        d = A0.shape[0]
-        of_x0, of_A0, of_factors = np.zeros(len(x0)), np.zeros((d, d)), np.zeros(len(self.factors))
+        of_x0, of_A0, of_factors = np.zeros_like(x0), np.zeros_like(A0), np.zeros((len(x0), self.factors.shape[-1]))
         if not self.shifted:
             return of_x0, of_A0, of_factors, of_attitudes
-        X, of_G = self._generator(x0), np.empty_like(of_attitudes)
-        for point, t in enumerate(times.tolist()):
-            E, of_A = expm(t * X), of_attitudes[point]
-            of_G[point] = (A0 @ E).T @ of_A
-            of_A0 += of_A @ (E @ G[point]).T
+        of_G = np.empty_like(of_attitudes)
+        for m, (point, t) in product(range(len(x0)), enumerate(times.tolist())):
+            own = self._of_member(m)
+            X, of_A = self._generator(x0[m], own), of_attitudes[point, m]
+            E = expm(t * X)
+            of_G[point, m] = (A0[m] @ E).T @ of_A
+            of_A0[m] += of_A @ (E @ G[point, m]).T
             if t and of_A.any():
-                of_E = A0.T @ of_A @ G[point].T
+                of_E = A0[m].T @ of_A @ G[point, m].T
                 of_X = t * expm_frechet(t * X.T, of_E, compute_expm=False)
                 by_pair = np.einsum("ab,cjab->cj", of_X, self.of_casimir)
-                of_x0 += self.factors @ by_pair
-                of_factors += by_pair @ x0
+                of_x0[m] += own @ by_pair
+                of_factors[m] += by_pair @ x0[m]
         return of_x0, of_A0, of_factors, of_G
+
+    def _of_member(self, m: int) -> Floats:
+        return np.asarray(self.factors[m] if self.factors.ndim == 2 else self.factors)
 
 
 class ElementDifferences:
-    """The element g of a step from the unit element, A -> A g, and its derivative by the state before the step.
-
-    A step turns by an analytic function of the state, so that differences of order 8 have about thirteen digits. Steps
-    have the sign of `h`.
-    """
+    """The element g of a step, A -> A g, and its derivative by the state before, by differences of order 8."""
 
     def __init__(self, method: Method, h: float, representation: Representation) -> None:
         self._method, self._h, self._representation = method, h, representation

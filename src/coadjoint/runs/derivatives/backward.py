@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from math import prod
 from typing import Any, NamedTuple
 
@@ -13,18 +13,47 @@ from coadjoint.errors import LargeStepWarning, unknown_name
 from coadjoint.long_operations import warn_caller
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import derivative_of
-from coadjoint.runs.derivatives.crossings import Crossings, function_of_rows
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
-from coadjoint.runs.derivatives.forward import read_like
+from coadjoint.runs.derivatives.forward import overflow, read_like
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
-from coadjoint.runs.derivatives.results import Gradient, overflow
+from coadjoint.runs.derivatives.located_trajectory import Crossings, function_of_rows
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_derivatives import gradients_at
 
 Floats = NDArray[np.float64]
 
-LARGEST_DEVIATION = 2.0**-20
-"""Largest relative error of states of a gradient without a warning: it has about six digits."""
+LARGEST_DEVIATION = 2.0**-20  # largest relative error of states of a gradient without a warning: about six digits
+
+
+class Gradient(Mapping[str, Any]):
+    """Derivatives of a number by the initial state and the parameters of a run; see `PreparedRun.vjp`.
+
+    A mapping with the keys "x0", the names of the parameters, with an attitude "attitude0", and with inputs "inputs": a
+    mapping from their names to derivatives.
+
+    Attributes
+    ----------
+    rule : mapping
+        As in `Tangents`.
+    """
+
+    def __init__(self, values: Mapping[str, Any], rule: Mapping[str, str]) -> None:
+        self._values, self.rule = dict(values), dict(rule)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        arrays = {name: value for name, value in self.items() if not isinstance(value, Mapping)}
+        for group in (value for value in self.values() if isinstance(value, Mapping)):
+            arrays |= group
+        return f"<gradient by {', '.join(f'{name} {np.shape(value)}' for name, value in arrays.items())}>"
 
 
 class Cotangents(NamedTuple):
@@ -139,17 +168,13 @@ class Pullback:
         return self.gradient(given, [*self._run.parameters, *inputs])
 
     def gradient(self, given: Cotangents, names: Iterable[str], by_member: bool = False) -> Gradient:
-        """Return the gradient by x0, attitude0 and the parameters of these names, `INPUTS` for the inputs.
-
-        `by_member`: derivatives by parameters have an axis of members, over which they are not summed.
-        """
+        """Return the gradient by x0, attitude0 and these parameters, if `by_member` with an axis of members."""
         run, trajectory = self._run, self._trajectory
         solution, members = trajectory.solution, trajectory.members
         given.check_finite()
         wanted = frozenset(names)
         tables = run.tables(trajectory.times.h, wanted)
-        states, groups = trajectory.outputs
-        rows = trajectory.saved_rows
+        (states, groups), rows = trajectory.outputs, trajectory.saved_rows
         of_x, of_energy, of_attitude = np.zeros(states.shape), np.zeros(states.shape[:2]), None
         if given.x is not None:
             of_x[rows] = trajectory.with_members(run.system.rows_of(given.x))
@@ -167,9 +192,8 @@ class Pullback:
             of_times = of_times + self._of_moments(trajectory.crossings, states, given.observed)
             trajectory.crossings.pull(of_times, of_x, of_attitude, of_energy)
         by_member = by_member or run.system.is_batch
-        shapes = {name: one.value.shape for name, one in run.parameters.items() if name in wanted}
-        if run.system.is_batch:
-            shapes = {name: shape[1:] for name, shape in shapes.items()}
+        first = int(run.system.is_batch)  # parameters of a batch have an axis of members
+        shapes = {name: one.value.shape[first:] for name, one in run.parameters.items() if name in wanted}
         if INPUTS in wanted and run.inputs is not None:
             shapes[INPUTS] = (len(run.inputs.values),)
         totals = {name: np.zeros((members, prod(shape))) for name, shape in shapes.items()}
@@ -179,24 +203,18 @@ class Pullback:
                 for some, energy in run.energies(name, members):
                     weights = np.ascontiguousarray(of_energy[:, some])
                     total[some] += np.einsum("pm,pmj->mj", weights, energy.at(states[:, some]))
-        attitudes = run.attitudes(tables, members)
+        attitudes, start = run.attitudes(tables), trajectory.start
         of_x0, of_A0, of_groups = np.zeros((members, trajectory.n)), np.zeros(groups.shape[1:]), np.zeros(groups.shape)
         if attitudes is not None and of_attitude is not None:
-            of_factors = np.zeros((members, len(tables.shift)))
-            for m in range(members):
-                of_x0[m], of_A0[m], of_factors[m], of_groups[:, m] = attitudes[m].cotangents(
-                    trajectory.start.momenta[m],
-                    trajectory.start.groups[m],
-                    trajectory.elapsed,
-                    groups[:, m],
-                    of_attitude[:, m],
-                )
+            of_x0, of_A0, of_factors, of_groups = attitudes.cotangents(
+                start.momenta, start.groups, trajectory.elapsed, groups, of_attitude
+            )
             for name, total in totals.items():
                 total += tables.factors[name].of_entries(of_factors, total.shape[1])
         through_steps, of_element, coefficients = self._through_steps(tables, of_x, of_groups)
         of_x0 += through_steps
         states0 = run.system.states_of(of_x0)
-        values: dict[str, Any] = {"x0": states0[0] if trajectory.start.single else states0}
+        values: dict[str, Any] = {"x0": states0[0] if start.single else states0}
         for name, total in totals.items():
             by_coefficients, entries, shape = tables.coefficients[name], total.shape[1], shapes[name]
             if by_member or name == INPUTS:
@@ -206,8 +224,8 @@ class Pullback:
                 sums = total.sum(axis=0) + by_coefficients.of_entries(coefficients.sum(axis=0), entries)
                 values[name] = sums.reshape(shape)
         if attitudes is not None:
-            of_start = of_A0 if attitudes[0].shifted else of_element
-            values["attitude0"] = of_start[0] if trajectory.start.single else of_start
+            of_start = of_A0 if attitudes.shifted else of_element
+            values["attitude0"] = of_start[0] if start.single else of_start
         of_inputs = values.pop(INPUTS, None)
         arrays = dict(values)
         if of_inputs is not None:

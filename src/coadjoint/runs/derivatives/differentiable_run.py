@@ -28,7 +28,7 @@ from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
 
 if TYPE_CHECKING:
-    from coadjoint.runs.derivatives.crossings import Crossings
+    from coadjoint.runs.derivatives.located_trajectory import Crossings
     from coadjoint.runs.events import Event
     from coadjoint.runs.preparation import Preparation
     from coadjoint.runs.prepared_run import PreparedRun
@@ -36,13 +36,10 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Numbers of the states of a stretch of steps of the members in lanes: they stay in the cache.
-NUMBERS_OF_STRETCH = 2**15
+NUMBERS_OF_STRETCH = 2**15  # numbers of the states of a stretch of the members in lanes, which stay in the cache
 SIDE_BY_SIDE = 8  # members in the widest vectors
-# Steps of a stretch below which the allocations of a call take longer than its steps.
-STEPS_OF_STRETCH = 16
-# Largest memory of the first states of stretches, above which these are longer, and of states for stretches of
-# STEPS_OF_STRETCH steps.
+STEPS_OF_STRETCH = 16  # steps of a stretch below which the allocations of a call take longer than its steps
+# Largest memory of the first states of stretches, above which these are longer, and of the states of short stretches.
 BYTES_OF_CHECKPOINTS = 2**25
 
 
@@ -60,17 +57,11 @@ class Arguments(NamedTuple):
     @property
     def keywords(self) -> dict[str, Any]:
         """Keywords of `PreparedRun.run`."""
-        fields = self._asdict()
-        del fields["inputs"]
-        return {**fields, **self.inputs}
+        return {name: value for name, value in self._asdict().items() if name != "inputs"} | dict(self.inputs)
 
 
 class DifferentiableRun:
-    """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme.
-
-    `parameters` replace those of its system. The members of a batch have tables of one structure
-    (`differ_in_columns`), and parameters with an axis of members. Raises TypeError for what cannot be differentiated.
-    """
+    """A prepared run with the derivative of the energy by its parameters, and the tables of its scheme."""
 
     def __init__(self, prepared: PreparedRun, parameters: Mapping[str, Parameter] | None = None) -> None:
         system = prepared.system
@@ -115,41 +106,25 @@ class DifferentiableRun:
             )
         return self._tables[h, chosen]
 
-    def attitudes(self, tables: DerivativeTables, members: int) -> list[AttitudeDerivatives] | None:
-        """Return the derivatives of the attitude of each member, or None without a group element."""
-        if self.representation is None:
-            return None
-        of_first = AttitudeDerivatives(self.system.of_member(0), tables.shift, self.representation)
-        if tables.of_members is None:
-            return [of_first] * members
-        return [of_first.with_factors(factors) for factors in tables.of_members]
+    def attitudes(self, tables: DerivativeTables) -> AttitudeDerivatives | None:
+        """Return the derivatives of the attitudes, or None without a group element."""
+        first, group = self.system.of_member(0), self.representation
+        return None if group is None else AttitudeDerivatives(first, tables.shift, group, tables.of_members)
 
 
 class Trajectory:
-    """A run that was integrated, in stretches whose first states are stored, or in one of all steps.
+    """A run that was integrated, in stretches whose first states are stored, or in one of all steps."""
 
-    `reverse` is "exact" or "reversible" for a run to be differentiated backward, and None forward. Of reversible runs
-    the last state is stored.
-
-    `states` (points, members, n) and `groups` (points, members, d, d) are those after the saved `steps`, elements as in
-    the loops. Output k is `length[k]` after the step with the number steps[point[k]], `elapsed[k]` after the start.
-    """
+    # Output k is `length[k]` after the step with the number steps[point[k]], and `elapsed[k]` after the start.
 
     crossings: Crossings | None = None
-    finished: bool = False
-    """Whether every stretch is one step that starts from the saved state after the one before."""
-    saved_rows: Any = slice(None)
-    """Outputs that are the points of the solution."""
-    workers: int = 1
-    """Number of threads."""
-    threads_inside: int = 1
-    """Number of threads that may share a member."""
-    deviation: float = 0.0
-    """The largest relative error of a state from which the flows of a step were undone, to be differentiated."""
+    finished = False  # whether every stretch is one step that starts from the saved state after the one before
+    saved_rows: Any = slice(None)  # outputs that are the points of the solution
+    workers = threads_inside = 1  # threads, and those that may share a member
+    deviation = 0.0  # largest relative error of a state from which the flows of a step were undone
     solution: Solution
     t: Floats
-    outputs: tuple[Floats, Floats]
-    """States (points, members, n) and elements of the loop (points, members, d, d) at the outputs."""
+    outputs: tuple[Floats, Floats]  # states (points, members, n) and elements of the loop (points, members, d, d)
 
     def __init__(self, run: DifferentiableRun, given: Arguments, reverse: str | None) -> None:
         prepared, self.reverse = run.prepared, reverse
@@ -237,11 +212,7 @@ class Trajectory:
     def forward(
         self, tables: DerivativeTables, stretch: Stretch, of_x: Floats, of_groups: Floats, coefficients: Floats
     ) -> tuple[Floats, Floats]:
-        """Carry tangents (members, count, n) and (members, count, d, d) over a stretch.
-
-        `coefficients` are (count, their number), or with a first axis of members. Returns those after its saved steps,
-        or after a partial step, with a first axis of points.
-        """
+        """Return tangents (points, members, ...) at the saved steps of a stretch, or after a partial step."""
         marks, threads = self._marks(stretch), self.threads_inside
         run = stretch.forward(of_x.copy(), of_groups.copy(), coefficients, marks=marks, threads=threads)
         self._carry(tables, run)
@@ -301,10 +272,7 @@ class GivenInput(NamedTuple):
 
 
 def parameters_of_run(system: Any) -> Mapping[str, Parameter]:
-    """Return the parameters of the system of a run.
-
-    Those of a batch have an axis of members; they are those that all members have, in one shape.
-    """
+    """Return the parameters of the system of a run; of a batch those of all members, with an axis of members."""
     if not system.is_batch:
         return parameters_of(system)
     members = [parameters_of(member) for member in system]

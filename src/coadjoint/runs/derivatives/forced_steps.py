@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from operator import methodcaller
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,16 +12,147 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.forced import Forced, substeps_of
+from coadjoint.methods.forced import FlowOfForce, Forced, flow_of_force, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
-from coadjoint.runs.derivatives.force_flows import FlowEntry, ForceFlows, Half
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.systems.energy_derivatives import EnergyDerivative
+from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
+from coadjoint.systems.forces.orbit_flow import OrbitFlow
+from coadjoint.systems.parameter_differences import NearbySystems, differences
 from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
+
+
+class FlowEntry(NamedTuple):
+    """Systems in which an entry of parameter `name` is moved, and the positions of the forces that it changes."""
+
+    name: str
+    entry: int
+    nearby: NearbySystems
+    forces: tuple[int, ...]
+    part: Any = None  # the parameter of the force, or the derivative of the energy; None if only systems are known
+
+
+class Half(NamedTuple):
+    """One of the two halves of a step from t, of length h: the second one ends it, in reverse order."""
+
+    t: float
+    h: float
+    second: bool
+
+    def order(self, forces: Sequence[Force]) -> list[tuple[int, Force]]:
+        """Return the forces in the order of their flows, with their positions."""
+        numbered = list(enumerate(forces))
+        return numbered[::-1] if self.second else numbered
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Time at which the flows begin, and their length."""
+        return self.t + 0.5 * self.h if self.second else self.t, 0.5 * self.h
+
+
+class _Member(NamedTuple):
+    """The system of a member, the entries with nearby systems of the same noise, and the order of the scheme."""
+
+    system: System
+    entries: Sequence[FlowEntry]
+    scheme_order: int
+
+    def flow(self, system: System, j: int, x: Floats, half: Half) -> Floats:
+        """Return the flow of force j of a system."""
+        end = system.forces[j].flow_of_order(system.unforced, x, *half.span, self.scheme_order)
+        return np.asarray(end, dtype=np.float64)
+
+    def flow_with_derivative(self, force: Force, x: Floats, half: Half) -> FlowOfForce:
+        """Return the flow of a force of this member with its derivative."""
+        return flow_of_force(force, self.system.unforced, x, *half.span, self.scheme_order)
+
+    def parts(self, j: int) -> dict[str, Any]:
+        """Return the parameters on which the flow of force j depends."""
+        return {entry.name: entry.part for entry in self.entries if j in entry.forces}
+
+    def orbit_flow(self, j: int, force: Force, x: Floats, half: Half) -> OrbitFlow | None:
+        """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
+        if not isinstance(force, DoubleBracketDamping):
+            return None
+        fields = force.scalings()
+        if not all(isinstance(one, EnergyDerivative) or one in fields for one in self.parts(j).values()):
+            return None
+        return force.orbit_flow(self.system.unforced, x, *half.span)
+
+    def changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
+        """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
+
+        def after(system: System) -> Floats:
+            return self.flow(system, j, x, half)
+
+        numbers = [n for n, entry in enumerate(self.entries) if wanted[n] and j in entry.forces]
+        return list(zip(numbers, differences([self.entries[n].nearby for n in numbers], after), strict=True))
+
+
+class ForceFlows:
+    """Half flows of the members `first` to `last` - 1 of a system with forces; noise is that of their numbers."""
+
+    def __init__(self, system: System, entries: Sequence[FlowEntry], first: int, last: int, order: int) -> None:
+        self._members = [
+            _Member(
+                numbered(system), [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries], order
+            )
+            for numbered in (methodcaller("numbered_from", m) for m in range(first, last))
+        ]
+
+    def apply(self, x: Floats, half: Half) -> Floats:
+        """Return the states (members, n) after half flows of the forces."""
+        after = []
+        for member, state in zip(self._members, x, strict=True):
+            for j, force in half.order(member.system.forces):
+                flow = member.orbit_flow(j, force, state, half)
+                state = member.flow(member.system, j, state, half) if flow is None else flow.end
+            after.append(np.asarray(state, dtype=np.float64))
+        return np.array(after)
+
+    def push(self, x: Floats, dx: Floats, half: Half, directions: Floats) -> tuple[Floats, Floats]:
+        """Return the states, and their tangents (members, k, n), along directions (k, entries) of the entries."""
+        directed = np.asarray(directions.any(axis=0))
+        states, tangents = [], []
+        for member, state, rows in zip(self._members, x, dx, strict=True):
+            for j, force in half.order(member.system.forces):
+                flow = member.flow_with_derivative(force, state, half)
+                rows = flow.tangents(rows)
+                for number, change in member.changes(directed, j, state, half):
+                    rows = rows + directions[:, number, None] * change
+                state = flow.end
+            states.append(state)
+            tangents.append(rows)
+        return np.array(states), np.array(tangents)
+
+    def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
+        """Return the cotangents (members, n) before the flows; derivatives by entries (members, entries) are added."""
+        before, every = [], np.ones(by_entries.shape[1], dtype=bool)
+        for member, state, row, total in zip(self._members, x, of_x, by_entries, strict=True):
+            flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
+            for j, force in half.order(member.system.forces):
+                known = member.orbit_flow(j, force, state, half)
+                flow = member.flow_with_derivative(force, state, half) if known is None else known
+                flows.append((j, state, flow))
+                state = flow.end
+            for j, start, flow in reversed(flows):
+                if isinstance(flow, OrbitFlow):
+                    row, found = flow.pull(row, member.parts(j))
+                    for number, entry in enumerate(member.entries):
+                        if j in entry.forces:
+                            total[number] += found[entry.name][entry.entry]
+                    continue
+                for number, change in member.changes(every, j, start, half):
+                    total[number] += change @ row
+                row = flow.cotangent(row)
+            before.append(row)
+        return np.array(before)
 
 
 class _Base(NamedTuple):
@@ -31,15 +163,16 @@ class _Base(NamedTuple):
     after: Floats
     groups: Floats
 
+    def turned(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return momenta, elements before the step, its length, and those of its loop, as `AttitudeDerivatives`."""
+        after = np.swapaxes(self.after, 1, 2)[None]
+        return self.step.momenta, np.swapaxes(self.groups, 1, 2), np.array([self.step.h]), after
+
 
 class ForcedSteps:
-    """Steps of a system with forces, with the derivatives of `inner` for those of the Hamiltonian part.
+    """Steps with forces, in substeps, with the derivatives of `inner` for those of the Hamiltonian part."""
 
-    A step consists of substeps at the fractions of the scheme.
-
-    Coefficients are those of `inner`, then the entries of the flows, then factors of subtracted Casimirs. The steps of
-    the Hamiltonian part by `parts` have the bits of the tables `structures`, by length.
-    """
+    # Coefficients are those of `inner`, the entries of the flows, and the factors of subtracted Casimirs.
 
     def __init__(
         self,
@@ -130,21 +263,9 @@ class ForcedSteps:
         self._carry(run)
         after = run.at_groups[0]
         if self._attitudes is not None:
-            factors, moments = coefficients[:, self._flows.stop :], np.array([base.step.h])
-            turned = [
-                self._attitudes.tangents(
-                    base.step.momenta[m],
-                    base.groups[m].T,
-                    moments,
-                    base.after[m].T[None],
-                    dx[m],
-                    np.swapaxes(dg[m], 1, 2),
-                    factors,
-                    np.swapaxes(after[m], 1, 2)[None],
-                )[0]
-                for m in range(len(dx))
-            ]
-            after = np.swapaxes(np.array(turned), 2, 3)
+            factors, elements = coefficients[:, self._flows.stop :], np.swapaxes(after, 2, 3)[None]
+            turned = self._attitudes.tangents(*base.turned(), dx, np.swapaxes(dg, 2, 3), factors, elements)
+            after = np.swapaxes(turned[0], 2, 3)
         return run.at_points[0], np.array(after)
 
     def _base_backward(
@@ -152,17 +273,10 @@ class ForcedSteps:
     ) -> tuple[Floats, Floats]:
         at_groups, before, of_start = of_groups, np.zeros_like(of_x), None
         if self._attitudes is not None:
-            at_groups, of_start = np.empty_like(of_groups), np.empty_like(of_groups)
-            for m in range(len(of_x)):
-                before[m], of_A0, of_factors, of_G = self._attitudes.cotangents(
-                    base.step.momenta[m],
-                    base.groups[m].T,
-                    np.array([base.step.h]),
-                    base.after[m].T[None],
-                    of_groups[m].T[None],
-                )
-                at_groups[m], of_start[m] = of_G[0].T, of_A0.T
-                coefficients[m, self._flows.stop :] += of_factors
+            of_attitudes = np.swapaxes(of_groups, 1, 2)[None]
+            before, of_A0, of_factors, of_G = self._attitudes.cotangents(*base.turned(), of_attitudes)
+            at_groups, of_start = (np.ascontiguousarray(np.swapaxes(one, 1, 2)) for one in (of_G[0], of_A0))
+            coefficients[:, self._flows.stop :] += of_factors
         of_inner = np.zeros((len(of_x), self._flows.start))
         zeros = np.zeros(of_x.shape), np.zeros(base.groups.shape)
         run = base.step.backward(of_x[None], at_groups[None], *zeros, of_inner)
@@ -185,10 +299,7 @@ class ForcedSteps:
 def forced_tables(
     inner: DerivativeTables, steps_at: Callable[..., ForcedSteps], entries: Sequence[FlowEntry], names: Sequence[str]
 ) -> DerivativeTables:
-    """Return the derivatives of steps with forces by the parameters of these names, in the form of compiled ones.
-
-    `steps_at(h, *values)` are the steps, of which `entries` are those of the flows.
-    """
+    """Return the derivatives of steps with forces by parameters, in the form of compiled ones."""
     flows, factors = inner.coefficient_count, inner.coefficient_count + len(entries)
     coefficients: dict[str, CoefficientMap] = {}
     rules: dict[str, str] = {}
@@ -210,6 +321,4 @@ def forced_tables(
         coefficients=coefficients,
         factors=dict.fromkeys(names, empty),
         rules=rules,
-        shift=(),
-        reversible=False,
     )

@@ -3,33 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import unknown_name
+from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.program.added_part import CoefficientMap
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
-from coadjoint.runs.derivatives.results import Tangents, overflow
 from coadjoint.runs.results.solution import Solution
-from coadjoint.short_repr import short
+from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.energy_derivatives import gradients_at
 from coadjoint.validation import read_numbers, to_array
 
 Floats = NDArray[np.float64]
 
 
-class Directions:
-    """Directions of the initial states, the initial attitudes, the parameters and the inputs, `count` of each.
+@dataclass(frozen=True)
+class Tangents:
+    """Derivatives of a run along directions of its initial state and its parameters; see `PreparedRun.jvp`.
 
-    `x0` is (members, count, n), `attitude0` (members, count, d, d), and each of `parameters` (count, entries), or of a
-    batch (members, count, entries). `inputs`
-    are None without a direction, or those of all values, (count, values) or (members, count, values).
+    Attributes
+    ----------
+    x : ndarray
+        The shape of ``sol.x``, with a trailing axis of directions if these were given with one.
+    attitude : ndarray or None
+        In the same way for ``sol.attitude``.
+    energy : ndarray
+        In the same way for ``sol.energy``.
+    events : mapping
+        In the same way for the crossings of events: "t" for ``sol.events.t``, and "x" for ``sol.events.x``; empty
+        without events.
+    rule : mapping
+        For each parameter, "exact" if the derivative is that of the computed map, "added part" or "differences"; see
+        the notes of `PreparedRun.jvp`. Of a batch, the one farthest from the computed map.
     """
+
+    x: Floats
+    attitude: Floats | None
+    energy: Floats
+    events: Mapping[str, Floats] = field(default_factory=dict)
+    rule: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return record_repr(self)
+
+
+class Directions:
+    """Directions of the initial states, the attitudes, the parameters and the inputs, `count` of each."""
 
     def __init__(self, run: DifferentiableRun, trajectory: Trajectory, given: Mapping[str, Any]) -> None:
         members, n, d = trajectory.members, trajectory.n, trajectory.side
@@ -131,27 +156,14 @@ def tangents_of_outputs(
     check_available_memory(
         16 * points * numbers * directions.count, f"the tangents of {points} points along {directions.count} directions"
     )
-    attitudes = run.attitudes(tables, trajectory.members)
-    of_x, of_groups = _tangents_at_outputs(
-        trajectory, tables, directions, attitudes is not None and attitudes[0].shifted
-    )
+    attitudes = run.attitudes(tables)
+    of_x, of_groups = _tangents_at_outputs(trajectory, tables, directions, attitudes is not None and attitudes.shifted)
     if attitudes is None:
         return directions, of_x, None
-    _, groups = trajectory.outputs
-    factors = directions.along(tables.factors, len(tables.shift))
-    factors = np.broadcast_to(factors, (trajectory.members, *factors.shape[-2:]))
-    for m in range(trajectory.members):
-        of_groups[:, m] = attitudes[m].tangents(
-            trajectory.start.momenta[m],
-            trajectory.start.groups[m],
-            trajectory.elapsed,
-            groups[:, m],
-            directions.x0[m],
-            directions.attitude0[m],
-            factors[m],
-            of_groups[:, m],
-        )
-    return directions, of_x, of_groups
+    start, (_, groups) = trajectory.start, trajectory.outputs
+    along, of_factors = (directions.x0, directions.attitude0), directions.along(tables.factors, len(tables.shift))
+    at_outputs = start.momenta, start.groups, trajectory.elapsed, groups
+    return directions, of_x, attitudes.tangents(*at_outputs, *along, of_factors, of_groups)
 
 
 def tangents_of_run(
@@ -222,10 +234,7 @@ def _flat(given: Any, run: DifferentiableRun) -> dict[str, Any]:
 def _tangents_at_outputs(
     trajectory: Trajectory, tables: DerivativeTables, directions: Directions, shifted: bool
 ) -> tuple[Floats, Floats]:
-    """Return the tangents of states, (points, members, count, n), and elements of the loop, (..., d, d).
-
-    Loops of shifted runs start at the unit element, others at the initial attitude.
-    """
+    """Return the tangents of states, (points, members, count, n), and elements of the loop, (..., d, d)."""
     coefficients = directions.of_coefficients(tables)
     of_x0, of_A0 = directions.x0, directions.attitude0
     stored = np.zeros_like(of_A0) if shifted else np.ascontiguousarray(np.swapaxes(of_A0, 2, 3))
@@ -261,3 +270,15 @@ def check_shape(name: str, direction: Any, shape: tuple[int, ...]) -> None:
 def read_like(series: Any, given: Any, what: str) -> Any:
     """Return numbers that may be complex if those of a series are, as some matrices."""
     return to_array(given, what, "iufc").astype(np.complex128) if np.iscomplexobj(series) else read_numbers(given, what)
+
+
+def overflow(what: str, step: int, time: float, solution: Any, derivatives: Any) -> IntegrationError:
+    """Return the error of derivatives that are not finite."""
+    return IntegrationError(
+        f"the derivative {what}: small changes grow beyond all numbers; take a shorter span",
+        step=step,
+        time=time,
+        residual=float("nan"),
+        partial=solution,
+        derivatives=derivatives,
+    )

@@ -1,8 +1,8 @@
-"""Derivatives of runs with inputs: the tables of a scheme, into which each call writes its values."""
+"""Derivatives with inputs: tables of a scheme, into which each call writes its values, and derivatives of one step."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.invariants import invariants_table
-from coadjoint.kernels.tables.structures import NotWritable
+from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.added_part import CoefficientMap
+from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.inputs import Inputs
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameter_differences import DISTANCE, RADIUS, NearbySystems
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 
-INPUTS = "inputs"
-"""Name of the derivatives by all inputs; their entries are those of `Inputs.values`."""
+INPUTS = "inputs"  # name of the derivatives by all inputs; their entries are those of `Inputs.values`
 
 
 def tables_with_inputs(
@@ -33,11 +34,7 @@ def tables_with_inputs(
     representation: Representation,
     energies: Mapping[str, EnergyDerivative],
 ) -> DerivativeTables:
-    """Return the tables of a compiled scheme, of which `tables_at(step, values)` are those with inputs.
-
-    Derivatives by inputs, with the name `INPUTS`, are those of the computed map. `energies` are the derivatives of the
-    energy by other parameters.
-    """
+    """Return the tables of a compiled scheme, of which `tables_at(step, values)` are those with inputs."""
     tables, at = _located(inputs, scheme, h, representation, energies)
     if not tables.located:
         return _located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)})[0]
@@ -99,10 +96,7 @@ def without_inputs(energy: EnergyDerivative, inputs: Inputs) -> EnergyDerivative
 
 
 def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Iterator[NearbySystems]:
-    """Yield the systems with changed inputs, in the order in which these were prepared.
-
-    The change of a state in a step, relative to its size, is of the size of the distance.
-    """
+    """Yield the systems with changed inputs; a state changes in a step, relative to its size, as by the distance."""
     J = np.max(np.abs(inputs.system.structure_matrix(np.cos(1.0 + np.arange(inputs.system.dim)))))
     distance = RADIUS * DISTANCE / (abs(h) * (float(J) or 1.0))
     for index in inputs.changing.tolist():
@@ -113,3 +107,58 @@ def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Ite
             return inputs.system_at(other, system)
 
         yield NearbySystems(INPUTS, distance, moved)
+
+
+class StepTangents:
+    """The derivatives of a step of length h, (n, n) by the state or along `vectors`, and (n, k) by inputs."""
+
+    def __init__(
+        self, tables: DerivativeTables, n: int, h: float, inputs: Sequence[int] = (), vectors: Floats | None = None
+    ) -> None:
+        units = np.eye(n + len(inputs), n) if vectors is None else vectors
+        count = len(units)
+        self._tables, self._tangents = tables, np.zeros((1, count, n))
+        self._units, self._momenta = units, np.zeros((1, n))
+        self._h, self._fixed = h, None
+        if INPUTS not in tables.coefficients:
+            self._fixed = self._prepared(tables.tables_at(h))
+        coefficients = np.zeros((count, tables.coefficient_count))
+        if len(inputs):
+            directions = np.zeros((count, 1 + max(inputs)))
+            directions[np.arange(n, count), inputs] = 1.0
+            coefficients += tables.coefficients[INPUTS].of_coefficients(directions, tables.coefficient_count)
+        step = Stretch.of_step(0.0, h, self._momenta, np.zeros((1, 0, 0)))
+        run = step.forward(self._tangents, np.zeros((1, count, 0, 0)), coefficients)
+        self._after, self._run = run.at_points, self._prepared(run)
+
+    def _prepared(self, table: Any) -> Any:
+        """Return a table as the compiled loop reads it, or itself for steps in Python."""
+        return as_structure(table) if isinstance(self._tables.forward, str) else table
+
+    def __call__(self, x: Floats, t: float, values: Floats | None) -> Floats | None:
+        """Return the derivatives side by side, (n, n + k), at values of the inputs; None if they are not finite."""
+        structure = self._fixed if values is None else self._tables.tables_at(self._h, values)
+        self._momenta[0], self._tangents[0] = x, self._units
+        run = self._run
+        if isinstance(self._tables.forward, str):
+            run.t0 = t
+        else:
+            run = run._replace(t0=t)
+        if not carry(self._tables, structure, run, 0, 1):
+            return None
+        found = self._after[0, 0].T.copy()
+        return found if np.isfinite(found).all() else None
+
+
+def compiled_tangents(
+    method: Method, system: System, h: float, vectors: Floats | None = None, inputs: Inputs | None = None
+) -> StepTangents | None:
+    """Return the derivatives of a step in the compiled loop; None without such a loop, and for user functions."""
+    called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
+    if called or not method.differentiable:
+        return None
+    if inputs is None:
+        tables = method.derivative_tables(system, h, None, {})
+    else:
+        tables = tables_with_inputs(inputs, method, h, None, {})
+    return StepTangents(tables, system.dim, h, vectors=vectors)

@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
-from coadjoint.runs.derivatives.backward import Cotangents, Pullback
+from coadjoint.runs.derivatives.backward import Cotangents, Gradient, Pullback
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
-from coadjoint.runs.derivatives.forward import check_shape, tangents_of_run
+from coadjoint.runs.derivatives.forward import Tangents, check_shape, tangents_of_run
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
-from coadjoint.runs.derivatives.results import Gradient, Tangents
 from coadjoint.runs.derivatives.run_tables import differ_in_columns
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.results.solution import Solution
@@ -176,8 +175,7 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
         events=crossings,
         rule=_rules(found, found[0].rule),
     )
-    if error is not None:
-        raise _joined(error, solution, tangents)
+    _raise(error, solution, tangents)
     return solution, tangents
 
 
@@ -230,8 +228,7 @@ class PullbackOfMembers(Pullback):
             summed = name in parameters and not prepared.system.is_batch
             values[name] = stacked.sum(axis=0) if summed else stacked
         gradient = Gradient(values, _rules(found, parameters))
-        if error is not None:
-            raise _joined(error, solution, gradient)
+        _raise(error, solution, gradient)
         return gradient
 
 
@@ -265,10 +262,11 @@ def _rules(found: Sequence[Tangents | Gradient], names: Iterable[str]) -> dict[s
     return {name: max((one.rule[name] for one in found), key=nearest_first.index) for name in names}
 
 
-def _joined(error: IntegrationError, solution: Solution, derivatives: Any) -> IntegrationError:
-    return IntegrationError(
-        str(error), step=error.step, time=error.time, residual=error.residual, partial=solution, derivatives=derivatives
-    )
+def _raise(error: IntegrationError | None, solution: Solution, derivatives: Any) -> None:
+    """Raise the error of a piece, if there is one, with the results of all members."""
+    if error is not None:
+        error.partial, error.derivatives = solution, derivatives
+        raise error
 
 
 def _padded(series: Any, points: int, ended: bool) -> Any:

@@ -22,12 +22,7 @@ Shape = tuple[int, ...]
 
 
 class ParametrizedRun:
-    """A prepared run over a time span, for values given by name: "x0", "attitude0" and parameters.
-
-    The outputs are the states (points, n) or (points, members, n) and, of runs with an attitude, the attitudes. Schemes
-    and systems without derivatives are refused. The run of the last values of the parameters is cached, and so is the
-    last trajectory that was integrated for a gradient.
-    """
+    """A prepared run over a time span, for values given by name: "x0", "attitude0" and parameters."""
 
     def __init__(
         self,
@@ -95,13 +90,9 @@ class ParametrizedRun:
                 raise unknown_name(f"parameter of {self._prepared.system.name}", name, known)
             if shape not in known[name] or 0 in shape:
                 single = "" if system.is_batch else f"({n},) or "
-                expected = {
-                    "x0": f"{single}({members}, {n})",
-                    "attitude0": f"({d}, {d}) or ({members}, {d}, {d})",
-                }
-                raise ValueError(
-                    f"{name} has the shape {shape}; it must be {expected.get(name, known[name][0])}, as prepared"
-                )
+                expected = {"x0": f"{single}({members}, {n})", "attitude0": f"({d}, {d}) or ({members}, {d}, {d})"}
+                must_be = expected.get(name, known[name][0])
+                raise ValueError(f"{name} has the shape {shape}; it must be {must_be}, as prepared")
 
     def output_shapes(self, x0: Shape) -> list[Shape]:
         """Return the shapes of the outputs for that of x0."""
@@ -131,10 +122,7 @@ class ParametrizedRun:
     def gradients(
         self, values: Mapping[str, Floats], cotangents: list[Floats], names: Iterable[str], by_member: bool = False
     ) -> list[Floats]:
-        """Return the cotangents of values for those of the outputs, all with a first axis for several of them.
-
-        `by_member`: those of parameters have an axis of members next to it, and are not summed over the members.
-        """
+        """Return the cotangents of values for several of the outputs, of parameters also `by_member`."""
         wanted = list(names)
         pullback, parameters = self._pullback(values), [name for name in wanted if name in self._shapes]
         found = []

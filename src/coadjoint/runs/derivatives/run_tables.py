@@ -21,8 +21,7 @@ from coadjoint.methods.protocol.stepwise_derivatives import (
     stepwise_derivatives,
 )
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives, ElementDifferences
-from coadjoint.runs.derivatives.force_flows import FlowEntry
-from coadjoint.runs.derivatives.forced_steps import ForcedSteps, forced_tables
+from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
 from coadjoint.runs.inputs import InputLoops, Inputs
 from coadjoint.runs.loops.groups import Columns
@@ -37,10 +36,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-NONE = np.zeros(0)
-"""Values of no inputs."""
-FEWEST_IN_LANES = 8
-"""Members of a batch below which lanes are not faster than one member after the other."""
+NONE = np.zeros(0)  # values of no inputs
+FEWEST_IN_LANES = 8  # members of a batch below which lanes are not faster than one member after the other
 
 
 def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inputs: bool) -> DerivativeTables:

@@ -17,16 +17,11 @@ from coadjoint.runs.loops.groups import split_members
 
 Floats = NDArray[np.float64]
 
-ONE = np.ones(1, dtype=np.int64)
-"""The mark of a single step."""
+ONE = np.ones(1, dtype=np.int64)  # the mark of a single step
 
 
 class Stretch(NamedTuple):
-    """Steps k0 + 1 to k1 of all members, from t0 + k0 h, and the unfinished states from which they start.
-
-    Step k is number `before` + k of the run; None for a single step that is none of them. If `undone`, the states are
-    those at the end, from which the steps are undone.
-    """
+    """Steps k0 + 1 to k1 of all members, and the states from which they start, or, if `undone`, end."""
 
     t0: float
     h: float
@@ -53,19 +48,15 @@ class Stretch(NamedTuple):
         marks: NDArray[np.int64] = ONE,
         threads: int = 1,
     ) -> ForwardRun:
-        """Return the run of a kernel with tangents (members, count, n) and (members, count, d, d), which it overwrites.
-
-        `coefficients` are (count, their number), or with a first axis of members.
-        """
+        """Return the run of a kernel, which overwrites tangents (members, count, n) and (members, count, d, d)."""
         return ForwardRun(
-            **self._common(marks),
+            **self._common(marks, threads),
             carried=tangents.shape[1],
             at_points=np.zeros((len(marks), *tangents.shape)),
             at_groups=np.zeros((len(marks), *group_tangents.shape)),
             tangents=tangents,
             group_tangents=group_tangents,
             coefficients=coefficients,
-            threads=threads,
             apart=coefficients.ndim == 3,
         )
 
@@ -80,12 +71,9 @@ class Stretch(NamedTuple):
         marks: NDArray[np.int64] = ONE,
         threads: int = 1,
     ) -> BackwardRun:
-        """Return the run of a kernel with cotangents (members, n) and (members, d, d), which it overwrites.
-
-        Those at the marks are added; derivatives by coefficients (members, their number) are added to `coefficients`.
-        """
+        """Return the run of a kernel, which overwrites cotangents and adds to `coefficients` (members, number)."""
         return BackwardRun(
-            **self._common(marks),
+            **self._common(marks, threads),
             group_errors=self.group_errors,
             at_points=np.ascontiguousarray(at_points),
             at_groups=np.ascontiguousarray(at_groups),
@@ -94,22 +82,17 @@ class Stretch(NamedTuple):
             coefficients=coefficients,
             deviations=np.zeros(len(cotangents)),
             undone=self.undone,
-            threads=threads,
         )
 
-    def _common(self, marks: NDArray[np.int64]) -> dict[str, Any]:
-        names = ("t0", "h", "k0", "k1", "momenta", "errors", "groups")
-        fields = {name: getattr(self, name) for name in names}
+    def _common(self, marks: NDArray[np.int64], threads: int) -> dict[str, Any]:
         members, size = self.momenta.shape
+        own = {name: getattr(self, name) for name in ("t0", "h", "k0", "k1", "momenta", "errors", "groups")}
         sizes = {"members": members, "size": size, "square": self.groups[0].size, "marked": len(marks)}
-        return {**fields, **sizes, "marks": marks}
+        return {**own, **sizes, "marks": marks, "threads": threads}
 
 
 def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: int, workers: int = 1) -> bool:
-    """Carry the vectors of the members `first` to `last` - 1; return whether all linear equations were solved.
-
-    A compiled kernel is called on threads, and a function for some members at once.
-    """
+    """Carry the vectors of the members `first` to `last` - 1; return whether all linear equations were solved."""
     name: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
     stop, lanes = StopFlag(), limit("MOST_LANES")
     if callable(name):

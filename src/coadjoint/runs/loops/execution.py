@@ -51,11 +51,7 @@ def run_in_threads(
     loops: Loops,
     workers: int = 1,
 ) -> int:
-    """Advance member batches in `workers` threads (1: the calling thread); return the number of failed members.
-
-    `arguments` are those of `MemberBatch.advance` except the last. Exceptions of user functions in `loops` take
-    precedence over others.
-    """
+    """Advance member batches in threads; return the number of failed members. User exceptions in `loops` come first."""
 
     def advance_all() -> int:
         if workers == 1:
@@ -83,10 +79,7 @@ def raise_reason(loops: Loops, error: BaseException) -> NoReturn:
 def sum_in_threads(
     advance: Callable[[BatchT], int], member_batches: Sequence[BatchT], workers: int, stop: StopFlag
 ) -> int:
-    """Sum the results of `advance` over all batches, or ranges, of members; the first error stops all threads.
-
-    It is raised.
-    """
+    """Sum the results of `advance` over batches or ranges of members; the first error stops all, and is raised."""
     waiting, lock = list(reversed(member_batches)), threading.Lock()
     advanced: list[None] = []  # an entry for each batch at present
     counts: list[int] = []

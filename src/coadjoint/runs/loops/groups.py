@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import MemberBatch
+from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
+from coadjoint.kernels.tables.writable import WritableTables
 
 if TYPE_CHECKING:
     from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.compiled import CompiledTables
-    from coadjoint.kernels.tables.writable import WritableTables
     from coadjoint.program.sources import Sources
 
 Floats = NDArray[np.float64]
@@ -24,10 +25,7 @@ Integers = NDArray[np.int64]
 
 
 class Rows(NamedTuple):
-    """The row in each slot, and the member batches of all slots.
-
-    Slots that are not `filled` pad lanes with copies of other rows.
-    """
+    """The row in each slot, and the batches of all slots; those not `filled` pad lanes with copies of others."""
 
     rows: Integers
     filled: NDArray[np.bool_]
@@ -35,11 +33,7 @@ class Rows(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Members of a loop with tables of one structure; `members` are ascending, None all of them.
-
-    With a stride, each member has a column of constants: `tables` and `watch` are those of the first member, with each
-    array of constants (count,) widened to (count, stride). Without a stride all members share them.
-    """
+    """Members of a loop (ascending, None: all) with tables of one structure; with a stride each has its constants."""
 
     members: Integers | None
     loop: str
@@ -48,10 +42,7 @@ class Group(NamedTuple):
     stride: int = 0
 
     def rows(self, columns: Integers, workers: int, block: int, begin: int = 0) -> Rows:
-        """Return rows (m,) for these columns of constants, in the given order without a stride.
-
-        Slots count from `begin`. Without a stride, each worker has a batch, in which `block` rows go side by side.
-        """
+        """Return rows (m,) for these columns of constants; slots count from `begin`, and each worker has a batch."""
         if self.stride:
             return self._in_columns(columns, begin)
         count = len(columns)
@@ -113,8 +104,6 @@ def batches_of_groups(groups: Sequence[Group], members: int, workers: int, block
 
 def individual_groups(members: Iterable[tuple[str, Any, Any]]) -> list[Group]:
     """Return a group for each member, from its loop and the tables of the loop and of its watch."""
-    from coadjoint.kernels.tables.structures import as_structure
-
     return [
         Group(np.array([m]), loop, as_structure(tables), as_structure(watch))
         for m, (loop, tables, watch) in enumerate(members)
@@ -122,24 +111,14 @@ def individual_groups(members: Iterable[tuple[str, Any, Any]]) -> list[Group]:
 
 
 def split_members(first: int, last: int, workers: int, block: int) -> list[tuple[int, int]]:
-    """Split the members first to last - 1 into ranges, one for each worker, that begin at multiples of `block`.
-
-    Examples
-    --------
-    >>> split_members(0, 100, 2, 32)
-    [(0, 64), (64, 100)]
-    """
+    """Split the members first to last - 1 into a range for each worker; they begin at multiples of `block`."""
     blocks = -(-(last - first) // block)
     edges = pairwise(min(last, first + blocks * w // workers * block) for w in range(workers + 1))
     return [(low, high) for low, high in edges if low < high]
 
 
 class Columns:
-    """Systems with tables that differ in some sources: `values` (systems, sources) of these `numbers`.
-
-    `first` are the values of the system of the loop. The `recorded` sources of the loop and of its watch are found
-    once, and pickled with the columns.
-    """
+    """Systems with tables that differ in some sources: `values` (systems, sources) of these `numbers`."""
 
     def __init__(self, numbers: Integers, values: Floats, first: Floats, recorded: Sequence[Sources] = ()) -> None:
         self.numbers, self.values, self._first, self._recorded = numbers, values, first, recorded
@@ -161,8 +140,6 @@ class Columns:
 
     def written_from(self, loop: CompiledLoop, watch: CompiledTables, first: Floats) -> WritableTables:
         """Return the tables of all systems, from others of the system that has the values `first`."""
-        from coadjoint.kernels.tables.writable import WritableTables
-
         return WritableTables(loop, watch, {source: k for k, source in enumerate(self.numbers.tolist())}, first)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -178,24 +155,8 @@ def groups_of(
     columns: Sequence[Columns | None] = (),
     numbers: Integers | None = None,
 ) -> list[Group]:
-    """Group members with tables that differ only in constants, in the order of their first members.
-
-    `prepared` and `watches` are the compiled loops and the watches of the distinct systems, and `owners` (members,) the
-    number of that of each member. If a loop has `columns` it is that of several systems, `numbers` (members,) of them.
-    The members of a system with so many that they fill the lanes are a group of their own, as are those of a system
-    whose tables cannot be shared. With `in_order` a group has only members that follow each other.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> from coadjoint.kernels.tables.invariants import watch_tables
-    >>> bodies = [co.systems.rigid_body(inertia=(1, 2, third)) for third in (2.5, 2.75, 2.875)]
-    >>> own = [co.GaussLegendre(2).loop(body, 0.1) for body in bodies]
-    >>> watches = [watch_tables(body, body.casimirs) for body in bodies]
-    >>> [group.members.tolist() for group in groups_of(own, watches, np.arange(3), in_order=False)]
-    [[0, 1, 2]]
-    """
-    from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
+    """Group members with tables that differ only in constants, in the order of their first members."""
+    # Members that fill the lanes, or whose tables cannot be shared, are a group of their own.
 
     block = limit("MOST_LANES")
     numbers = np.zeros(len(owners), dtype=np.int64) if numbers is None else numbers

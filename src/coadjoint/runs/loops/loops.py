@@ -15,6 +15,8 @@ from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.blas_threads import matrix_rows
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
+from coadjoint.kernels.tables.recording import values_along
+from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.groups import Columns, Group, batches_of_groups, groups_of, individual_groups, split_members
@@ -47,10 +49,7 @@ class MatrixInvariants:
     def measure(
         self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
     ) -> None:
-        """Compute the values at the new saved `points`, in place.
-
-        `worst`, (members, tenths, invariants), holds the largest deviations in each tenth of the run.
-        """
+        """Compute the values at new saved `points` in place, and the largest deviations, `worst`, in each tenth."""
         if not len(points):
             return
         first = self._values(start.momenta, times.t0)
@@ -86,39 +85,8 @@ class MatrixInvariants:
 class Loops:
     """The compiled loops of a run, and further properties of its system; concurrent runs may share them.
 
-    A run has one loop for each distinct system, or for several of one structure, with `columns`. `owners` (members,)
-    are the numbers of the loops of the members, None if there is one system for any number of members, `numbers`
-    (members,) those of their columns, and `corrected` (members,) those of their corrections, by default as `owners`.
-    With `in_order` a member keeps its row, which its noise depends on.
-
-    Attributes
-    ----------
-    compiled, watches : list
-        Loops, and the tables of their invariants.
-    corrections : list
-        Corrections of group elements, if H was shifted by Casimirs.
-    groups : list of Group
-        Members with tables of one structure.
-    order : ndarray or None
-        Permutation of the members within a run; None for the given order.
-    names : list of str
-        The tracked invariants, the energy first.
-    accounts : tuple of (str, str)
-        Accumulators behind the coordinates of a state: (force, invariant) pairs whose work is recorded. With accounts,
-        each of `names` is also tracked minus the work of the forces.
-    size : int
-        Numbers of a state: the dimension of the system, and the accounts.
-    memory : int
-        Numbers per member that persist from step to step.
-    rows : int
-        Rows of the matrices of a matrix system, else 0.
-    measured : MatrixInvariants or None
-        Invariants that the loops do not track.
-    block : int
-        Members with the same tables that are advanced side by side.
-    corrected_groups : callable
-        ``corrected_groups(start, times, saved, points)`` returns the group elements (points, members, d, d) of the run
-        from those saved by the loops. It does not keep the tables of the loops alive.
+    There is one loop for each distinct system, or for several with `columns`; `owners` (members,) are the numbers of
+    their loops. With `in_order` a member keeps its row, which its noise depends on. `accounts` are (force, invariant).
     """
 
     corrected_groups: GroupCorrection
@@ -154,8 +122,6 @@ class Loops:
         self._set_tables(compiled, watches)
 
     def _set_tables(self, compiled: Sequence[CompiledLoop], watches: Sequence[CompiledTables]) -> None:
-        from coadjoint.kernels.tables.structures import as_structure
-
         self.compiled, self.watches = list(compiled), list(watches)
         self.order: NDArray[np.int64] | None = None
         if self.owners is None:
@@ -316,10 +282,7 @@ class Loops:
         return groups
 
     def initial_groups(self, groups: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the initial group elements of the loops, transposed, (members, d*d), or (d*d,) for all members.
-
-        Those of a shifted H are unit elements, which `corrected_groups` replaces.
-        """
+        """Return the initial elements, transposed (members, d*d) or (d*d,); units for a shifted H."""
         unit = unit_groups(groups.shape[-1]).ravel()
         if self._corrected is None:
             return as_rows(groups) if self.corrections[0] is None else unit
@@ -329,8 +292,6 @@ class Loops:
 
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the invariants of a single-member run at a state; multivalued ones on the branch nearest to `last`."""
-        from coadjoint.kernels.tables.recording import values_along
-
         if self.measured is not None:
             return self.measured.at(state[None], np.array([t]))[0]
         tables, values = self.watches[0].tables, np.empty((1, 1, len(last)))
@@ -378,12 +339,7 @@ def loops_of_system(
     casimirs: Mapping[str, Any] | None = None,
     compact: bool = False,
 ) -> Loops:
-    """Return the loops of one system, for any number of members.
-
-    `casimirs` are the invariants tracked beside the energy (None: all Casimirs); `representation` is an array (n, d,
-    d), "coadjoint" or None; h is negative for backward runs. `compact` tables, in which rows that repeat are stored
-    once, are not those of a batch.
-    """
+    """Return the loops of one system, for any number of members; `compact` tables are not those of a batch."""
     loop = (method._shared_loop if compact else method.loop)(system, h, representation)
     tracked = system.casimirs if casimirs is None else casimirs
     watch = _watch_of(system, loop, tracked, compact)
@@ -396,12 +352,7 @@ def loops_of_system(
 
 
 def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> Loops:
-    """Return the loops of a batch; the tables of a member are those of its run alone.
-
-    `representations` holds an array (n, d, d), "coadjoint" or None for each member.
-    """
-    from coadjoint.kernels.tables.structures import NotWritable
-
+    """Return the loops of a batch, with a representation for each; the tables of a member are those of it alone."""
     names, distinct = list(batch[0].casimirs), batch.distinct
     firsts = np.unique(batch.owners, return_index=True)[1]
     built: list[tuple[CompiledLoop, CompiledTables]] = []

@@ -43,12 +43,9 @@ def _with_tables(
 
 
 class ShiftCorrection:
-    """Conversion of group elements for H - sum c C, started at the unit element, to those for the Hamiltonian H.
+    """Conversion of group elements for H - sum c C, started at the unit element, to those for H."""
 
-    g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t), since the gradient of a Casimir is constant in the spatial
-    frame. The result at a saved point depends only on its step number, x0 and g0. `shift` holds pairs of a Casimir C
-    and a factor c; `representation` is an array (n, d, d) or "coadjoint".
-    """
+    # g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t): gradients of Casimirs are constant in the spatial frame.
 
     def __init__(self, system: System, shift: Shift, representation: Representation) -> None:
         self.shift, self._system, self._representation = shift, system, representation

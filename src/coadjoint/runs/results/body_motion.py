@@ -160,10 +160,7 @@ class BodyMotion(SolutionAttributes):
         return np.einsum("...ij,...j->...i", A, v)
 
     def _rotations(self) -> NDArray[np.float64]:
-        """Return the attitudes from the body to space, (times, 3, 3), with axes of members and bodies before the last.
-
-        The errors are those of `rotation`.
-        """
+        """Return the attitudes from the body to space, (times, 3, 3), with axes of members and bodies inside."""
         if getattr(self.system.unforced, "has_attitude", False):
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
@@ -198,10 +195,7 @@ class BodyMotion(SolutionAttributes):
 
 
 def rotations_of(attitude: Any) -> NDArray[np.float64] | None:
-    """Return group elements (..., d, d), or their blocks of rotations, as rotation matrices (..., 3, 3), or None.
-
-    The block is the first in SE(3), and the second of three beside positions and momenta, as of a satellite.
-    """
+    """Return group elements (..., d, d), or their rotation block, as matrices (..., 3, 3); None if it is none."""
     d = attitude.shape[-1]
     if d not in (3, 4, 5) or np.iscomplexobj(attitude) or (d == 5 and np.any(np.abs(attitude[..., 1:, 0]) > 0.0)):
         return None

@@ -75,11 +75,7 @@ class Drift(float):
 
 @ignore_overflow
 def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the size of each invariant, a float or an array (members,); 1 where it is zero or not finite.
-
-    `x0` and `initial` are those of a solution. Without a system (None) the terms of invariants are unknown, and the
-    sizes are absolute values.
-    """
+    """Return the size of each invariant, a float or (members,); 1 where it is zero or not finite."""
     single = all(np.ndim(value) == 0 for value in initial.values())
     states = np.asarray(x0)[None] if single else np.asarray(x0)
     values = {name: np.abs(np.atleast_1d(value)).astype(np.float64) for name, value in initial.items()}
@@ -113,13 +109,7 @@ def _groups(system: Any, members: NDArray[np.int64], numbers: int) -> list[NDArr
 
 
 def sum_of_absolute_terms(invariant: Any, x: Floats) -> Floats:
-    """Return the sums of the absolute values of the terms of an invariant at states (..., *shape); 0 for functions.
-
-    Examples
-    --------
-    >>> sum_of_absolute_terms(Polynomial("x1*x2 - 3*x3^2", 3), np.array([[1.0, -2.0, 1.0]])).tolist()
-    [5.0]
-    """
+    """Return the sums of absolute terms of an invariant at states (..., *shape); 0 for functions."""
     if hasattr(invariant, "sum_of_absolute_terms"):
         return np.asarray(invariant.sum_of_absolute_terms(x))
     if isinstance(invariant, Polynomial):

@@ -32,11 +32,7 @@ MAX_STATE_NUMBERS = 2**20
 
 
 class MemorySolution(Solution):
-    """The solution of a run in memory; it does not keep the tables of the run alive.
-
-    Its fields are what all runs of a plan share (`Plan.shared`), the scheme, the system or a function that builds it,
-    the start, the arrays of the loops or one allocation of both, and the seconds in the loops and in the call.
-    """
+    """The solution of a run in memory; it does not keep the tables of the run alive."""
 
     _given_system: System | Batch | partial[System | Batch]
     _saved_points: int

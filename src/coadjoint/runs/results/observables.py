@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import in_one_line
+from coadjoint.kernels.tables.recording import values_along
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -20,15 +21,10 @@ from coadjoint.validation import read_number
 
 
 class Observed:
-    """Quantities evaluated at saved points; each function is called once at x0 for validation.
-
-    `observe` maps names to `Polynomial`, `Quadratic` or functions of x (of a matrix for matrix systems). TypeError: any
-    other value, or a function that does not compile or does not return a real number.
-    """
+    """Quantities evaluated at saved points; each function is called once at x0 for validation."""
 
     def __init__(self, system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]) -> None:
         from coadjoint.kernels.tables.invariants import watch_tables
-        from coadjoint.kernels.tables.recording import values_along
 
         self._names, self._matrices = list(observe), system.unforced if system.has_matrices else None
         self._quantities = dict(observe)

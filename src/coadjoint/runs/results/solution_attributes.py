@@ -248,10 +248,7 @@ def member_count(solution: Solution) -> int:
 
 
 def unfinished_members(solution: Solution) -> NDArray[np.bool_]:
-    """Return which members have not been computed to the last saved point, (members,); failed ones are not among them.
-
-    Those of a single run are none, since it ends at its last saved point.
-    """
+    """Return which members, (members,), are not at the last saved point, without having failed."""
     members = member_count(solution)
     if solution.failed is None or not solution.incomplete or not len(solution.t):
         return np.zeros(members, dtype=bool)

@@ -1,17 +1,20 @@
-"""Base class of schemes with a step from state and time, and their compositions, which repeat it."""
+"""Base classes of schemes around another scheme, of compositions, and of schemes with a step that these repeat."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.wrapper import Composed
+from coadjoint.methods.protocol.method import Method, Representation, is_short
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_derivatives import JoinedSteps, LinearizedStep
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
@@ -20,10 +23,136 @@ if TYPE_CHECKING:
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-    from coadjoint.methods.protocol.step_derivatives import LinearizedStep
     from coadjoint.systems.energy_derivatives import EnergyDerivative
+    from coadjoint.systems.system_stacks import SystemStack
 
 FULL_STEP = (1.0,)  # fractions of a step that is not composed
+MAX_ORDER = 12  # highest order of a composition that is tested, unless that of the base is higher
+
+
+class Wrapper(Method):
+    """A scheme with the attributes of its base, except for those that it overrides."""
+
+    base: Method
+
+    @property
+    def order(self) -> int:
+        """That of the base."""
+        return self.base.order
+
+    @property
+    def explicit(self) -> bool:
+        """As for the base."""
+        return self.base.explicit
+
+    @property
+    def symmetric(self) -> bool:
+        """As for the base."""
+        return self.base.symmetric
+
+    @property
+    def compensates(self) -> bool:  # type: ignore[override]
+        """As for the base."""
+        return self.base.compensates
+
+    @property
+    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Those of the base."""
+        return self.base.failures
+
+    @property
+    def largest(self) -> float:  # type: ignore[override]
+        """As for the base."""
+        return self.base.largest
+
+    def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
+        """Return the way of the base, if this scheme does not leave it to the default."""
+        own = type(self).tangent is not Method.tangent
+        return self.base.tangent_by(system, x, t, h) if own else super().tangent_by(system, x, t, h)
+
+    def settled(self, system: System, coordinates: Sequence[int]) -> Method:
+        """Return the scheme around the base with its choices fixed."""
+        base = self.base.settled(system, coordinates)
+        return self if base is self.base else self._around(base)
+
+    def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
+        """As for the base."""
+        return self.base.split_jointly(systems)
+
+    def _around(self, base: Method) -> Method:
+        changed: Method = replace(self, base=base)  # type: ignore[type-var]
+        return changed
+
+    def _with_compensated_base(self) -> Method | None:
+        base = self.base.with_compensation()
+        return None if base is None else self._around(base)
+
+
+class Composed(Wrapper):
+    """A base scheme at fractions of the step; it preserves what the base preserves."""
+
+    base: Method
+    coefficients: tuple[float, ...]
+
+    @property
+    def order(self) -> int:
+        """The order, from the order conditions in the free associative algebra."""
+        return composition_order(self.coefficients, self.base.order)
+
+    @property
+    def symmetric(self) -> bool:
+        """Whether the base is symmetric and the coefficients are a palindrome."""
+        return self.base.symmetric and self.coefficients == self.coefficients[::-1]
+
+    @property
+    def fractions(self) -> tuple[float, ...]:
+        """Fractions of all substeps, with compositions in the base multiplied out."""
+        return tuple(c * f for c in self.coefficients for f in self.base.fractions)
+
+    @property
+    def known_to(self) -> float:
+        """The error of the base or of the fractions, whichever is larger; short fractions are exact."""
+        fraction_error = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
+        return max(fraction_error, self.base.known_to)
+
+    def properties(self, system: System) -> Properties:
+        """Return the properties of the base, which a composition shares."""
+        return self.base.properties(system)
+
+    def with_compensation(self) -> Method | None:
+        """Return the composition of the base with compensated sums."""
+        return self._with_compensated_base()
+
+
+def check_base(base: Any, wrapper: str, example: str) -> None:
+    """Raise a TypeError if the base of a wrapper is not a scheme."""
+    if not isinstance(base, Method):
+        raise TypeError(f"the base of {wrapper} is a scheme such as {example}, not {short(base)}")
+
+
+def composition_order(coefficients: Sequence[float], base_order: int) -> int:
+    """Return the order of a composition of a symmetric map of even order p, up to max(12, p)."""
+    # In the free algebra the product of exp(c h Y_1 + (c h)^(p+1) Y_(p+1) + ...) is compared with exp(h Y_1).
+    from coadjoint.algebra.exact.free_algebra import Series, exponential, product, unit_series
+
+    highest = max(MAX_ORDER, base_order)
+    letters = [1, *range(base_order + 1, highest + 1, 2)]
+
+    def exponential_of(coefficients: dict[int, float]) -> Series:
+        return exponential([{(d,): coefficients[d]} if d in coefficients else {} for d in range(highest + 1)])
+
+    composed = unit_series(highest)
+    for c in coefficients:
+        composed = product(composed, exponential_of({d: c**d for d in letters}))
+    exact = exponential_of({1: 1.0})
+    scale = max(1.0, max(map(abs, coefficients)))
+    for order in range(base_order + 1, highest + 1):
+        words = composed[order].keys() | exact[order].keys()
+        # Rounding of the coefficients changes a condition by u times the sum of its terms.
+        tolerance = UNIT_ROUNDOFF * 8 * len(coefficients) * scale**order
+        if any(abs(composed[order].get(word, 0.0) - exact[order].get(word, 0.0)) > tolerance for word in words):
+            return order - 1
+    return highest
 
 
 class SubstepMethod(Method):
@@ -136,8 +265,6 @@ class Substeps(Composed):
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
         """Return the substeps with their derivatives."""
-        from coadjoint.methods.protocol.step_derivatives import JoinedSteps
-
         steps: list[LinearizedStep] = []
         for fraction in self.coefficients:
             steps.append(self.base.linearized(system, x, t, h * fraction))
