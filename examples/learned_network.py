@@ -48,13 +48,12 @@ x, A, b = windows(truth)
 @jax.jit
 @jax.value_and_grad
 def loss(w):
+    """Return the mean square of the residuals of the weak form."""
     gradients = jax.vmap(jax.vmap(lambda x: jax.grad(model, 1)(unravel(w), x)))(x)
     return jnp.mean((jnp.einsum("wsij,wsj->wi", A, gradients) - b) ** 2)
 
 
-end = minimize(
-    lambda w: tuple(map(np.asarray, loss(w))), start, jac=True, method="L-BFGS-B", options={"maxiter": 200}
-)
+end = minimize(lambda w: tuple(map(np.asarray, loss(w))), start, jac=True, method="L-BFGS-B", options={"maxiter": 200})
 w = unravel(end.x)
 assert np.allclose(1 / w["inverse inertia"], inertia, rtol=5e-3)
 

@@ -4,6 +4,7 @@ import numpy as np
 
 
 def angles(table, part, x):
+    """Return the derivatives of the terms of a part by their coordinates."""
     found = []
     for k in range(table["share"][part], table["share"][part + 1]):
         for row in range(table["term_row"][k], table["term_row"][k + 1]):
@@ -19,12 +20,14 @@ def angles(table, part, x):
     return np.array(found)
 
 
-def product(table, entries, theta, x):  # sum of theta_a D_a x over some entries
+def product(table, entries, theta, x):
+    """Return the sum of theta_a D_a x over some entries."""
     row, column, angle, value = (table["state_" + name][entries] for name in ("row", "column", "angle", "value"))
     return np.bincount(row, theta[angle] * value * x[column], minlength=len(x))
 
 
-def entire_pair(z):  # sinh(w)/w and (cosh(w) - 1)/w^2 with w^2 = z of either sign
+def entire_pair(z):
+    """Return sinh(w)/w and (cosh(w) - 1)/w^2 with w^2 = z of either sign."""
     if abs(z) < 0.1:
         s = sum(z**k / float(np.prod(np.arange(1, 2 * k + 2))) for k in range(9))
         return s, sum(z**k / float(np.prod(np.arange(1, 2 * k + 3))) for k in range(9))
@@ -33,6 +36,7 @@ def entire_pair(z):  # sinh(w)/w and (cosh(w) - 1)/w^2 with w^2 = z of either si
 
 
 def apply_block(table, b, theta, x):
+    """Return the exponential of a block, times x."""
     entries = slice(table["state_entry"][b], table["state_entry"][b + 1])
     angle = theta[table["state_angle"][entries][0]]
     if table["state_kind"][b] == 5:
@@ -51,7 +55,8 @@ def apply_block(table, b, theta, x):
     return np.exp(mean) * (x + s * first + c * second)
 
 
-def body_flow(table, part, tau, x):  # the power series of x' = sum theta_a(x) D_a x, in pieces
+def body_flow(table, part, tau, x):
+    """Return the flow of x' = sum theta_a(x) D_a x, by its power series in pieces."""
     own = np.flatnonzero(table["state_part"] == part)
     reach = 8 * abs(tau) * sum(abs(angles(table, part, x))) * max(abs(table["state_value"][own]))
     for _ in range(pieces := max(1, int(np.ceil(reach)))):
@@ -64,6 +69,7 @@ def body_flow(table, part, tau, x):  # the power series of x' = sum theta_a(x) D
 
 
 def run(table, x, h, steps):
+    """Return the state after some steps, by the flows of the table."""
     if table["version"] > 3 or len(table["functions"]):
         raise ValueError("this reader knows tables up to version 3, without functions of the user")
     x, section, w = np.array(x, dtype=float), table["section"], np.where(table["frequency"], table["frequency"], 1.0)
@@ -82,7 +88,8 @@ def run(table, x, h, steps):
     return x
 
 
-def coefficients(table, values):  # for other values of linear parameters, by name
+def coefficients(table, values):
+    """Return the coefficients of the energy for other values of linear parameters, by name."""
     energy = table["energy"]["coefficients"].copy()
     for name, value in values.items():
         own = table["parameters"][name]
@@ -92,6 +99,7 @@ def coefficients(table, values):  # for other values of linear parameters, by na
 
 
 def with_coefficients(table, energy):
+    """Return the table for other coefficients of the energy."""
     shift, rest = after_shift(table, energy)
     fixed = [table["energy"]["monomials"][k] for k in table["fixed"] if energy[k] != table["energy"]["coefficients"][k]]
     if fixed:
@@ -102,12 +110,13 @@ def with_coefficients(table, energy):
     return {**table, **numbers, "shift": shift, "energy": {**table["energy"], "coefficients": energy}}
 
 
-def after_shift(table, energy):  # the Casimirs, with their factors, and the coefficients after they were subtracted
+def after_shift(table, energy):
+    """Return the Casimirs, with their factors, and the coefficients after they were subtracted."""
     number = {tuple(key): k for k, key in enumerate(table["energy"]["monomials"])}
     found, rest = [], energy.copy()
     for shift in table["shift"]:
         keys = [tuple(i for i, power in enumerate(exponents) for _ in range(power)) for exponents in shift["exponents"]]
-        casimir = {number[key]: float(c) for key, c in zip(keys, shift["coefficients"])}
+        casimir = {number[key]: float(c) for key, c in zip(keys, shift["coefficients"], strict=True)}
         removed = shift["monomial"]
         factor = shift["factor"] if removed is None else energy[removed] / casimir[removed]
         for k, c in casimir.items() if not table["bodies"] else ():

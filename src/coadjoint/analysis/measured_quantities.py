@@ -74,10 +74,7 @@ class Quantities:
         return found
 
     def tangents(self, x: Floats, tangents: Floats, parameters: Mapping[str, Floats], directions: Any) -> Any:
-        """Return the derivatives, with a first axis of unknowns, from those of the states, (unknowns, ...).
-
-        `directions` are those of the parameters by name, with a first axis of unknowns.
-        """
+        """Return the derivatives, with a first axis of unknowns, from those of the states and of the parameters."""
         sizes, speeds = self._groups.norms(x), self._groups.norms(tangents)
         with np.errstate(divide="ignore", invalid="ignore"):
             lengths = np.where((speeds > 0.0) & (sizes > 0.0), sizes / speeds, np.inf).min(axis=-1)
@@ -108,11 +105,8 @@ class Quantities:
 
 
 def _relative_size(value: Floats, direction: Floats) -> float:
-    """Return the smallest size of the entries of a parameter that a direction moves, in units of their motions.
-
-    The size of an entry of a square matrix is that of the diagonal, such as principal moments beside products; small
-    entries have a part of the largest one.
-    """
+    """Return the smallest size of the entries of a parameter that a direction moves, in units of their motions."""
+    # Products of inertia beside principal moments have the size of the diagonal; small entries a part of the largest.
     sizes = np.abs(value)
     if value.ndim == 2 and len(value) == value.shape[1] and np.diagonal(sizes).all():
         sizes = np.sqrt(np.multiply.outer(np.diagonal(sizes), np.diagonal(sizes)))

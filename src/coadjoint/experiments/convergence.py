@@ -33,10 +33,7 @@ class ReferenceProblem(NamedTuple):
 
 
 def reference_problem(system: System, x0: npt.ArrayLike, end: float) -> ReferenceProblem:
-    """Return a test problem whose exact end state comes from the closed form, or else from 8 Gauss stages.
-
-    8 stages have order 16; with step end/64 they are accurate to a few units of round-off.
-    """
+    """Return a test problem whose exact end state is that of 8 Gauss stages, accurate to a few units of round-off."""
     start = np.array(x0, dtype=np.float64)
     run = integrate(system, start, (0.0, end), end / 64, GaussLegendre(8), save_every=64, watch=False)
     return ReferenceProblem(system, start, end, run.x[-1])

@@ -11,10 +11,7 @@ HOLDS, LIMITED, FAILS = "holds", "holds with a limit", "does not hold"
 
 
 class Statement(NamedTuple):
-    """A row of the table: `key`, `place` in the paper, topic, the paper's claim, criterion, measurement and verdict.
-
-    The verdict is ``"holds"``, ``"holds with a limit"`` or ``"does not hold"``.
-    """
+    """A row of the table; the verdict is ``"holds"``, ``"holds with a limit"`` or ``"does not hold"``."""
 
     key: str
     place: str

@@ -22,11 +22,9 @@ def stage_iterates(system: LiePoissonSystem, stages: int, h: float, x: Floats, c
 
 
 def step_matrix(system: LiePoissonSystem, frozen: Floats, h: float, freeze: str) -> Floats:
-    """Return B of the Gauss step for x' = W_j x, W_j frozen at given stages (s, n) (equations (7), (8)); H = x.Mx/2.
-
-    `freeze`: "structure", W_j = sign J(X_j) M, gives M-orthogonal B; "gradient", W_j = sign D_u with u = M X_j,
-    orthogonal B on so(3).
-    """
+    """Return B of the Gauss step for x' = W_j x, W_j frozen at given stages (s, n) (equations (7), (8)); H = x.Mx/2."""
+    # `freeze`: "structure", W_j = sign J(X_j) M, gives M-orthogonal B; "gradient", W_j = sign D_u with u = M X_j,
+    # orthogonal B on so(3).
     stages, n = frozen.shape
     _, weights, mu = gauss_legendre(stages)
     M = system.hamiltonian.hessian(frozen[0])

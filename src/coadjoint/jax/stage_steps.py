@@ -24,10 +24,9 @@ TERMS, MOST_PARTS = 18, 4
 
 
 class Field:
-    """The field of a Hamiltonian of polynomials and functions, and exponentials of the algebra.
+    """The field of a Hamiltonian of polynomials and functions, and exponentials of the algebra."""
 
-    `monomials` have coefficients, the energy in the arguments of the methods.
-    """
+    # `monomials` have coefficients, the energy in the arguments of the methods.
 
     def __init__(self, system: Any, monomials: Any) -> None:
         self.sign, n = system.sign, system.dim

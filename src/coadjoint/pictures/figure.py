@@ -14,13 +14,7 @@ VECTOR_DPI = 300.0
 
 
 class ShownFigure(Figure):
-    """Matplotlib figure that represents itself as PNG; no global state is changed.
-
-    Examples
-    --------
-    >>> ShownFigure(figsize=(1, 1))._repr_png_()[1:4]
-    b'PNG'
-    """
+    """Matplotlib figure that represents itself as PNG; no global state is changed."""
 
     def savefig(self, fname: Any, **options: Any) -> None:
         """Save the figure; parts of vector files that are images have 300 dots per inch unless `dpi` is given."""

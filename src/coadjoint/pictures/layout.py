@@ -27,10 +27,7 @@ MIN_WRAPPED = 60.0
 
 
 class PanelLayout(ConstrainedLayoutEngine):
-    """Constrained layout at each drawing, after which titles and labels are wrapped to the sizes of their panels.
-
-    Figures can therefore be resized. Texts that are set later are wrapped as well.
-    """
+    """Constrained layout at each drawing, after which titles and labels are wrapped to the sizes of their panels."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)

@@ -17,17 +17,7 @@ EQUAL_ENERGIES = 1e-6
 
 
 class MemberColours:
-    """Colours of the drawn members: one for a single member or equal energies, otherwise by the energy at the start.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> sol = co.integrate(body, [(1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 0)], t_span=(0, 1), step=0.1)
-    >>> colours = MemberColours(PlottedRun(sol))
-    >>> colours[0] == colours[1], colours[1] == colours[2]
-    (False, True)
-    """
+    """Colours of the drawn members: one for equal energies at the start, otherwise by the energy."""
 
     def __init__(self, drawn: PlottedRun) -> None:
         from matplotlib import colormaps

@@ -13,20 +13,14 @@ Floats = npt.NDArray[np.float64]
 
 
 class PathUpdate:
-    """Update of a picture of paths to another saved point, as movies need it.
-
-    The picture shows the whole paths first. `drawn` is the run at its saved points, `title` the title of the axes.
-    """
+    """Update of a picture of paths to another saved point, as movies need it; it shows the whole paths first."""
 
     def __init__(self, drawn: PlottedRun, axes: Any, title: str) -> None:
         self._axes, self._title, self._t = axes, title, drawn.t
         self._paths: list[tuple[Floats, Floats | None, list[tuple[Any, Any]], Any]] = []
 
     def add(self, lines: list[Any], times: Floats, points: Floats | None = None, head: Any = None) -> None:
-        """Add lines of k points with their times (k,), and the points (k, 2) or (k, 3) of a mark that moves with them.
-
-        `head` is this mark, a line of one point; by default a movie adds one.
-        """
+        """Add lines of k points with their times (k,), and the points of a mark that moves with them (or a new one)."""
         full = [(line, line.get_data_3d() if hasattr(line, "get_data_3d") else line.get_data()) for line in lines]
         self._paths.append((times, points, full, head))
 

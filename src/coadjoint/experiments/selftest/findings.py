@@ -8,17 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check: the property, its value and bound, and the scheme and system nearest to failing.
-
-    `least`: the bound is a lower one, as for an order. `skipped`: the reason why the check was skipped, or empty.
-
-    Examples
-    --------
-    >>> print(Finding("order of Splitting(order=4)", 3.96, 3.5, "su(3)", least=True))
-    ok    order of Splitting(order=4)                        3.96   at least     3.5  su(3)
-    >>> Finding("Casimirs", float("nan"), 1e-13).passed
-    False
-    """
+    """Result of one check, with its value, its bound (a lower one if `least`), and the subject nearest to failing."""
 
     what: str
     measured: float = math.nan

@@ -57,10 +57,7 @@ def body_axis(
 
 
 def axis_in_space(drawn: PlottedRun, axis: Any, up: Any) -> tuple[Floats, str]:
-    """Return the path of a body axis in space, unit vectors (members, k, 3), and the name of the axis.
-
-    `axis` and `up` are those of `body_axis`. Raises CannotShow without an attitude that is a rotation.
-    """
+    """Return the path of a body axis in space, unit vectors (members, k, 3), and the name of the axis."""
     A = drawn.rotation
     if A is None:
         raise CannotShow("the run has no attitude that is a rotation; integrate with attitude=True")

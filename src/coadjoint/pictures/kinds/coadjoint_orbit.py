@@ -69,11 +69,8 @@ def draw_orbit(
     on_surface: bool = True,
     shades: MemberColours | None = None,
 ) -> tuple[list[Any], str]:
-    """Draw orbits (members, k, 3) and the level surface of a Casimir through the first point of the first orbit.
-
-    Points are dots unless `joined`. `on_surface` is false if forces move the orbits away from the surface. Parts of
-    orbits behind the surface are faint. Returns the lines of the orbits, and the title without a note.
-    """
+    """Draw orbits (members, k, 3) and the level surface of a Casimir; return their lines, and the title."""
+    # The surface passes through the first point of the first orbit. Parts of orbits behind it are faint.
     from coadjoint.pictures.hidden_lines import FadingLine, Hides, hides_behind
 
     name = surface_casimir(casimirs)
