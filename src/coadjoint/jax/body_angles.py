@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from coadjoint.jax.body_motion import PAIRS, after, motion
-from coadjoint.jax.sparse import sparse
+from coadjoint.jax.stage_steps import sparse
 
 # The sine above which the rotation about the second axis counts as near a right angle.
 UPRIGHT = 0.9

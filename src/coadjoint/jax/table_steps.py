@@ -17,8 +17,7 @@ from jax import lax
 from jax.scipy.linalg import expm
 
 from coadjoint.jax.body_angles import BodyAngles
-from coadjoint.jax.sparse import Sparse, sparse
-from coadjoint.jax.stage_steps import gradient_of
+from coadjoint.jax.stage_steps import Sparse, gradient_of, sparse
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, Kind
 from coadjoint.program.shifts.group_correction import UnshiftTables
 

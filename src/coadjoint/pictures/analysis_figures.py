@@ -34,8 +34,7 @@ MAX_POINTS = 5000
 def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line."""
     require_packages("drawing a phase error", "matplotlib")
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     figure = ShownFigure(figsize=(7.2, 5.4), layout=PanelLayout())
     lead, rest = figure.subplots(2, 1, sharex=True)
@@ -77,8 +76,7 @@ def draw_structure_factor(spectrum: Any) -> Figure:
     require_packages("drawing a structure factor", "matplotlib")
     from matplotlib.colors import LogNorm
 
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     figure = ShownFigure(figsize=(7.2, 4.2), layout=PanelLayout())
     axes = figure.add_subplot()
@@ -153,8 +151,7 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     """
     check_solution(solution)
     require_packages("drawing modified energies", "matplotlib")
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
     checked = [read_integer(order, "an order") for order in listed]

@@ -21,8 +21,7 @@ DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "po
 def draw_certificate(certificate: Any) -> Figure:
     """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts."""
     require_packages("drawing a certificate", "matplotlib")
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     figure = ShownFigure(figsize=(11.0, 7.6), layout=PanelLayout())
     grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.0])

@@ -196,8 +196,7 @@ class Panel:
 
 def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figure:
     """Return a figure of the panels, `width` inches wide; by default as wide as its columns need."""
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     columns = columns_of(
         panels, MAX_COLUMNS if width is None else max(1, min(MAX_COLUMNS, int(width / MIN_COLUMN_WIDTH)))

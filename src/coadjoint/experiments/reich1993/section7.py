@@ -9,16 +9,17 @@ import numpy as np
 
 from coadjoint.algebra import catalogue
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.convergence import (
+from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES
+from coadjoint.experiments.statements import (
     SLOPE_TOLERANCE,
+    Statement,
     fitted_drift,
     fitted_order,
+    judge,
     reference_problem,
     roundoff,
     within,
 )
-from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES
-from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.paths import MemberColours
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, Update, kind
 from coadjoint.pictures.series import draw_members, draw_series, from_start

@@ -1,8 +1,10 @@
-"""Measured orders of schemes: errors at a fixed time for several steps."""
+"""Statements of the literature with verdicts, and what they are measured by: orders, and steps as matrices."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,17 +12,69 @@ import numpy.typing as npt
 
 from coadjoint.analysis.powers import OrderFit, fit_order
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
 
+Floats = npt.NDArray[np.float64]
+HOLDS, LIMITED, FAILS = "holds", "holds with a limit", "does not hold"
 SLOPE_TOLERANCE = 0.2  # contribution of the next error term to a slope at the steps used here
 
 # Numbers of steps for slopes: few, large steps for high orders, which soon reach round-off; small ones for low orders,
 # whose slopes converge late.
 LOW_ORDER_COUNTS = (32, 64, 128, 256, 512)
 HIGH_ORDER_COUNTS = (12, 16, 24, 32, 48, 64, 96)
+
+
+class Statement(NamedTuple):
+    """A row of the table; the verdict is ``"holds"``, ``"holds with a limit"`` or ``"does not hold"``."""
+
+    key: str
+    place: str
+    statement: str
+    paper: str
+    criterion: str
+    measured: str
+    verdict: str
+
+
+def judge(
+    key: str,
+    place: str,
+    statement: str,
+    *,
+    paper: str,
+    criterion: str,
+    measured: str,
+    holds: bool,
+    limited: bool = False,
+) -> Statement:
+    """Return a row with its verdict: `holds` if the criterion is met, `limited` if the paper omits a limit."""
+    verdict = FAILS if not holds else LIMITED if limited else HOLDS
+    return Statement(key, place, statement, paper, criterion, measured, verdict)
+
+
+def write_csv(rows: Sequence[Statement], path: Path) -> None:
+    """Write the rows as comma-separated values with a header."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(Statement._fields)
+        writer.writerows(rows)
+
+
+def markdown(rows: Sequence[Statement]) -> str:
+    """Return the rows as a Markdown table."""
+    lines = [
+        "| place | statement | what the paper says | criterion | measured | verdict |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        cells = (cell.replace("|", r"\|").replace("\n", " ") for cell in row[1:])
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
 
 
 class ReferenceProblem(NamedTuple):
@@ -83,3 +137,30 @@ def within(measured: float, expected: float) -> bool:
     (True, False)
     """
     return abs(measured - expected) <= SLOPE_TOLERANCE
+
+
+def stage_iterates(system: LiePoissonSystem, stages: int, h: float, x: Floats, count: int) -> list[Floats]:
+    """Return the function iterates X^0 = x, ..., X^count of equation (6), each (s, n), for s Gauss stages."""
+    _, weights, mu = gauss_legendre(stages)
+    iterates = [np.tile(x, (stages, 1))]
+    for _ in range(count):
+        slopes = np.array([system.vector_field(X) for X in iterates[-1]])
+        iterates.append(x + h * (mu * weights) @ slopes)
+    return iterates
+
+
+def step_matrix(system: LiePoissonSystem, frozen: Floats, h: float, freeze: str) -> Floats:
+    """Return B of the Gauss step for x' = W_j x, W_j frozen at given stages (s, n) (equations (7), (8)); H = x.Mx/2."""
+    # `freeze`: "structure", W_j = sign J(X_j) M, gives M-orthogonal B; "gradient", W_j = sign D_u with u = M X_j,
+    # orthogonal B on so(3).
+    stages, n = frozen.shape
+    _, weights, mu = gauss_legendre(stages)
+    M = system.hamiltonian.hessian(frozen[0])
+    if freeze == "structure":
+        W = np.array([system.sign * system.structure_matrix(X) @ M for X in frozen])
+    else:
+        W = np.array([system.sign * system.algebra.coadjoint(M @ X) for X in frozen])
+    coupled = np.einsum("ij,jab->iajb", h * mu * weights, W).reshape(stages * n, stages * n)
+    right = np.tile(np.eye(n), (stages, 1))
+    points = np.linalg.solve(np.eye(stages * n) - coupled, right).reshape(stages, n, n)
+    return np.asarray(np.eye(n) + h * np.einsum("j,jab,jbc->ac", weights, W, points))
