@@ -405,32 +405,13 @@ def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
     assert enstrophy.sum() == pytest.approx(2 * np.pi, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("|x|^2", "$|x|^2$"),
-        ("energy", "$H$"),
-        ("log C", r"$\log C$"),
-        ("x1*x3 + x2^2", r"$x_{1}\,x_{3} + x_{2}^2$"),
-        ("my integral", "my integral"),
-        ("|x|^2 [12]", "$|x|^2$ [12]"),
-        ("|total L|^2", "|total L|^2"),
-        ("tr W Theta^3", r"$\mathrm{tr}\,W\,\Theta^3$"),
-    ],
-)
-def test_names_of_invariants_as_mathematical_text(name, text):
-    assert symbol(name) == text
-
-
-def test_maps_and_colours_of_directions():
-    up, middle, flat = direction_colours(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, -1.0, 0.0]]))
-    assert np.allclose(up, 1.0) and np.allclose(middle, 0.0) and np.allclose(flat, [0.9, 0.1, 0.1])
+def test_texts_maps_and_colours():
+    names = "|x|^2", "energy", "log C", "x1*x3 + x2^2", "my integral", "|x|^2 [12]", "|total L|^2", "tr W Theta^3"
+    texts = r"$|x|^2$; $H$; $\log C$; $x_{1}\,x_{3} + x_{2}^2$; my integral; $|x|^2$ [12]; |total L|^2"
+    assert "; ".join(map(symbol, names)) == texts + r"; $\mathrm{tr}\,W\,\Theta^3$"
+    colours = direction_colours(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, -1.0, 0.0]]))
+    assert np.allclose(colours, [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0], [0.9, 0.1, 0.1]])
     assert np.allclose(turned((90.0, 0.0)), [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)
     rows = np.array([[-1.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
     assert np.isclose(on_grid(rows, np.array([0.0, 3**0.5 / 2, 0.5])), 1 / 3)
-    assert [sites_of_row(*given) for given in (("chain", 20), ("chain", 100), (None, 100), ("square", 100))] == [
-        20,
-        15,
-        15,
-        100,
-    ]
+    assert (sites_of_row("chain", 20), sites_of_row(None, 100), sites_of_row("square", 100)) == (20, 15, 100)
