@@ -9,10 +9,10 @@ import pytest
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
-@pytest.mark.long
-def test_a_learned_network_predicts_and_keeps_casimirs(capsys):
-    runpy.run_path(str(EXAMPLES / "learned_network.py"))
-    assert "prediction is off" in capsys.readouterr().out
+@pytest.mark.parametrize("name", ["kalman_filter", pytest.param("learned_network", marks=pytest.mark.long)])
+def test_programs_that_check_their_results(name, capsys):
+    runpy.run_path(str(EXAMPLES / f"{name}.py"))
+    assert capsys.readouterr().out
 
 
 def test_the_least_effort_without_bias_is_that_of_a_double_integrator():
