@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem
-from coadjoint.analysis.measured_quantities import Quantities
+from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities
 from coadjoint.errors import MAX_LISTED_NAMES, IntegrationError, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
