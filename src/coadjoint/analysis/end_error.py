@@ -37,13 +37,9 @@ FEW_STEPS = 20
 
 @ignore_overflow
 def error_at_end(solution: Solution) -> NDArray[np.float64]:
-    """Estimate the errors at the end of a run, shape (1 + groups, members): of the state, and of each group.
-
-    They are relative to the largest momentum of the member, and to the largest one of the group. The run is compared
-    with one of 1.5 times as many steps, corrected by the order; if the difference is within round-off, also with a
-    further one; and if steps lose many digits, with one that rounds differently. Infinite if all four finer runs fail;
-    NaN without a last state.
-    """
+    """Estimate the relative errors at the end, (1 + groups, members): of the state, and of each group."""
+    # The run is compared with one of 1.5 times as many steps, corrected by the order; if the difference is within
+    # round-off, also with a further one; and if steps lose many digits, with one that rounds differently.
     system = solution.system
     if system.has_noise:
         raise TypeError(
@@ -97,11 +93,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
 
 
 def finer_run(method: Method, steps: int, times: float, order: int) -> FinerRun:
-    """Return the scheme and number of steps of a more accurate run than one of `steps` >= 1 steps.
-
-    The number of steps grows by the factor `times`; if the scheme chooses its own steps, they shrink by it. Its `left`
-    is the remaining fraction of the error according to the order, that of steps with forces if there are any.
-    """
+    """Return the scheme and number of steps of a run of `times` as many steps, and the fraction of the error `left`."""
     by_own_steps = method.finer(steps, times)
     if by_own_steps is not None:
         return by_own_steps
@@ -118,10 +110,7 @@ def _distances(
     finer: FinerRun,
     advance: Callable[[Run], None] = Run.advance,
 ) -> NDArray[np.float64]:
-    """Return the relative distances of end states from those of a finer run, corrected for the error of that run.
-
-    The first row is that of whole states, the others those of the groups of coordinates.
-    """
+    """Return the relative distances from the ends of a finer run, corrected for its error: of states, and of groups."""
     points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
     plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)

@@ -222,10 +222,9 @@ def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> F
 
 
 class _Curvature:
-    """The inverse of a second variation by the last descents, as in the method of Broyden et al. with little memory.
+    """The inverse of a second variation by the last descents, as in the method of Broyden et al. with little memory."""
 
-    Directions are elements of the algebra, which move x by exponentials, so that those of different x are compared.
-    """
+    # Directions are elements of the algebra, which move x by exponentials, so that those of different x are compared.
 
     def __init__(self) -> None:
         self.pairs: deque[tuple[Floats, Floats]] = deque(maxlen=MEMORY)
@@ -314,11 +313,8 @@ def _is_semidefinite(system: Any, x: Floats, direction: float) -> bool:
 
 
 def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
-    """Return the inverse of the absolute matrix with the sign of the direction, or of the matrix, times a gradient.
-
-    Eigenvalues that are zero have none. If a factorization shows that all have the sign and none is zero, they are not
-    computed, in a tenth of the time.
-    """
+    """Return the inverse of the absolute matrix with the sign of the direction, or of the matrix, times a gradient."""
+    # Eigenvalues that are zero have none. If a factorization shows that all have the sign, they are not computed.
     from scipy.linalg import LinAlgError, cho_factor, solve
 
     if direction:
@@ -354,10 +350,7 @@ def _is_definite(system: Any, orbit: Orbit, x: Floats, tangents: Tangents) -> bo
 
 
 def _has_positive_sum(matrices: list[Floats]) -> bool:
-    """Return whether a search finds a positive definite sum of the first matrix and multiples of the others.
-
-    The smallest eigenvalue is a concave function of the multipliers.
-    """
+    """Return whether a search finds a positive definite sum of the first matrix and multiples of the others."""
     from scipy.optimize import minimize
 
     def total(multipliers: Any) -> Floats:

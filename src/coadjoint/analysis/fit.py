@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem
-from coadjoint.analysis.measured_quantities import Quantities
+from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities
 from coadjoint.errors import MAX_LISTED_NAMES, IntegrationError, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
@@ -297,10 +296,7 @@ class _Names(NamedTuple):
     observe: Mapping[str, Any]
 
     def variance(self, name: str, x0: Floats) -> float:
-        """Return the mean square of the residuals for a name of "x"; NaN without a fit.
-
-        Residuals of half of the digits are none.
-        """
+        """Return the mean square of the residuals for a name of "x"; NaN without a fit, or for half of the digits."""
         given, of_x = self.squares, self.squares.weights["x"] * self.squares.targets["x"]
         targets, weights = (
             {name if key == "x" else key: one for key, one in values.items()}
@@ -319,11 +315,9 @@ class _Names(NamedTuple):
         return 2.0 * float(end.cost) / squares.degrees_of_freedom + UNIT_ROUNDOFF * float(np.mean(of_x**2))
 
     def are_rates(self, x0: Floats) -> bool:
-        """Test whether the momenta of a body are its angular velocities, whatever sigma is, from the fitted x0.
-
-        For normal errors of any size a ratio of likelihoods in favour of the wrong name is above 1 / p with a
-        probability of at most p.
-        """
+        """Test whether the momenta of a body are its angular velocities, whatever sigma is, from the fitted x0."""
+        # For normal errors of any size, a ratio of likelihoods in favour of the wrong name exceeds 1 / p with a
+        # probability of at most p.
         known, n, targets = Quantities.names_of(self.ready, self.observe), self.ready.system.dim, self.squares.targets
         if "x" not in targets or n != 3 or "angular_velocity" in targets or "angular_velocity" not in known:
             return False

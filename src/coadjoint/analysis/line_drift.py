@@ -103,10 +103,7 @@ def line_drift(
 def demodulated(
     t: NDArray[np.float64], values: NDArray[Any], w: float, weight: NDArray[np.float64], starts: NDArray[np.int64]
 ) -> NDArray[np.complex128]:
-    """Return the complex amplitude of a line in each window, shape (windows, channels); half of it for a real signal.
-
-    The signal has shape (k, channels); `weight` is the window, of sum one, and `starts` are its first indices.
-    """
+    """Return the complex amplitude of a line in each window, (windows, channels); half of it for a real signal."""
     slow = values * np.exp(-1j * w * t)[:, None]
     return np.array([weight @ slow[first : first + len(weight)] for first in starts])
 

@@ -254,12 +254,7 @@ def frame_of(count: int, size: int) -> NDArray[np.float64]:
 
 
 class Stretching(NamedTuple):
-    """Result of `stretching`.
-
-    `logarithms` (points, members, k) are those of the stretching factors of the vectors since the start; NaN after a
-    failure. `by` is "compiled", or "formula", "complex step" or "differences" for tangents in Python. `run` has the
-    failures.
-    """
+    """Logarithms of the stretching factors since the start, (points, members, k), NaN after a failure."""
 
     logarithms: NDArray[np.float64]
     by: str
@@ -269,11 +264,7 @@ class Stretching(NamedTuple):
 def stretching(
     system: System | Batch, method: Method, times: Times, start: Start, frame: Frame, workers: int
 ) -> Stretching:
-    """Carry the orthonormal tangent vectors of `frame` along a run of every member.
-
-    `times` has the saved steps as marks; `start` has no group element. ValueError or TypeError: the scheme cannot be
-    used for the system, or a derivative is unknown.
-    """
+    """Carry the orthonormal tangent vectors of `frame` along a run of every member."""
     systems = tuple(system) if system.is_batch else (system,)
     prepared = []
     for m, member in enumerate(systems):
@@ -350,17 +341,7 @@ def _follow(
 
 
 def make_orthonormal(vectors: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Orthonormalize the columns of (n, k) in place by modified Gram-Schmidt.
-
-    Return the length of each column after the projections, (k,); None if a column is not finite or depends on the
-    previous ones.
-
-    Examples
-    --------
-    >>> vectors = np.array([[3.0, 5.0], [0.0, 2.0]])
-    >>> make_orthonormal(vectors).tolist(), vectors.tolist()
-    ([3.0, 2.0], [[1.0, 0.0], [0.0, 1.0]])
-    """
+    """Orthonormalize columns in place by modified Gram-Schmidt; return their lengths, None if they are dependent."""
     # cumsum adds in the order of the indices on every machine.
     lengths = np.sqrt(np.cumsum(vectors**2, axis=0)[-1])
     for r in range(vectors.shape[1]):

@@ -57,10 +57,7 @@ class Orbit:
 
 
 class ScaledSystem:
-    """A system in coordinates y = x / units, in which groups of coordinates of very different sizes have the size one.
-
-    It has what the study of orbits needs; Casimirs are not among it.
-    """
+    """A system in coordinates y = x / units, with what the study of orbits needs."""
 
     def __init__(self, system: Any, units: Floats) -> None:
         i, j, k, c = system.algebra.triples
@@ -107,10 +104,7 @@ def units_of(system: Any, x: Floats) -> Floats:
 
 
 class Tangents(NamedTuple):
-    """The tangent space of an orbit: P = sign J(x), an orthonormal basis (n, r), and its blocks on direct summands.
-
-    A block is the coordinates of a summand and the columns of its basis.
-    """
+    """The tangent space of an orbit: P = sign J(x), an orthonormal basis (n, r), and its blocks on direct summands."""
 
     P: Floats
     basis: Floats

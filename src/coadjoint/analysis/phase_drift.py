@@ -236,11 +236,7 @@ def _attitude(run: Solution, member: int | None, name: str) -> Floats:
 
 
 def _with_line(t: Floats, values: Floats, unit: str) -> PhaseDrift:
-    """Fit a straight line to a series at ordered times (at least 16), with the growth of the deviations from it.
-
-    The uncertainty is a standard error of the slope that allows for correlated deviations: the true slope is within two
-    of it for nine of ten series. The exponent H is the power of the length of a piece with which deviations grow.
-    """
+    """Fit a straight line to a series at ordered times (at least 16), with the growth of the deviations from it."""
     # Uncertainty: for B blocks of neighbouring samples, deviations r and distances d from the middle time, the sums of
     # d r over each block are independent if the blocks are long enough. The slope then has the variance B / (B - 2) *
     # sum (block sums)^2 / (sum d^2)^2. The sufficient length is unknown, so the largest value for B = 4 to 32 is taken.

@@ -23,12 +23,7 @@ TOLERANCE = 2.0**-30  # largest difference of the polynomials of both degrees, r
 
 
 def motion_of(system: System, reference: Any, x0: ArrayLike, member: int | None = None) -> Motion:
-    """Return the reference motion as a function of times (k,) to states (k, n), NaN outside the span of a run.
-
-    The reference is None for the closed form from x0 at time zero, a function of times, or a run, of which `member` is
-    used if it is an ensemble. Raise TypeError or ValueError for other references, and for runs that cannot be
-    interpolated.
-    """
+    """Return the motion of a closed form (None), a function or a run, as a function of times; NaN outside of a run."""
     if reference is None:
         if system.algebra is None or system.closed_form is None:
             raise TypeError(

@@ -117,12 +117,7 @@ def twist(A: npt.ArrayLike, B: npt.ArrayLike, axis: npt.ArrayLike) -> Any:
 
 
 def acts_by_rotations(system: Any) -> bool:
-    """Return whether the group elements of a system are rotations of space that carry its momentum.
-
-    >>> import coadjoint as co
-    >>> acts_by_rotations(co.systems.rigid_body()), acts_by_rotations(co.systems.paper_a37())
-    (True, False)
-    """
+    """Return whether the group elements of a system are rotations of space that carry its momentum."""
     rotations: Any = catalogue.so(3).representation
     return np.array_equal(system.representation, rotations)
 

@@ -19,12 +19,10 @@ NOISE_BINS = 32  # bins on either side of a line whose median power is its noise
 
 
 class Lines(NamedTuple):
-    """Spectral lines of some members, on times from -1 to 1.
+    """Spectral lines of some members, on times from -1 to 1: mean + Re(sum_k a_k exp(i w_k s)) for a real signal."""
 
-    Shapes: frequency (members, lines), in radians per unit of that time; amplitude (members, lines, channels), complex,
-    with f = mean + Re(sum_k a_k exp(i w_k s)) for a real signal; mean (members, channels); residual (members, samples,
-    channels), the signal minus mean and lines; present (members, lines), whether the line is above round-off.
-    """
+    # Shapes: frequency (members, lines), amplitude (members, lines, channels), mean (members, channels), residual
+    # (members, samples, channels), present (members, lines).
 
     frequency: Floats
     amplitude: NDArray[np.complex128]
@@ -45,10 +43,7 @@ def hann(s: Floats, power: int) -> Floats:
 
 
 def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines:
-    """Find the strongest lines of signals (members, samples, channels) one after the other, then refine them together.
-
-    The times s are equidistant from -1 to 1. The channels share their frequencies. Lines are in the order of detection.
-    """
+    """Find the strongest lines of signals (members, samples, channels) one by one, then refine them together."""
     weight = hann(s, power)
     members, _, channels = values.shape
     lines = Lines(
@@ -75,10 +70,7 @@ def find_lines(s: Floats, values: NDArray[Any], count: int, power: int) -> Lines
 def refine_lines(
     s: Floats, values: NDArray[Any], frequency: Floats, present: NDArray[np.bool_], weight: Floats, iterations: int
 ) -> Lines:
-    """Refine frequencies (members, lines) by Gauss-Newton steps with eliminated amplitudes (variable projection).
-
-    Only frequencies in `present` change.
-    """
+    """Refine frequencies (members, lines) in `present` by Gauss-Newton steps with eliminated amplitudes."""
     # With columns B = (1, cos w_k s, sin w_k s), or (1, exp(i w_k s)), the derivatives by w_k lie in the span of s B: a
     # step needs only the Gram matrix of (B, s B) and its products with the residual.
     w = frequency.copy()
@@ -109,11 +101,9 @@ def refine_lines(
 
 
 def frequency_uncertainty(lines: Lines, s: Floats, power: int) -> Floats:
-    """Return the standard error of each frequency due to noise near its line, shape (members, lines).
-
-    The noise is the median power of the residual near the line, which is insensitive to further lines, without the bins
-    at the line, from which the fit has removed noise; for white noise the error is unbiased.
-    """
+    """Return the standard error of each frequency due to noise near its line, shape (members, lines)."""
+    # The noise is the median power of the residual near the line, insensitive to further lines, without the bins
+    # at the line, from which the fit has removed noise; for white noise the error is unbiased.
     weight = hann(s, power)
     real = not np.iscomplexobj(lines.residual)
     spectrum = _spectrum(lines.residual, weight)

@@ -22,10 +22,7 @@ BYTES_PER_ENTRY = 80  # peak, while the couplings are sorted by sublattice
 
 @dataclass(frozen=True, eq=False)
 class SpinEnergy:
-    """``H = S . W S / 2 + sum_i S_i . A_i S_i / 2 + linear . S + constant`` of spins, W without on-site blocks.
-
-    `coupling` is W, sparse, (3 sites, 3 sites); `on_site` is A, (sites, 3, 3).
-    """
+    """``H = S . W S / 2 + sum_i S_i . A_i S_i / 2 + linear . S + constant`` of spins; W is sparse."""
 
     coupling: Any
     on_site: Floats

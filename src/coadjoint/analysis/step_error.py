@@ -80,11 +80,9 @@ def loses_digits(solution: Solution) -> bool:
 
 
 class Worst(NamedTuple):
-    """The largest error of a step among the members, with its member.
+    """The largest error of a step among the members; `truncation` is the part that shorter steps reduce."""
 
-    `truncation` is the part of the error that shorter steps reduce. Of a run at rest `total` is such an error in each
-    of its steps, relative to the state, else infinite.
-    """
+    # Of a run at rest `total` is such an error in each of its steps, relative to the state, else infinite.
 
     error: float
     truncation: float
@@ -188,10 +186,7 @@ class _Measured:
         return bool(np.any(self.rounding > EXCESS * self.sizes))
 
     def _weights(self) -> Floats:
-        """Return the weights of the groups, (members, groups): one over their sizes, if there are several.
-
-        Groups that start at zero, but for rounding, have no size of their own, and take that of the state.
-        """
+        """Return the weights of the groups, (members, groups); groups that start at zero take the size of the state."""
         if self.groups.count == 1:
             return np.ones_like(self.sizes)
         whole = np.sqrt(np.sum(self.sizes**2, axis=1, keepdims=True))
@@ -252,11 +247,9 @@ class _Measured:
 
     @ignore_overflow
     def rounded_group(self) -> Rounded | None:
-        """Return the group that rounding changes most in the run of a member, relative to its size; None if little.
-
-        If a step loses so many digits that the run could, the run of that member is repeated, or the part of it that
-        few steps reach, with rounding up and down in turns. Groups that are zero but for rounding are left out.
-        """
+        """Return the group that rounding changes most in the run of a member, relative to its size; None if little."""
+        # If a step loses so many digits that the run could, the run of that member is repeated, or the part of it that
+        # few steps reach, with rounding up and down in turns. Groups that are zero but for rounding are left out.
         if not self.lossy:
             return None
         counts = np.array([self.step_count(m) for m in range(len(self.members))])[:, None]
@@ -304,11 +297,8 @@ class _Measured:
         return max(moves) / float(self.sizes[m, group]) if by_angle else 0.0
 
     def _passages(self) -> tuple[tuple[int, int] | None, int]:
-        """Return the fastest passage, and the saved interval over which the states change least.
-
-        The passage is the member, among the chosen ones, and the saved interval; None if no passage is much faster than
-        the rest. Of long runs, first the fastest of many equal pieces is found.
-        """
+        """Return the fastest passage (member and saved interval, or None), and the interval of the least change."""
+        # Of long runs, first the fastest of many equal pieces is found.
         solution, members = self.solution, self.members
         count = len(solution.t) - 1
         stride = min(count, max(1, count * len(members) * self.system.dim // NUMBERS))
@@ -336,10 +326,7 @@ class _Measured:
         return (m, first + int(np.argmax(inner))), closest
 
     def _error_inside(self, k: int) -> list[tuple[float, int]]:
-        """Return the error of the fastest step after saved point k, of the member with the fastest passage, and it.
-
-        The list is empty if no member has one. States that return between saved points do not show their passages.
-        """
+        """Return the error of the fastest step after saved point k, of the member with the fastest passage, and it."""
         solution, prepared, members, h = self.solution, self.prepared, self.members, self.h
         steps = _steps_after(solution, k, h)
         states = states_at(solution, members, k)

@@ -117,10 +117,8 @@ def moved(algebra: LieAlgebra, x: Floats, gradients: Floats) -> Floats:
 
 
 def complement_of_casimirs(algebra: LieAlgebra, exponents: NDArray[np.int64]) -> Floats:
-    """Return an orthonormal basis (p, q) of the coefficients orthogonal to those of all Casimirs.
-
-    Casimirs are the combinations that move no state; generic states suffice to find them.
-    """
+    """Return an orthonormal basis (p, q) of the coefficients orthogonal to those of all Casimirs."""
+    # Casimirs are the combinations that move no state; generic states suffice to find them.
     n, p = algebra.dim, len(exponents)
     count = 2 + 2 * p // max(1, n - 1)
     states = np.random.default_rng(0).standard_normal((count, n))
@@ -163,10 +161,8 @@ def in_basis(group: Equations, complement: Floats) -> Equations:
 
 
 def whitened_equations(data: Samples, group: Equations, H: Polynomial | None, noise: Floats) -> tuple[Floats, Floats]:
-    """Return matrix and right-hand side divided by a root of the covariance of their errors; without H of the latter.
-
-    Samples x + e change the equations by sum_t (psi dF/dx + psi') e, with the field F of H.
-    """
+    """Return matrix and right-hand side, divided by a root of the covariance of errors, of the latter without H."""
+    # Samples x + e change the equations by sum_t (psi dF/dx + psi') e, with the field F of H.
     w, n = group.b.shape
     by_sample = np.einsum("wt,il->witl", group.slope, np.eye(n))
     if H is not None:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from coadjoint.jax.body_motion import PAIRS, after, motion
-from coadjoint.jax.sparse import sparse
+from coadjoint.jax.stage_steps import sparse
 
 # The sine above which the rotation about the second axis counts as near a right angle.
 UPRIGHT = 0.9
@@ -19,10 +19,7 @@ AXES = (2, 0, 1, 2)
 
 
 class BodyAngles:
-    """Angles of the four rotations of each free body, or bond, of a part.
-
-    A bond is a spherical body whose momentum is the sum of two. Body b has the angles 4 b to 4 b + 3.
-    """
+    """Angles 4 b to 4 b + 3 of the rotations of body b of a part; a bond is a spherical body with two momenta."""
 
     def __init__(self, table: Mapping[str, Any], part: int) -> None:
         own = table["state_part"] == part
@@ -73,11 +70,8 @@ class BodyAngles:
 
 
 def _coordinates(columns: Any, generators: Any) -> tuple[list[list[int]], Any]:
-    """Return the three coordinates of a body, or of both spins of a bond, and the scale of its elements.
-
-    `generators` have the column and the value of the entry in each row. Times the scale, the elements have the
-    brackets [1, 2] = 3, [2, 3] = 1, [3, 1] = 2.
-    """
+    """Return the three coordinates of a body, or of both spins of a bond, and the scale of its elements."""
+    # Times the scale, the elements have the brackets [1, 2] = 3, [2, 3] = 1, [3, 1] = 2.
     used = sorted({column for row in columns for column in row})
     if len(used) == 6:
         pairs = np.transpose(columns).tolist()

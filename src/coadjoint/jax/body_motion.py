@@ -104,10 +104,8 @@ def motion(x: Any, m: Any) -> tuple[Any, Any]:
 
 
 def differentiated_forward(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function from vectors to a vector whose derivatives, of any order and mode, are computed forward.
-
-    For loops whose number of rounds depends on the arguments, through which there is no reverse mode.
-    """
+    """Return a function from vectors to a vector whose derivatives, of any order and mode, are computed forward."""
+    # For loops whose number of rounds depends on the arguments, through which there is no reverse mode.
     differentiable = jax.custom_jvp(function)
 
     def rule(values: Any, tangents: Any) -> Any:

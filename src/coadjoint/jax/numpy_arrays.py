@@ -114,10 +114,7 @@ def plain(value: Any) -> Any:
 
 
 def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
-    """Return a function for arrays of JAX, of one that is written with JAX, or with NumPy for Numba.
-
-    Both branches of a decision are computed. Raises TypeError, with the reason, when it is traced.
-    """
+    """Return a function for arrays of JAX, of one that is written with JAX, or with NumPy for Numba."""
     function = getattr(function, "py_func", function)
 
     @wraps(function, updated=())

@@ -1,8 +1,8 @@
-"""Fields of Hamiltonians, and steps of implicit Runge-Kutta methods, with a fixed number of iterations."""
+"""Sparse matrices, fields of Hamiltonians, and implicit Runge-Kutta steps with a fixed number of iterations."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -10,7 +10,6 @@ import numpy as np
 from jax import lax
 
 from coadjoint.jax.numpy_arrays import on_jax
-from coadjoint.jax.sparse import Sparse, sparse
 from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
@@ -21,13 +20,42 @@ ITERATIONS = 20
 LARGEST_CORRECTION = 1e-10
 # Terms of an exponential in a part of norm one, and the largest norm; beyond it the result is NaN.
 TERMS, MOST_PARTS = 18, 4
+# Entries of matrices that are stored with their zeros: products of small ones are faster than gathers.
+MOST_DENSE = 2**12
+
+
+class Sparse(NamedTuple):
+    """A sparse matrix: dense if it is small, otherwise padded rows, with the column of each entry."""
+
+    values: Any
+    columns: Any
+
+    def times(self, x: Any) -> Any:
+        """Multiply a vector."""
+        if self.columns is None:
+            return (self.values * x).sum(-1)
+        return (self.values * x[self.columns]).sum(-1)
+
+
+def sparse(rows: Any, columns: Any, values: Any, shape: tuple[int, int]) -> Sparse:
+    """Return the matrix with these entries, of which none is repeated; `values` may be traced."""
+    rows, columns = np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
+    if shape[0] * shape[1] <= MOST_DENSE:
+        return Sparse(jnp.zeros(shape).at[rows, columns].add(values), None)
+    order = np.argsort(rows, kind="stable")
+    starts = np.searchsorted(rows[order], np.arange(shape[0] + 1))
+    place = np.empty(len(rows), dtype=np.int64)
+    place[order] = np.arange(len(rows)) - starts[rows[order]]
+    width = int(np.max(np.diff(starts), initial=1))
+    padded = np.zeros((shape[0], width), dtype=np.int64)
+    padded[rows, place] = columns
+    return Sparse(jnp.zeros((shape[0], width)).at[rows, place].add(values), padded)
 
 
 class Field:
-    """The field of a Hamiltonian of polynomials and functions, and exponentials of the algebra.
+    """The field of a Hamiltonian of polynomials and functions, and exponentials of the algebra."""
 
-    `monomials` have coefficients, the energy in the arguments of the methods.
-    """
+    # `monomials` have coefficients, the energy in the arguments of the methods.
 
     def __init__(self, system: Any, monomials: Any) -> None:
         self.sign, n = system.sign, system.dim

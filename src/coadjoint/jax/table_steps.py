@@ -17,8 +17,7 @@ from jax import lax
 from jax.scipy.linalg import expm
 
 from coadjoint.jax.body_angles import BodyAngles
-from coadjoint.jax.sparse import Sparse, sparse
-from coadjoint.jax.stage_steps import gradient_of
+from coadjoint.jax.stage_steps import Sparse, gradient_of, sparse
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, Kind
 from coadjoint.program.shifts.group_correction import UnshiftTables
 
@@ -103,12 +102,10 @@ def _exponential_jvp(values: Any, tangents: Any) -> Any:
 
 
 class Angles(NamedTuple):
-    """Angles of a part as sums over factors in (linear terms) or over monomials of coordinates.
+    """Angles of a part as sums over factors in (linear terms) or over monomials of coordinates."""
 
-    `row`, `number` and `factor` are of each summand: its angle, its number among the dependent ones, and the multiple
-    of it; `coordinates` are those that are multiplied, padded by one behind the last coordinate, where there is a one.
-    `functions` have first angles, coordinates and gradients of functions in the energy.
-    """
+    # `row`, `number` and `factor` are of each summand: its angle, its number among the dependent ones, and the multiple
+    # of it; `coordinates` are multiplied, padded by one behind the last coordinate, where there is a one.
 
     size: int
     dim: int
@@ -169,10 +166,7 @@ class Part:
 
 
 class TableSteps:
-    """Steps of a splitting, from its table.
-
-    Between steps the state is unfinished: `begin` undoes the finish, so that all steps have the same flows.
-    """
+    """Steps of a splitting, from its table; `begin` undoes the finish, so that all steps have the same flows."""
 
     def __init__(
         self, table: Table, functions: Mapping[int, Any], side: int | None, unshift: Sequence[UnshiftTables]
@@ -213,10 +207,7 @@ class TableSteps:
         return self._flows(constants, self.step_rows, t, h, state)
 
     def finish(self, constants: Any, state: State, t: Any, h: Any, start: State, elapsed: Any) -> State:
-        """Return the finished state, with the attitude from the element of a run from `start`.
-
-        The time t is that of the last step. Subtracted Casimirs turn it by a constant generator.
-        """
+        """Return the finished state, with the attitude, which subtracted Casimirs turn, from the element of a run."""
         (x, element), (x0, attitude) = self._flows(constants, self.finish_rows, t, h, state), start
         if self.side is None:
             return x, None
@@ -276,10 +267,7 @@ def product(A: Any, B: Any) -> Any:
 
 
 def _after_shift(table: Table) -> Callable[..., tuple[Any, Any]]:
-    """Return the function that subtracts Casimirs, whose factors may follow coefficients, from those of the energy.
-
-    It also returns the factors.
-    """
+    """Return the function that subtracts Casimirs from the coefficients of the energy, and returns the factors."""
     monomials = {tuple(key): k for k, key in enumerate(table["energy"]["monomials"])}
     shifts = [] if table["bodies"] else table["shift"]
     found = [
@@ -335,10 +323,7 @@ def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -
 
 
 def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[Layer | SeriesBlock]:
-    """Return the blocks of a part with `count` angles in layers, in an order in which overlapping blocks remain.
-
-    They act on n coordinates, of the "state" or of a row of the "group" element.
-    """
+    """Return the blocks of a part in layers, in an order in which overlapping blocks remain, on n coordinates."""
     prefix = f"{action}_"
     table = {name.removeprefix(prefix): column for name, column in table.items() if name.startswith(prefix)}
     level, layers = np.zeros(n, dtype=np.int64), dict[int, list[int]]()

@@ -352,10 +352,8 @@ def _of_group(program: Any, group: Any) -> tuple[int | None, list[Any]]:
 
 
 def scan_in_segments(body: Callable[..., Any], carry: Any, xs: Any) -> Any:
-    """Return `lax.scan` of a body over numbers, with states stored for reverse mode at segments only.
-
-    The steps of a segment are computed again from its first state, and each step from its own.
-    """
+    """Return `lax.scan` of a body over numbers, with states stored for reverse mode at segments only."""
+    # The steps of a segment are computed again from its first state, and each step from its own.
     body, count = jax.checkpoint(body, prevent_cse=False), len(xs)
     root = math.isqrt(count)
     if count < SHORTEST:

@@ -32,18 +32,9 @@ MAX_POINTS = 5000
 
 @with_figure_settings
 def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
-    """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line.
-
-    Examples
-    --------
-    >>> from coadjoint.analysis.phase_drift import drift_of_series
-    >>> t = np.arange(400) * 0.5
-    >>> [axes.get_ylabel() for axes in draw_phase_drift(drift_of_series(t, 0.1 * t + np.cos(t))).axes]
-    ['lead [unit of time]', 'lead - line']
-    """
+    """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line."""
     require_packages("drawing a phase error", "matplotlib")
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     figure = ShownFigure(figsize=(7.2, 5.4), layout=PanelLayout())
     lead, rest = figure.subplots(2, 1, sharex=True)
@@ -70,13 +61,7 @@ def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
 
 
 def with_error(value: float, error: float) -> str:
-    r"""Format a value with its (nonnegative) error as mathematical text, with two digits of the error.
-
-    Examples
-    --------
-    >>> with_error(-0.00123456, 1.2e-6)
-    '$(-1.2346 \\pm 0.0012) \\times 10^{-3}$'
-    """
+    """Format a value with its error as mathematical text, with two digits of the error."""
     scale = max(abs(value), error)
     if not scale > 0.0 or not np.isfinite(scale):
         return f"${value:.3g}$"
@@ -91,8 +76,7 @@ def draw_structure_factor(spectrum: Any) -> Figure:
     require_packages("drawing a structure factor", "matplotlib")
     from matplotlib.colors import LogNorm
 
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     figure = ShownFigure(figsize=(7.2, 4.2), layout=PanelLayout())
     axes = figure.add_subplot()
@@ -125,11 +109,7 @@ def draw_structure_factor(spectrum: Any) -> Figure:
 
 
 def corner_name(q: Any) -> str:
-    """Return the components of a wave vector as fractions.
-
-    >>> corner_name([0.5, 0.0]), corner_name([1 / 3]), corner_name([-2 / 3, 1.0])
-    ('(1/2, 0)', '1/3', '(-2/3, 1)')
-    """
+    """Return the components of a wave vector as fractions, such as '(1/2, 0)'."""
     parts = [str(Fraction(float(part)).limit_denominator(LARGEST_DENOMINATOR)) for part in q]
     return parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
 
@@ -171,8 +151,7 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     """
     check_solution(solution)
     require_packages("drawing modified energies", "matplotlib")
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
     checked = [read_integer(order, "an order") for order in listed]

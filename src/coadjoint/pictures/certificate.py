@@ -19,19 +19,9 @@ DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "po
 
 @with_figure_settings
 def draw_certificate(certificate: Any) -> Figure:
-    """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> certificate = co.certify(body, co.Splitting(), (0.3, 1.0, 0.2), 0.1, steps=100)
-    >>> [axes.get_title() for axes in draw_certificate(certificate).axes][:2]
-    ['errors against the reference', 'defects']
-    """
+    """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts."""
     require_packages("drawing a certificate", "matplotlib")
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     figure = ShownFigure(figsize=(11.0, 7.6), layout=PanelLayout())
     grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.0])

@@ -36,10 +36,7 @@ def carried_field(state: Any) -> npt.NDArray[Any]:
 
 
 def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, int]) -> Floats:
-    """Evaluate a part of the vorticity, the stream function or the carried field on a grid.
-
-    `state` is W, (N, N), or the carried field and W, (2, N, N); for `part` see the picture "vorticity".
-    """
+    """Evaluate a part of the vorticity, the stream function or the carried field of a state on a grid."""
     if part == "carried":
         return fluid.to_grid(carried_field(state), shape)
     W = vorticity_of(state)

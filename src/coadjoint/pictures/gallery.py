@@ -41,10 +41,7 @@ class Scene:
 
 
 def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> Solution:
-    """Integrate random vorticity of the degrees 3 to 8 on the sphere, until few vortices are left.
-
-    The root mean square of the vorticity is 1. One state per unit of time is saved.
-    """
+    """Integrate random vorticity of the degrees 3 to 8 on the sphere, until few vortices are left."""
     from coadjoint.systems.fluids.sphere_euler import sphere_euler
 
     fluid = sphere_euler(N)
@@ -74,28 +71,7 @@ SCENES = {
 
 
 def run_example(name: str) -> Solution:
-    """Run a ready-made system over the span of its gallery entry, by the suggested scheme.
-
-    Parameters
-    ----------
-    name : str
-        One of ``co.systems.names()``.
-
-    Returns
-    -------
-    Solution
-        ``run_example(name).plot()`` is its figure in the gallery.
-
-    Raises
-    ------
-    ValueError
-        Unknown system (the message has the nearest name), or a system without a gallery entry.
-
-    Examples
-    --------
-    >>> run_example("rigid_body").system.parameters
-    {'inertia': (1.0, 2.0, 3.0)}
-    """
+    """Run a ready-made system over the span of its gallery entry, by the suggested scheme."""
     systems = importlib.import_module("coadjoint.systems")
     gallery_entry = gallery_entry_of(name)
     system = systems.get(name, **({} if gallery_entry is None else gallery_entry.parameters))
@@ -171,13 +147,7 @@ def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callab
 
 
 def file_of(name: str) -> str:
-    """Return the file name of a picture.
-
-    Examples
-    --------
-    >>> file_of("rigid_body")
-    'rigid_body.png'
-    """
+    """Return the file name of a picture, such as 'rigid_body.png'."""
     return f"{Path(name).name}.png"
 
 

@@ -59,11 +59,7 @@ def towards_viewer(axes: Any) -> Floats:
 
 
 def hides_behind(function: Callable[[Any], Any], level: float, box: Floats, period: float = 0.0) -> Hides:
-    """Return the test whether points are behind the surface function(x) = level, as `FadingLine` needs it.
-
-    A point is hidden if the function crosses the level on the ray to the viewer within the box, (3, 2). `period` is
-    that of `level_surface`.
-    """
+    """Return the test whether the surface function(x) = level, in a box (3, 2), hides points, as for `FadingLine`."""
 
     def hides(points: Floats, towards: Floats) -> npt.NDArray[np.bool_]:
         tested = np.unique(np.linspace(0, len(points) - 1, min(len(points), TESTED_POINTS)).round().astype(np.int64))

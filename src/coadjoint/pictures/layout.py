@@ -1,18 +1,20 @@
-"""Layout of figures: Matplotlib's constrained layout, with titles and labels wrapped to their panels."""
+"""Figures with a PNG representation, which notebooks display, and titles and labels wrapped to their panels."""
 
 from __future__ import annotations
 
 import bisect
+import io
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 SAME_LENGTH = 0.02
 """Relative change of the length available to a text below which it is not wrapped anew."""
@@ -24,13 +26,29 @@ LABEL_SHARE, LABEL_SHARE_BESIDE = 0.8, 0.4
 """Largest widths of labels of legends, relative to the panel, and relative to its column if beside the panel."""
 MIN_WRAPPED = 60.0
 """Texts are not wrapped to less than this (points)."""
+VECTOR_FORMATS = ("pdf", "svg", "eps", "ps")
+VECTOR_DPI = 300.0
+"""Resolution of those parts of vector files that are images, such as surfaces."""
+
+
+class ShownFigure(Figure):
+    """Matplotlib figure that represents itself as PNG; no global state is changed."""
+
+    def savefig(self, fname: Any, **options: Any) -> None:
+        """Save the figure; parts of vector files that are images have 300 dots per inch unless `dpi` is given."""
+        named = options.get("format") or (Path(fname).suffix[1:] if isinstance(fname, str | Path) else "")
+        if str(named).lower() in VECTOR_FORMATS:
+            options.setdefault("dpi", VECTOR_DPI)
+        super().savefig(fname, **options)
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        self.savefig(buffer, format="png", dpi=self.dpi)
+        return buffer.getvalue()
 
 
 class PanelLayout(ConstrainedLayoutEngine):
-    """Constrained layout at each drawing, after which titles and labels are wrapped to the sizes of their panels.
-
-    Figures can therefore be resized. Texts that are set later are wrapped as well.
-    """
+    """Constrained layout at each drawing, after which titles and labels are wrapped to the sizes of their panels."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)

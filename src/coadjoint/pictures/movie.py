@@ -66,12 +66,7 @@ class SavedFrames:
 def frames_of(
     solution: Solution, picture: str | Picture | None = None, frames: int = 240, size: tuple[int, int] = (960, 540)
 ) -> SavedFrames:
-    """Return the frames of a movie of a run, drawn lazily.
-
-    `picture` is a kind with `Kind.moves`, by name or with options; by default that of `default_picture`.
-    At most `frames` (2 to 5000) saved times, evenly spread, are shown, without interpolation, with colour scales that
-    are constant in time. `size` is in pixels, even. Raises TypeError or ValueError for invalid values.
-    """
+    """Return the frames of a movie, drawn lazily: at most `frames` saved times, with scales constant in time."""
     check_solution(solution)
     require_packages("a movie", "matplotlib")
     count, pixels = read_integer(frames, "frames", 2, MAX_FRAMES), _read_size(size)
@@ -91,10 +86,7 @@ def _read_size(size: Any) -> tuple[int, int]:
 
 
 def default_picture(drawn: PlottedRun) -> Picture:
-    """Return the picture of a movie of a run: the first that the run can show.
-
-    Declared pictures of a single time come first, then the body in space, other declared pictures, and the components.
-    """
+    """Return the first moving picture that the run can show: of one time, the body in space, others, components."""
     declared = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
     known = kinds()
     moving = [picture for picture in declared if known[picture.kind].moves]

@@ -58,11 +58,7 @@ DIFFERENCE_STEP = 1e-5
 
 
 class PlottedRun:
-    """View of a run for plots: at most 20 members, evenly spread, always with an axis of members.
-
-    `members` selects members by number. `unforced` is the system without its forces, `gallery_entry` its metadata or
-    None, and `n` the number of entries of a state; `t` has shape (k,), and `x` (members, k, n).
-    """
+    """View of a run for plots: at most 20 members, evenly spread, always with an axis of members in `x`."""
 
     def __init__(self, solution: Solution, members: Any = None) -> None:
         self.solution = solution
@@ -94,10 +90,7 @@ class PlottedRun:
 
     @cached_property
     def refined(self) -> PlottedRun:
-        """The run with states between the saved points, as smooth curves need them (`Solution.at`).
-
-        The run itself is returned for noise, failed members, or too many states.
-        """
+        """The run with states between the saved points (`Solution.at`), or itself for noise or too many states."""
         if not isinstance(self.solution, Solution) or self.random or len(self.t) < 2 or not np.isfinite(self.x).all():
             return self
         try:
@@ -290,10 +283,7 @@ class PlottedRun:
         return self._shaped(self.x[0, k])
 
     def evaluate(self, function: Any, k: int) -> tuple[Floats, float]:
-        """Evaluate function(system, state) at saved point k, with the system without forces.
-
-        Also return the largest absolute value at start, end and k, a common scale of pictures.
-        """
+        """Evaluate function(system, state) at saved point k, and its largest size at start, end and k."""
         fields = {
             j: np.asarray(function(self.unforced, self.state(j)), dtype=np.float64) for j in {0, k, len(self.t) - 1}
         }
@@ -334,22 +324,12 @@ def _check_computed(waiting: npt.NDArray[np.bool_], chosen: npt.NDArray[np.int64
 
 
 def spread(count: int, max_count: int) -> npt.NDArray[np.int64]:
-    """Return at most `max_count` of 0 ... count - 1, evenly spread.
-
-    Examples
-    --------
-    >>> spread(9, 3).tolist(), spread(2, 3).tolist()
-    ([0, 4, 8], [0, 1])
-    """
+    """Return at most `max_count` of 0 ... count - 1, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, max_count)).round().astype(np.int64))
 
 
 def times_between(drawn: PlottedRun, refined_run: PlottedRun) -> Floats | None:
-    """Return the times at which a smooth curve needs states, including the saved ones.
-
-    The motion is measured on `refined_run`, the same run or a refinement of it. None if the saved points suffice, or if
-    the states would be too many or too expensive.
-    """
+    """Return the times at which a smooth curve needs states; None if saved points suffice, or for too many."""
     run = drawn.solution
     length = min(_chord_duration(refined_run), REFINED_TURN / fastest_turn(refined_run))
     intervals = np.abs(np.diff(drawn.t))
@@ -364,10 +344,7 @@ def times_between(drawn: PlottedRun, refined_run: PlottedRun) -> Floats | None:
 
 
 def coarse_times(drawn: PlottedRun) -> Floats | None:
-    """Return about 64 times that resolve a motion of a few periods.
-
-    None if the saved points suffice to measure the motion, or if the states are too expensive.
-    """
+    """Return about 64 times that resolve a motion of a few periods; None if saved points suffice, or if expensive."""
     intervals = len(drawn.t) - 1
     if intervals >= SUFFICIENT_POINTS or _seconds(drawn.solution, intervals, SAMPLED) > MAX_SECONDS:
         return None

@@ -145,14 +145,7 @@ def kinds() -> Mapping[str, Kind]:
 
 
 def read_picture(given: Any) -> tuple[Kind, Picture]:
-    """Return the kind of a picture and the picture, from a name or a `Picture`; the message suggests the nearest name.
-
-    Examples
-    --------
-    >>> read_picture("body axes")
-    Traceback (most recent call last):
-    ValueError: unknown kind of picture 'body axes'; did you mean 'body axis'?
-    """
+    """Return the kind of a picture and the picture, from a name or a `Picture`."""
     if not isinstance(given, str | Picture):
         raise TypeError(f"a panel is {short(given)}; give the name of a kind of picture, or a Picture")
     picture = Picture(given) if isinstance(given, str) else given

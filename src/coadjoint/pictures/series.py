@@ -22,11 +22,7 @@ MAX_TURNING_POINTS = COLUMNS // 2
 
 
 def draw_series(axes: Any, t: Floats, values: Floats, joined: bool, label: str | None = None, **style: Any) -> None:
-    """Draw a series as a line, an envelope or dots, into axes.
-
-    Nonfinite values, and those beyond 1e280, are not drawn. `joined` states whether lines between the points represent
-    the series; otherwise dots are drawn. `style` may have ``color``, ``linewidth`` and ``alpha``.
-    """
+    """Draw a series as a line, an envelope or, unless `joined`, dots, without values beyond 1e280."""
     values = np.where(np.abs(values) < MAX_VALUE, values, np.nan)
     turns = turning_points(values)
     if turns > MAX_TURNING_POINTS or (len(t) > 8 * COLUMNS and not joined):
@@ -55,10 +51,8 @@ def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: An
 
 
 def from_start(lines: Mapping[str, Floats]) -> tuple[dict[str, Floats], str]:
-    """Return series (members, k) less their first values, and a note, if they change by round-off of their size only.
-
-    Otherwise axes would have an offset in place of numbers. Returns the series and an empty note if any changes more.
-    """
+    """Return series less their first values, and a note, if they change by round-off of their size only."""
+    # Otherwise axes would have an offset in place of numbers.
     with np.errstate(all="ignore"):
         for members in lines.values():
             size = np.abs(members).max(axis=-1)
@@ -83,11 +77,7 @@ def turning_points(values: Floats) -> int:
 
 
 def envelope(t: Floats, values: Floats, columns: int) -> tuple[Floats, Floats, Floats]:
-    """Return the smallest and largest finite value in each of at most `columns` groups of successive points.
-
-    The result is (middle times, smallest, largest). The times begin and end with those of the series; values are NaN in
-    groups without finite ones.
-    """
+    """Return (middle times, smallest, largest) of the finite values in at most `columns` groups of points."""
     starts = np.unique(np.linspace(0, len(t), min(columns, len(t)) + 1).astype(np.int64))[:-1]
     ends = np.append(starts[1:], len(t)) - 1
     middle = 0.5 * (t[starts] + t[ends])

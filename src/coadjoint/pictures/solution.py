@@ -52,17 +52,7 @@ def draw_solution(
     width: Any = None,
     style: Any = None,
 ) -> Figure:
-    """Return a figure of a run: drift, components, and the pictures that its system declares; see `Solution.plot`.
-
-    If the run can show none of the default pictures, the orbit is drawn on its coadjoint orbit for three coordinates.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
-    >>> [axes.get_ylabel() for axes in draw_solution(sol).axes[:2]]
-    ['relative deviation from start', 'angular momentum $x_i$']
-    """
+    """Return a figure of a run: drift, components, and the pictures that its system declares; see `Solution.plot`."""
     check_solution(solution)
     require_packages("drawing a solution", "matplotlib")
     if width is not None:
@@ -122,10 +112,7 @@ def _prepare(drawn: PlottedRun, picture: str | Picture) -> tuple[Kind, Paint]:
 
 
 def _requested(drawn: PlottedRun, panels: Any, series: Picture, count: int | None = None) -> list[tuple[Kind, Paint]]:
-    """Prepare the requested panels; kinds that show a single time, by name, are shown at the declared times.
-
-    If `count` panels are needed, as many as there are names, each name is one of them.
-    """
+    """Prepare the requested panels, one for each name if `count` says so, else single times at the declared times."""
     rule = "give kinds of pictures, such as ['drift', 'coadjoint orbit']"
     listed = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
     if not listed:
@@ -137,10 +124,7 @@ def _requested(drawn: PlottedRun, panels: Any, series: Picture, count: int | Non
 
 
 def _as_declared(drawn: PlottedRun, series: Picture, panel: Any) -> list[Any]:
-    """Return the pictures of this kind that the system declares, if a name is given and there are any.
-
-    Other kinds that show a single time are shown at the start and at the end.
-    """
+    """Return the declared pictures of a named kind; other kinds that show a single time are shown at start and end."""
     if not isinstance(panel, str):
         return [panel]
     declared = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
@@ -212,8 +196,7 @@ class Panel:
 
 def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figure:
     """Return a figure of the panels, `width` inches wide; by default as wide as its columns need."""
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     columns = columns_of(
         panels, MAX_COLUMNS if width is None else max(1, min(MAX_COLUMNS, int(width / MIN_COLUMN_WIDTH)))

@@ -65,11 +65,7 @@ SETTINGS: dict[str, Any] = {
 
 @contextmanager
 def figure_settings(style: Any = None, width: float | None = None) -> Iterator[None]:
-    """Apply a style of Matplotlib and the settings of figures, and restore the settings at the end.
-
-    Settings of the user, in ``rcParams`` or in `style`, take precedence over `SETTINGS` and `SIZES`. `width` is that of
-    the figure in inches.
-    """
+    """Apply a style of Matplotlib and the settings of figures, below those of the user, and restore them at the end."""
     import matplotlib
     from matplotlib import style as styles
 
@@ -118,13 +114,7 @@ def with_figure_settings(function: Function) -> Function:
 
 
 def setting(key: str) -> Any:
-    """Return a setting of Matplotlib as figures use it, also outside of `figure_settings`.
-
-    Examples
-    --------
-    >>> setting("axes.titlesize"), setting("axes.linewidth")
-    (9.5, 0.6)
-    """
+    """Return a setting of Matplotlib as figures use it, also outside of `figure_settings`."""
     current, default = _parameters()
     own = {**SETTINGS, **(SIZES if current["font.size"] == default["font.size"] else {})}
     return own[key] if key in own and current[key] == default[key] else current[key]
@@ -162,13 +152,7 @@ def thickness(width: float) -> float:
 
 
 def dots(count: int) -> dict[str, Any]:
-    """Return the style of `count` unconnected points: smaller for many points, so that curves stay thin.
-
-    Examples
-    --------
-    >>> dots(50)["markersize"], dots(20_000)["markersize"]
-    (3.0, 1.0)
-    """
+    """Return the style of `count` unconnected points: smaller for many points, so that curves stay thin."""
     size = 3.0 if count <= 500 else max(1.0, 3.0 * (500 / count) ** 0.5)
     return {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0}
 
@@ -209,10 +193,7 @@ MAX_LABEL_LENGTH = 100
 
 
 def legend(axes: Axes, beside: bool = False, **options: Any) -> None:
-    """Add a small legend of the artists that show anything, if there are any, in the axes or `beside` them.
-
-    `options` are those of `Axes.legend`.
-    """
+    """Add a small legend of the artists that show anything, if there are any, in the axes or `beside` them."""
     entries = [(handle, label) for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)]
     entries = [(handle, label) for handle, label in entries if _is_drawn(handle)]
     if not entries:
@@ -237,15 +218,7 @@ def _is_drawn(artist: Any) -> bool:
 
 
 def symbol(name: str) -> str:
-    r"""Return the name of an invariant, such as ``"energy"``, ``"|x|^2"`` or ``"log C"``, as mathematical text.
-
-    Examples
-    --------
-    >>> print(symbol("|x|^2"), symbol("energy"), symbol("log C"), symbol("x1*x3 + x2^2"), symbol("my integral"))
-    $|x|^2$ $H$ $\log C$ $x_{1}\,x_{3} + x_{2}^2$ my integral
-    >>> print(symbol("|x|^2 [12]"), symbol("|total L|^2"), symbol("tr W Theta^3"))
-    $|x|^2$ [12] |total L|^2 $\mathrm{tr}\,W\,\Theta^3$
-    """
+    """Return the name of an invariant, such as ``"energy"``, ``"|x|^2"`` or ``"log C"``, as mathematical text."""
     if name == "energy":
         return "$H$"
     if name.startswith("tr "):

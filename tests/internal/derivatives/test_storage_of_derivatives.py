@@ -158,16 +158,16 @@ def test_transformations_of_jax_run_once(jax, monkeypatch):
 @pytest.mark.parametrize("most_dense", [0, 2**12])
 def test_sparse_products_are_those_of_the_matrix(jax, monkeypatch, most_dense):
     """Rows of different lengths, an empty one and entries in any order."""
-    from coadjoint.jax import sparse
+    from coadjoint.jax import stage_steps
 
-    monkeypatch.setattr(sparse, "MOST_DENSE", most_dense)
+    monkeypatch.setattr(stage_steps, "MOST_DENSE", most_dense)
     rng = np.random.default_rng(3)
     dense = rng.standard_normal((5, 7)) * (rng.random((5, 7)) < 0.5)
     dense[2], dense[4, [0, 6]] = 0.0, (1.0, 2.0)
     rows, columns = np.nonzero(dense)
     order, x = rng.permutation(len(rows)), rng.standard_normal(7)
     rows, columns = rows[order], columns[order]
-    matrix = sparse.sparse(rows, columns, jax.numpy.array(dense[rows, columns]), dense.shape)
+    matrix = stage_steps.sparse(rows, columns, jax.numpy.array(dense[rows, columns]), dense.shape)
     assert (matrix.columns is None) == (most_dense > 0)
     np.testing.assert_allclose(matrix.times(jax.numpy.array(x)), dense @ x, rtol=0, atol=16 * UNIT_ROUNDOFF)
 

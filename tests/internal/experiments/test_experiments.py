@@ -13,10 +13,9 @@ from coadjoint.experiments.reich1993 import reproduce
 from coadjoint.experiments.reich1993.figures import drift_figure
 from coadjoint.experiments.reich1993.section5_spiral import MODIFIED, spiral_run
 from coadjoint.experiments.reich1993.systems import BODY_START, COORDINATES, MIDPOINT, SPLITTING, body_run
-from coadjoint.experiments.selftest import checks, run, subjects
-from coadjoint.experiments.selftest.findings import Finding
-from coadjoint.experiments.statement import FAILS, HOLDS, LIMITED, judge
-from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
+from coadjoint.experiments.selftest import checks, subjects
+from coadjoint.experiments.selftest.checks import Finding
+from coadjoint.experiments.statements import FAILS, HOLDS, LIMITED, judge, stage_iterates, step_matrix
 from refusals import refused
 
 # Statements that are not simply confirmed; all others hold.
@@ -135,7 +134,7 @@ def test_step_matrix_reproduces_the_modified_step_and_its_limit(stages, freeze):
     "found", [Finding("a", 2.0, 1.0), Finding("a", float("nan"), 1.0), Finding("a", 3.4, 3.5, "", True)]
 )
 def test_exit_status_is_1_if_a_check_fails(monkeypatch, capsys, found):
-    monkeypatch.setattr(run, "CHECKS", (lambda: [Finding("good", 0.0, 1.0), found],))
+    monkeypatch.setattr(checks, "CHECKS", (lambda: [Finding("good", 0.0, 1.0), found],))
     assert cli.main(["selftest", "--quiet"]) == 1
     assert capsys.readouterr().out == f"{found}\n"
     assert str(found).startswith("FAIL")
@@ -146,7 +145,7 @@ def test_check_that_raises_has_failed(monkeypatch, capsys):
         yield Finding("begun", 0.0, 1.0)
         raise KeyError("x")
 
-    monkeypatch.setattr(run, "CHECKS", (broken, lambda: [Finding("good", 0.0, 1.0)]))
+    monkeypatch.setattr(checks, "CHECKS", (broken, lambda: [Finding("good", 0.0, 1.0)]))
     assert cli.main(["selftest"]) == 1
     output = capsys.readouterr().out
     assert (

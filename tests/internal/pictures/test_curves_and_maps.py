@@ -22,10 +22,12 @@ from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.hidden_lines import FAR_ALPHA, FadingLine, towards_viewer
 from coadjoint.pictures.kinds.body_axis import _rotation_to_vertical
 from coadjoint.pictures.kinds.components import flip_times
-from coadjoint.pictures.kinds.vorticity import PROJECTIONS, unit_vectors
+from coadjoint.pictures.kinds.spins import direction_colours, sites_of_row
+from coadjoint.pictures.kinds.vorticity import PROJECTIONS, on_grid, turned, unit_vectors
 from coadjoint.pictures.layout import PanelLayout
 from coadjoint.pictures.plot_data import REFINED_TOLERANCE, REFINED_TURN, PlottedRun, _chord_duration
 from coadjoint.pictures.series import COLUMNS, draw_series, envelope
+from coadjoint.pictures.style import symbol
 
 T0 = 7.3
 SENSES = [1.0, -1.0]
@@ -401,3 +403,15 @@ def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
     degrees, enstrophy = run.system.enstrophy_spectrum(run.x[0])
     assert degrees[enstrophy > 1e-20].tolist() == list(range(3, 9))
     assert enstrophy.sum() == pytest.approx(2 * np.pi, rel=1e-12)
+
+
+def test_texts_maps_and_colours():
+    names = "|x|^2", "energy", "log C", "x1*x3 + x2^2", "my integral", "|x|^2 [12]", "|total L|^2", "tr W Theta^3"
+    texts = r"$|x|^2$; $H$; $\log C$; $x_{1}\,x_{3} + x_{2}^2$; my integral; $|x|^2$ [12]; |total L|^2"
+    assert "; ".join(map(symbol, names)) == texts + r"; $\mathrm{tr}\,W\,\Theta^3$"
+    colours = direction_colours(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, -1.0, 0.0]]))
+    assert np.allclose(colours, [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0], [0.9, 0.1, 0.1]])
+    assert np.allclose(turned((90.0, 0.0)), [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)
+    rows = np.array([[-1.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
+    assert np.isclose(on_grid(rows, np.array([0.0, 3**0.5 / 2, 0.5])), 1 / 3)
+    assert (sites_of_row("chain", 20), sites_of_row(None, 100), sites_of_row("square", 100)) == (20, 15, 100)

@@ -289,7 +289,7 @@ def test_statements_of_the_paper_are_under_their_verdicts_and_figures(tmp_path):
 def test_sections_show_first_sentences_and_systems():
     pages = {page.name: published(page) for page in [*SITE.glob("*.md"), *DOCS.glob("*.md")]}
     text = with_sentences(pages["rigid_bodies.md"], pages)
-    assert "- [](gallery.md): This page shows how to plot the ready-made systems, " in text
+    assert "- [](gallery.md): Plot the ready-made systems, " in text
     assert re.search(r"```\{toctree\}\n:hidden:\n\ngallery\nfree_body\n.*```\n", text, re.DOTALL)
     assert first_sentence("# T\n\nOf `a.b`, 1.5 and\n[c](d.md). Next.\n") == "Of `a.b`, 1.5 and [c](d.md)."
     groups = {page: SYSTEMS.findall(text) for page, text in pages.items() if SYSTEMS.search(text)}

@@ -1,7 +1,7 @@
-"""Tables at other parameters, by the reader of `docs/table.md` alone: those of the library, bit for bit."""
+"""Tables at other parameters, by the reader in `examples/` alone: those of the library, bit for bit."""
 
 import dataclasses
-import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
-PAGE = Path(__file__).parents[3] / "docs" / "table.md"
+READER = Path(__file__).parents[3] / "examples" / "read_table.py"
 C1 = 1 / (2 - 2 ** (1 / 3))
 SCHEMES = {
     "1": co.Splitting(order=1),
@@ -52,13 +52,8 @@ OTHERS = {
 
 @pytest.fixture(scope="module")
 def page():
-    """The functions of the page."""
-    known: dict = {}
-    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-    for code in (block for block in blocks if "def run" in block or "def with_coefficients" in block):
-        assert len(code.splitlines()) <= 100
-        exec(code, known)
-    return known
+    """The functions of the example."""
+    return runpy.run_path(str(READER))
 
 
 def rebuilt(system, table, name, value):

@@ -1,7 +1,7 @@
-"""The table as plain arrays, and the reader of `docs/table.md`, which knows nothing of this library."""
+"""The table as plain arrays, and its reader in `examples/`, which knows nothing of this library."""
 
 import json
-import re
+import runpy
 from pathlib import Path
 
 import numpy as np
@@ -14,20 +14,14 @@ from refusals import refused
 
 pytestmark = pytest.mark.thinned(6)
 
-PAGE = Path(__file__).parents[3] / "docs" / "table.md"
+READER = Path(__file__).parents[3] / "examples" / "read_table.py"
 RNG = np.random.default_rng(30)
 C1 = 1 / (2 - 2 ** (1 / 3))
 
 
-def python_of_the_page():
-    return re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
-
-
 @pytest.fixture(scope="module")
 def reader():
-    known: dict = {}
-    exec(python_of_the_page()[0], known)
-    return known["run"]
+    return runpy.run_path(str(READER))["run"]
 
 
 def full(n):

@@ -194,10 +194,7 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
 
 
 def short_motion(system: LiePoissonSystem, start: Floats, count: int) -> tuple[Floats, float]:
-    """Return states (count + 1, n) along the motion, a quarter of a radian apart, and the rate of the motion.
-
-    Fewer states are returned if the motion leaves the range of float64; ValueError if that happens within a few steps.
-    """
+    """Return states (count + 1, n) a quarter of a radian apart, fewer if the motion overflows, and its rate."""
     rate = rate_at(system, start)
     spacing = RELATIVE_STEP / rate
     try:

@@ -31,14 +31,9 @@ BYTES_PER_ENTRY = 40  # of a matrix of fractions during its reduction
 
 
 class ExactField(ModifiedField):
-    """A modified field with polynomial terms.
+    """A modified field with polynomial terms; `known_to` is the relative error of the scheme's coefficients."""
 
-    Attributes
-    ----------
-    known_to : float
-        Relative error of the scheme's coefficients. Even if they are rounded, each term preserves the invariants of the
-        scheme exactly. Terms below its order that are within that rounding are set to zero.
-    """
+    # Even of rounded coefficients, each term preserves the invariants of the scheme exactly.
 
     def __init__(
         self,
@@ -200,10 +195,8 @@ class ExactField(ModifiedField):
 
 
 def bracket_change(ring: ExactPolynomials, J: list[Field], field: Field) -> float:
-    """Return the largest coefficient of the Lie derivative L_f J of the bracket along a field; 0 for a Poisson field.
-
-    (L_f J)_ij = f . grad J_ij - sum_l (d f_i / d x_l) J_lj - sum_l J_il (d f_j / d x_l).
-    """
+    """Return the largest coefficient of the Lie derivative L_f J of the bracket along a field; 0 for Poisson fields."""
+    # (L_f J)_ij = f . grad J_ij - sum_l (d f_i / d x_l) J_lj - sum_l J_il (d f_j / d x_l).
     slopes = [ring.gradient(f) for f in field]
     largest = 0.0
     for i in range(ring.dim):
@@ -216,11 +209,8 @@ def bracket_change(ring: ExactPolynomials, J: list[Field], field: Field) -> floa
 
 
 def hamiltonian_of(ring: ExactPolynomials, J: list[Field], field: Field) -> Exact | None:
-    """Return a polynomial H with J grad H = field, or None if there is none; all non-zero entries of J have one degree.
-
-    H is unique up to Casimirs; undetermined coefficients are zero. Raise ValueError if the linear system exceeds
-    memory.
-    """
+    """Return a polynomial H with J grad H = field, or None; all non-zero entries of J have one degree."""
+    # H is unique up to Casimirs; undetermined coefficients are zero.
     degree_of_J = _degree(J)
     total = ring.zero
     parts = [_by_degree(ring, f, ring.dim) for f in field]
@@ -279,10 +269,7 @@ def _hamiltonian_of_degree(ring: ExactPolynomials, J: list[Field], field: Field,
 
 
 def skew_factor(ring: ExactPolynomials, energy: Exact, field: Field) -> Matrix:
-    """Return a skew polynomial matrix K with K grad H = field, for a quadratic H with grad H . field = 0.
-
-    Raise ValueError if no polynomial K exists.
-    """
+    """Return a skew polynomial matrix K with K grad H = field, for a quadratic H with grad H . field = 0."""
     # Let y = grad H. If a constant vector e has e . y = 1, K = f e^T - e f^T. Otherwise y = M z, with z the distance
     # from an equilibrium. For f of degree d in y with f . y = 0 the Koszul homotopy gives
     # K_ij = (d f_i / d y_j - d f_j / d y_i) / (d + 1), since then K y = ((d + 1) f - grad(y . f)) / (d + 1). Components

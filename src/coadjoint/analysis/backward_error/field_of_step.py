@@ -18,37 +18,9 @@ Field = list[Exact]
 
 
 def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Field]:
-    """Return f_0, f_1, ... with exp(h (f_0 + h f_1 + ...)) = the series of a step.
-
-    The terms are found recursively. With D the derivative along h f_0 + h^2 f_1 + ..., the flow is sum_m D^m x / m!, in
-    which f_k first occurs in the coefficient of h^(k+1), with the factor one. So f_k is this coefficient of the series
-    minus that of the flow of the previous terms.
-
-    Parameters
-    ----------
-    ring : ExactPolynomials
-        The ring of the coefficients.
-    series : sequence
-        The coefficients of h^0 (the coordinates), h^1, ... of the step, n polynomials each.
-
-    Returns
-    -------
-    list
-        n polynomials for each power of h, one power fewer than in the series.
-
-    Notes
-    -----
-    S. Reich 1993, Lemma 6.1, where the indices of the fields Y are too low by one.
-
-    Examples
-    --------
-    The explicit Euler method for x' = x: the logarithm of 1 + h.
-
-    >>> ring = plain_ring(1)
-    >>> x = ring.coordinates[0]
-    >>> [str(f) for (f,) in field_of_series(ring, [[x], [x], [0 * x], [0 * x]])]
-    ['x1', '-1/2*x1', '1/3*x1']
-    """
+    """Return f_0, f_1, ... with exp(h (f_0 + h f_1 + ...)) = the series of a step, as polynomials of h^0, h^1, ..."""
+    # S. Reich 1993, Lemma 6.1, where the indices of the fields Y are too low by one. With D the derivative along
+    # h f_0 + h^2 f_1 + ..., the flow is sum_m D^m x / m!, in which f_k first occurs in the coefficient of h^(k+1).
     fields: list[Field] = []
     # powers[m - 1][q] is the coefficient of h^q in D^m x, q >= m.
     powers: list[dict[int, Field]] = [{}]
@@ -78,46 +50,15 @@ def plain_ring(dim: int, symbols: Sequence[str] = ()) -> ExactPolynomials:
 
 
 def size_of(polynomial: Exact) -> float:
-    """Return the largest absolute coefficient.
-
-    Examples
-    --------
-    >>> x = plain_ring(1).coordinates[0]
-    >>> size_of(3 * x - x * x / 2)
-    3.0
-    """
+    """Return the largest absolute coefficient."""
     largest = max((abs(value) for value in polynomial.coeffs()), default=0)
     return float(fraction(largest)) if largest else 0.0
 
 
 def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: Sequence[Any]) -> NDArray[Any]:
-    """Return f_0(x), ..., f_(r-1)(x) from steps of r different lengths.
-
-    X(h) = (1/h) sum_(m=1)^r (-1)^(m+1)/m (step - 1)^m x is f_0 + h f_1 + ... + O(h^r), where powers are those of the
-    operator of composition with the step. The terms are the coefficients of the interpolation polynomial in h through
-    the r values of X.
-
-    Parameters
-    ----------
-    step : callable
-        ``step(x, h)``.
-    x : (n,) array
-        The point, in numbers of sufficient precision.
-    steps : sequence of r numbers
-        The lengths h, distinct and non-zero.
-
-    Returns
-    -------
-    (r, n) array
-
-    Examples
-    --------
-    >>> from fractions import Fraction
-    >>> one = np.array([Fraction(1)], dtype=object)
-    >>> terms = field_at(lambda x, h: x + h * x, one, [Fraction(k, 10**6) for k in (1, -1, 2)])
-    >>> [float(f[0]).__round__(5) for f in terms]
-    [1.0, -0.5, 0.33333]
-    """
+    """Return f_0(x), ..., f_(r-1)(x), (r, n), from steps ``step(x, h)`` of r different lengths, in the numbers of x."""
+    # X(h) = (1/h) sum_(m=1)^r (-1)^(m+1)/m (step - 1)^m x is f_0 + h f_1 + ... + O(h^r). The terms are the coefficients
+    # of the interpolation polynomial in h through the r values of X.
     count = len(steps)
     values = []
     for h in steps:

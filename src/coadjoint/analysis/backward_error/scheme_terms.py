@@ -29,22 +29,14 @@ Term = Polynomial | SymbolicPolynomial
 
 
 class ErrorTerm(NamedTuple):
-    """The leading error term h^power * term of a scheme.
-
-    `power` is the order of the scheme, or None if H has a single part, whose flow is a step. The term is zero if the
-    parts of a system commute more than in general.
-    """
+    """The leading error term h^power * term of a scheme; no power if H has a single part, whose flow is a step."""
 
     power: int | None
     term: Term
 
 
 class SchemeTerms:
-    """The terms of a scheme on a system with a polynomial Hamiltonian.
-
-    `sweeps` and `after` are the sweeps of the kernel and of the processor, in exact numbers; `program` is the table of
-    the splitting.
-    """
+    """The terms of a scheme, by the sweeps of its kernel and of its processor `after`, for a polynomial Hamiltonian."""
 
     def __init__(
         self,
@@ -96,10 +88,7 @@ class SchemeTerms:
 
 @dataclass(frozen=True)
 class Symbols:
-    """A Hamiltonian with symbols for some of its coefficients.
-
-    `names` maps exponents to the symbol of the coefficient; the symbol of a square represents twice the coefficient.
-    """
+    """A Hamiltonian with symbols, by exponents in `names`; the symbol of a square is twice the coefficient."""
 
     polynomial: Polynomial
     names: Mapping[Exponents, str]
@@ -137,13 +126,7 @@ class Symbols:
 
 
 def symbols_of(H: Polynomial, requested: Any, program: Program) -> Symbols:
-    """Return a Hamiltonian with symbols for all coefficients (True), or for those with the given names.
-
-    Raise ValueError for unknown names, or if a Casimir was subtracted from H in the program of the splitting.
-
-    >>> names_of(Polynomial({(2, 0): 0.5, (1, 1): 1, (0, 3): 2, (0, 1): 1}))
-    {(0, 1): 'b2', (2, 0): 'm1', (1, 1): 'm12', (0, 3): 'c222'}
-    """
+    """Return a Hamiltonian with symbols for all coefficients (True), or for those with the given names."""
     if program.shift:
         raise ValueError(
             f"a multiple of the Casimir {program.shift[0][0]!r} was subtracted from H, with a factor that depends "

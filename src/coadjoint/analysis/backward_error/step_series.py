@@ -28,17 +28,7 @@ MAX_OMITTED_COEFFICIENT = 1e6  # largest coefficient of the first omitted power 
 
 
 class ExactSystem:
-    """A system with polynomial J and H in a ring; floats are converted to rationals exactly.
-
-    Raise TypeError, or the error of a function of the system on polynomials, if J or H is not a polynomial.
-
-    >>> import coadjoint as co
-    >>> exact = ExactSystem(co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1))
-    >>> exact.energy
-    1/2*x1^2 + 1/4*x2^2 + 1/8*x3^2
-    >>> exact.field[0]
-    -1/4*x2*x3
-    """
+    """A system with polynomial J and H in a ring; floats are converted to rationals exactly."""
 
     def __init__(self, system: System) -> None:
         self.system = system

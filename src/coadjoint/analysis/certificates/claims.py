@@ -56,10 +56,7 @@ class FunctionStep(StepMethod):
 def scheme_and_claims(
     system: System, method: Any, order: int | None, properties: Properties | None, symmetric: bool | None
 ) -> tuple[Method, Claims]:
-    """Return the scheme to be certified, with its own claims or, for a function, the claims in the arguments.
-
-    Raise TypeError or ValueError if it is neither a scheme nor a function, or if the claims are invalid.
-    """
+    """Return the scheme to be certified, with its own claims or, for a function, the claims in the arguments."""
     arguments = {"order": order, "properties": properties, "symmetric": symmetric}
     if isinstance(method, Method):
         for name, value in arguments.items():

@@ -41,10 +41,7 @@ Measurement = tuple[float, float, str]
 
 
 def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row]:
-    """Return the rows on the group element, or one row with the reason if there is none.
-
-    At most `steps` steps are run. The element is compared over the span of the study (None without a reference).
-    """
+    """Return the rows on the group element over at most `steps` steps, or one row with the reason if there is none."""
     system, properties = subject.system, subject.claims.properties
     kind = "none" if properties is None else properties.attitude
     reason = ""
@@ -116,10 +113,7 @@ def _supports_attitude(subject: Subject) -> bool:
 
 
 def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats, float]:
-    """Run the steps, halved until the run succeeds and the condition of the element is at most `MAX_CONDITION`.
-
-    Return the run, its elements and their largest condition number.
-    """
+    """Run the steps, halved until the condition is at most `MAX_CONDITION`; return run, elements and condition."""
     # A rounding error at time s is multiplied by g_s^-1 g_t until time t, so elements that grow and shrink lose digits.
     while True:
         try:
@@ -136,10 +130,8 @@ def _run(subject: Subject, attitude: Any, steps: int) -> tuple[Solution, Floats,
 
 
 def _condition(subject: Subject, run: Solution, attitude: Any) -> float:
-    """Return the largest factor by which elements multiply rounding errors until the end of the run.
-
-    For groups of coordinates with different units it is the growth of the bound of a group of K x by K_s K_s^-1.
-    """
+    """Return the largest factor by which elements multiply rounding errors until the end of the run."""
+    # For groups of coordinates with different units it is the growth of the bound of a group of K x by K_s K_s^-1.
     groups, g = CoordinateGroups(subject.system), np.asarray(run.attitude)
     if attitude != "coadjoint" or groups.count == 1:
         values = np.linalg.svd(g, compute_uv=False)

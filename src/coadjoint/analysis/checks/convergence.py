@@ -174,10 +174,7 @@ def _reference_row(subject: Subject, study: Study, p: int | None, declared: str,
 
 
 def _by_shorter_own_steps(subject: Subject, study: Study) -> tuple[NDArray[np.float64], float] | None:
-    """Return the end by shorter steps of a scheme that chooses them, and the fraction of the error that is left.
-
-    None for other schemes, and if these steps fail.
-    """
+    """Return the end by shorter steps of a scheme that chooses them, and the fraction of the error left; else None."""
     finer = subject.method.finer(study.counts[-1], SHORTER)
     if finer is None:
         return None
@@ -190,8 +187,5 @@ def _by_shorter_own_steps(subject: Subject, study: Study) -> tuple[NDArray[np.fl
 
 
 def allowed_error(change: float, left: float) -> float:
-    """Return the allowed error of a result, with the fraction `left` of the error of another, from their difference.
-
-    Without the factor 6 it is that of a scheme with the error C h^order.
-    """
+    """Return the allowed error of a result, with the fraction `left` of the error of another, from their difference."""
     return ERROR_FACTOR * left * float(error_by_comparison(change, left))

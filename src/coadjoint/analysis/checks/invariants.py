@@ -44,10 +44,7 @@ def keeps(properties: Properties, casimir: Any) -> bool:
 
 @dataclass(frozen=True)
 class LongRun:
-    """The long run, as far as it succeeded.
-
-    The solution is None if not even one step succeeded; `failed` is the error message, `until` the time of the failure.
-    """
+    """The long run until it `failed`; the solution is None if not even one step succeeded."""
 
     solution: Solution | None
     failed: str = ""
@@ -62,11 +59,9 @@ def steps_of(subject: Subject) -> int:
 
 
 def long_run(subject: Subject) -> LongRun:
-    """Integrate the long run from every state, halving the number of steps until it succeeds.
-
-    It is also halved if states have grown by more than `MAX_GROWTH_FACTOR`: the step is then too large for the motion,
-    and the linear systems are worse conditioned than the bounds on round-off assume.
-    """
+    """Integrate the long run from every state, halving the number of steps until it succeeds."""
+    # Also where states have grown by more than `MAX_GROWTH_FACTOR`: the step is then too large for the motion, and the
+    # linear systems are worse conditioned than the bounds on round-off assume.
     count, failed, until = steps_of(subject), "", 0.0
     start = subject.norm(subject.states, axis=1)
     while count:
@@ -82,10 +77,7 @@ def long_run(subject: Subject) -> LongRun:
 
 
 def run_row(subject: Subject, run: LongRun) -> Row:
-    """Return the row on completion of the long run, if the motion itself exists that long.
-
-    A failed run preserves nothing, so a scheme that declares anything must complete it.
-    """
+    """Return the row on completion of the long run, which any scheme that declares something must reach."""
     key, what, declared = "run", "long run", "ends"
     count, reason = steps_of(subject), ""
     if subject.steps is None and count < STEPS:
@@ -103,10 +95,7 @@ def run_row(subject: Subject, run: LongRun) -> Row:
 
 
 def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[Row]:
-    """Return a row for the energy, and one for each Casimir.
-
-    `coarse_step` is a larger step at which the scheme still approximates the motion.
-    """
+    """Return a row for the energy, and one for each Casimir; `coarse_step` is the larger step that is tested."""
     system, properties = subject.system, subject.claims.properties
     single = _single_steps(subject, coarse_step)
     rows = []

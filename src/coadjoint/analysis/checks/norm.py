@@ -22,10 +22,7 @@ ZERO = 64 * UNIT_ROUNDOFF
 
 @dataclass(frozen=True)
 class Norm:
-    """Euclidean norm in coordinates y = x / units, in which groups of very different sizes are of one size.
-
-    The largest unit is one, and all are if the sizes are similar. Units are powers of two: scaling does not round.
-    """
+    """Euclidean norm in coordinates y = x / units; units are powers of two, so that scaling does not round."""
 
     units: tuple[float, ...] = (1.0,)
 

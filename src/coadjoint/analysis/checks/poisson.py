@@ -34,10 +34,7 @@ DIGITS = 40  # of differences in multiprecision
 
 
 def poisson_row(subject: Subject, coarse_step: float) -> Row:
-    """Return the row on the Poisson bracket.
-
-    `coarse_step` is a larger step at which the scheme still approximates the motion; it shows defects of high order.
-    """
+    """Return the row on the Poisson bracket; a larger `coarse_step` shows defects of high order."""
     properties = subject.claims.properties
     claimed = properties is not None and properties.poisson
     declared = "nothing" if properties is None else "kept" if claimed else "not kept"
@@ -195,10 +192,7 @@ def _defect_order(subject: Subject, largest: float) -> OrderFit | None:
 
 
 class Tangent(NamedTuple):
-    """The derivative P (n, n) of a step at a state, d step_i / d x_j, and the way it was computed.
-
-    `by` is "formula", "complex step", "multiprecision" or "differences"; all but the last are accurate to round-off.
-    """
+    """The derivative P (n, n) of a step, and how it was computed; all but "differences" are accurate to round-off."""
 
     P: NDArray[np.float64]
     by: str

@@ -27,10 +27,7 @@ CLOSED_FORM_TOLERANCE = 1e-8
 
 
 class Motion(NamedTuple):
-    """States (k, n) after a time, and their error relative to their size, with a safety margin.
-
-    `by` names the source; `contradiction` is a message if a closed form contradicts the vector field, else empty.
-    """
+    """States (k, n) after a time, with their relative error; `contradiction` if a closed form contradicts the field."""
 
     states: Floats
     error: float
@@ -109,10 +106,7 @@ def _integrated(system: System, x: Floats, t: float, norm: Norm, tolerance: floa
 
 
 def natural_time(system: System, x: Floats) -> float:
-    """Return the time in which the state, a group of its coordinates, or its velocity changes by its own size.
-
-    0 at an equilibrium.
-    """
+    """Return the time in which the state, a group, or its velocity changes by its own size; 0 at an equilibrium."""
     velocity = np.asarray(system.vector_field(x, 0.0), dtype=np.float64)
     norm = Norm.of(system, x[None])
     speed, size = float(norm(velocity)), float(norm(x))

@@ -36,11 +36,7 @@ ERROR_RATIO = 16.0
 
 @dataclass(frozen=True)
 class Study:
-    """Errors at the end of a span for several numbers of steps, increasing.
-
-    `ends` are states (k, n); errors are relative to the size of the states, `floors` is their round-off. `given` is the
-    number of steps of the given size, 0 if not included; `failed` has the messages of failed runs; the span is signed.
-    """
+    """Errors at the end of a signed span for increasing numbers of steps; `given` is that of the given step, or 0."""
 
     span: float
     counts: list[int]
@@ -78,10 +74,7 @@ def measured_order(steps: Sequence[float], errors: Sequence[float], floors: Sequ
 
 
 def order_of_defects(largest: float, count: int, measure: Callable[[float], tuple[float, float]]) -> OrderFit | None:
-    """Fit the order of a defect, at `count` steps that decrease by factors sqrt(2).
-
-    `measure` maps a signed step to the defect and its round-off; steps at which it fails are skipped.
-    """
+    """Fit the order of a defect; `measure` maps each of `count` signed steps to the defect and its round-off."""
     points = []
     for k in range(count):
         h = largest / 2.0 ** (k / 2)

@@ -41,10 +41,7 @@ SEED = 1993  # of directions; fixed, so that a certificate is repeated to the bi
 
 @dataclass(frozen=True)
 class Subject:
-    """A system, a scheme with its claims, a signed step h, and the given states (k, n).
-
-    `steps` of the long run is None for the default; `compiled` is false for steps by a user function of unknown cost.
-    """
+    """A system, a scheme with its claims, a signed step h, and the given states (k, n)."""
 
     system: System
     method: Method
@@ -84,10 +81,7 @@ class Subject:
         return self.seconds_with(None)
 
     def seconds_with(self, representation: Any) -> float:
-        """Return the estimate for a step with a group element in a representation, (n, d, d) or "coadjoint".
-
-        0 if unknown: for a step by a user function, or a step that fails.
-        """
+        """Return the estimate for a step with a group element in a representation; 0 if it is unknown."""
         if not self.compiled:
             return 0.0
         try:
@@ -158,10 +152,8 @@ class Subject:
         return 4 * self.system.dim * UNIT_ROUNDOFF * (count + 1)
 
     def condition(self, x: Floats, h: float) -> float:
-        """Return the condition number |P| |P^-1| of a step of length h in the norm, by differences.
-
-        For expensive steps the norms are estimated along some directions, and the inverse is the step back.
-        """
+        """Return the condition number |P| |P^-1| of a step of length h in the norm, by differences."""
+        # For expensive steps the norms are estimated along some directions, and the inverse is the step back.
         key = x.tobytes(), h
         if key not in self._conditions:
             self._conditions[key] = self._estimated_condition(x, h) if self.expensive else self._condition(x, h)

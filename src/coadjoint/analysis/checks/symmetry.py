@@ -28,10 +28,7 @@ MAX_NOISE = 1e-6
 
 
 def symmetry_row(subject: Subject, coarse_step: float) -> Row:
-    """Return the row on psi_(-h) psi_h = 1.
-
-    `coarse_step` is a larger step at which the scheme still approximates the motion.
-    """
+    """Return the row on psi_(-h) psi_h = 1; `coarse_step` is the larger step that is tested."""
     claim = subject.claims.symmetric
 
     def back(x: Floats, h: float) -> Floats:

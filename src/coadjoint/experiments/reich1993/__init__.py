@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coadjoint.errors import LargeStepWarning
-from coadjoint.experiments.statement import Statement, markdown, write_csv
+from coadjoint.experiments.statements import Statement, markdown, write_csv
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 
@@ -97,10 +97,7 @@ def check_packages() -> None:
 
 
 def measured_statements(echo: Callable[[str], None] = print, phase_end: float = 500.0) -> list[Statement]:
-    """Return a measured row for every testable statement of the paper, in the order of the paper.
-
-    `echo` is called with a line of text per section; `phase_end` is the end of the runs for phase errors.
-    """
+    """Return a measured row for every testable statement of the paper, in its order; `echo` prints a line a section."""
     from coadjoint.experiments.reich1993 import (
         section2,
         section3,

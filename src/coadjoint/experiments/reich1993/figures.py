@@ -69,10 +69,7 @@ def write_figures(folder: Path) -> list[Path]:
 
 
 def drift_figure(run: Solution, number: int, scheme: str) -> Figure:
-    """Plot the drift of the Hamiltonian (dotted) and the Casimir (solid) on A3,7; every step must be saved.
-
-    Left: signed deviations, as in the paper; right: absolute values on a logarithmic scale.
-    """
+    """Plot the drift of H (dotted) and the Casimir (solid) on A3,7: signed, as in the paper, and logarithmic."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(9.0, 3.9), layout="constrained")
@@ -225,10 +222,7 @@ def write_modified_energies(folder: Path) -> Path:
 
 
 def modified_energy_figure() -> Figure:
-    """Plot the deviation of H and of the modified Hamiltonians of orders 4, 6 and 8 along three runs of the splitting.
-
-    A3,7 as in figure 1; the rigid body near its separatrix at a quarter of the paper's step; the body far from it.
-    """
+    """Plot the deviation of H and of the modified Hamiltonians of orders 4, 6 and 8 along three runs of a splitting."""
     from matplotlib.figure import Figure
 
     body = paper_rigid_body()

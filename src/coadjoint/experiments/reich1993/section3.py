@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.analysis.powers import fit_order
-from coadjoint.experiments.convergence import (
+from coadjoint.experiments.reich1993.systems import four_dimensional_trial
+from coadjoint.experiments.statements import (
     SLOPE_TOLERANCE,
     ReferenceProblem,
+    Statement,
     fitted_drift,
     fitted_order,
+    judge,
     roundoff,
+    stage_iterates,
     within,
 )
-from coadjoint.experiments.reich1993.systems import four_dimensional_trial
-from coadjoint.experiments.statement import Statement, judge
-from coadjoint.experiments.step_matrices import stage_iterates
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre

@@ -8,10 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.powers import fit_order
-from coadjoint.experiments.convergence import roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START
-from coadjoint.experiments.statement import Statement, judge
-from coadjoint.experiments.step_matrices import stage_iterates, step_matrix
+from coadjoint.experiments.statements import Statement, judge, roundoff, stage_iterates, step_matrix, within
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.radau_energy import RadauEnergy

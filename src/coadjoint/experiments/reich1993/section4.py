@@ -8,7 +8,6 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.convergence import SLOPE_TOLERANCE, fitted_order, roundoff, within
 from coadjoint.experiments.reich1993.systems import (
     CALM_START,
     COORDINATES,
@@ -17,7 +16,7 @@ from coadjoint.experiments.reich1993.systems import (
     four_dimensional_body,
     four_dimensional_trial,
 )
-from coadjoint.experiments.statement import Statement, judge
+from coadjoint.experiments.statements import SLOPE_TOLERANCE, Statement, fitted_order, judge, roundoff, within
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF

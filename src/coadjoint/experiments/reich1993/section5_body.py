@@ -6,7 +6,6 @@ import numpy as np
 
 from coadjoint.analysis.phase_drift import PhaseDrift, phase_drift
 from coadjoint.analysis.powers import fit_order
-from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import (
     BODY_END,
     BODY_LATER,
@@ -21,7 +20,7 @@ from coadjoint.experiments.reich1993.systems import (
     BodyRun,
     body_run,
 )
-from coadjoint.experiments.statement import Statement, judge
+from coadjoint.experiments.statements import SLOPE_TOLERANCE, Statement, judge, roundoff, within
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 

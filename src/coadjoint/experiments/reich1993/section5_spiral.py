@@ -7,9 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.experiments.convergence import roundoff
 from coadjoint.experiments.reich1993.systems import COORDINATES, SPIRAL_END, SPIRAL_START, SPIRAL_STEP
-from coadjoint.experiments.statement import Statement, judge
+from coadjoint.experiments.statements import Statement, judge, roundoff
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.protocol.method import Method

@@ -6,9 +6,8 @@ import numpy as np
 
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
 from coadjoint.analysis.powers import fit_order, fit_power
-from coadjoint.experiments.convergence import SLOPE_TOLERANCE, roundoff, within
 from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
-from coadjoint.experiments.statement import Statement, judge
+from coadjoint.experiments.statements import SLOPE_TOLERANCE, Statement, judge, roundoff, within
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.splitting import Splitting

@@ -9,16 +9,17 @@ import numpy as np
 
 from coadjoint.algebra import catalogue
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.convergence import (
+from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES
+from coadjoint.experiments.statements import (
     SLOPE_TOLERANCE,
+    Statement,
     fitted_drift,
     fitted_order,
+    judge,
     reference_problem,
     roundoff,
     within,
 )
-from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES
-from coadjoint.experiments.statement import Statement, judge
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
@@ -32,13 +33,7 @@ STEP_COUNTS = (32, 64, 128, 256)  # few, since every run compiles the functions 
 
 
 def curved_structure(x: Any) -> Any:
-    """Return (1 + x1^2) times the structure matrix of so(3): a Poisson bracket that is not linear.
-
-    Examples
-    --------
-    >>> curved_structure(np.array([1.0, 0.0, 0.5]))[0].tolist()
-    [0.0, 1.0, -0.0]
-    """
+    """Return (1 + x1^2) times the structure matrix of so(3): a Poisson bracket that is not linear."""
     f = 1.0 + x[0] * x[0]
     return np.array([[0.0, f * x[2], -f * x[1]], [-f * x[2], 0.0, f * x[0]], [f * x[1], -f * x[0], 0.0]])
 

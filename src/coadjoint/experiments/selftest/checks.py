@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import tempfile
+import warnings
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,6 @@ import numpy as np
 from coadjoint.analysis.certificates.certificate import HOLDS, Row
 from coadjoint.analysis.certificates.certify import certify
 from coadjoint.errors import in_one_line
-from coadjoint.experiments.selftest.findings import Finding
 from coadjoint.experiments.selftest.subjects import (
     more_schemes,
     references,
@@ -46,6 +47,32 @@ CHECK_DESCRIPTIONS = {
     "attitude": "limit of group elements",
 }
 """Reported properties of certificates, by the beginning of their row keys."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of one check, with its value, its bound (a lower one if `least`), and the subject nearest to failing."""
+
+    what: str
+    measured: float = math.nan
+    allowed: float = math.nan
+    where: str = ""
+    least: bool = False
+    skipped: str = ""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the measurement satisfies its bound; skipped checks pass."""
+        if self.skipped:
+            return True
+        return self.measured >= self.allowed if self.least else self.measured <= self.allowed
+
+    def __str__(self) -> str:
+        if self.skipped:
+            return f"skip  {self.what:42}  {self.skipped}"
+        verdict, bound = "ok" if self.passed else "FAIL", "at least" if self.least else "at most"
+        numbers = f"{self.measured:9.3g}   {bound:8}  {self.allowed:7.2g}"
+        return f"{verdict:4}  {self.what:42}  {numbers}  {self.where}".rstrip()
 
 
 def rounding(system: Any, steps: int, work: float) -> float:
@@ -192,3 +219,31 @@ def resumed() -> Iterator[Finding]:
             if not _same(np.asarray(resume(path, t_end=1.0).x), uninterrupted.x):
                 differing.append(f"{_scheme_name(method)} on {key}")
     yield Finding(f"cut and resumed: {count}", float(len(differing)), 0.0, "; ".join(differing)[:200])
+
+
+CHECKS = (motions, orders, certificates, same_bits, interpreted_steps, resumed)
+
+
+def selftest() -> Iterator[Finding]:
+    """Check the installed package on this machine; yield each measurement with its bound.
+
+    All schemes of the library run on seven systems. Checks that need an optional package are skipped, with the reason.
+
+    Examples
+    --------
+    >>> from itertools import islice
+    >>> all(found.passed for found in islice(selftest(), 3))
+    True
+    """
+    for check in CHECKS:
+        findings: list[Finding] = []
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                findings.extend(check())
+        except Exception as error:
+            # A check that raises an error has failed; the others still run.
+            findings.append(
+                Finding(f"{check.__name__} ended", 1.0, 0.0, in_one_line(f"{type(error).__name__}: {error}"))
+            )
+        yield from findings

@@ -52,13 +52,7 @@ def state_of(system: Any, number: int = 0) -> Array:
 
 
 def as_matrix(entries: Array, n: int) -> Array:
-    """Return the skew matrix with the given entries below the diagonal, row by row.
-
-    Examples
-    --------
-    >>> as_matrix(np.array([1.0, 2.0, 3.0]), 3).tolist()
-    [[0.0, -1.0, -2.0], [1.0, 0.0, -3.0], [2.0, 3.0, 0.0]]
-    """
+    """Return the skew matrix with the given entries below the diagonal, row by row."""
     matrix = np.zeros((n, n))
     matrix[np.tril_indices(n, -1)] = entries
     return matrix - matrix.T

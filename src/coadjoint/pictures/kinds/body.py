@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.globe import Globe, view_of
 from coadjoint.pictures.kinds.body_axis import axis_in_space
-from coadjoint.pictures.path_update import PathUpdate
+from coadjoint.pictures.paths import PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, ink, set_title, thickness

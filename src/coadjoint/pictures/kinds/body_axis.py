@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.globe import Globe, view_of
-from coadjoint.pictures.members import MemberColours
-from coadjoint.pictures.path_update import PathUpdate
+from coadjoint.pictures.paths import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, ink, legend, set_title
@@ -57,10 +56,7 @@ def body_axis(
 
 
 def axis_in_space(drawn: PlottedRun, axis: Any, up: Any) -> tuple[Floats, str]:
-    """Return the path of a body axis in space, unit vectors (members, k, 3), and the name of the axis.
-
-    `axis` and `up` are those of `body_axis`. Raises CannotShow without an attitude that is a rotation.
-    """
+    """Return the path of a body axis in space, unit vectors (members, k, 3), and the name of the axis."""
     A = drawn.rotation
     if A is None:
         raise CannotShow("the run has no attitude that is a rotation; integrate with attitude=True")

@@ -11,8 +11,7 @@ import numpy.typing as npt
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.pictures.level_surface import level_surface
-from coadjoint.pictures.members import MemberColours
-from coadjoint.pictures.path_update import PathUpdate
+from coadjoint.pictures.paths import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, dots, ink, set_title, setting, symbol, thickness
@@ -69,11 +68,8 @@ def draw_orbit(
     on_surface: bool = True,
     shades: MemberColours | None = None,
 ) -> tuple[list[Any], str]:
-    """Draw orbits (members, k, 3) and the level surface of a Casimir through the first point of the first orbit.
-
-    Points are dots unless `joined`. `on_surface` is false if forces move the orbits away from the surface. Parts of
-    orbits behind the surface are faint. Returns the lines of the orbits, and the title without a note.
-    """
+    """Draw orbits (members, k, 3) and the level surface of a Casimir; return their lines, and the title."""
+    # The surface passes through the first point of the first orbit. Parts of orbits behind it are faint.
     from coadjoint.pictures.hidden_lines import FadingLine, Hides, hides_behind
 
     name = surface_casimir(casimirs)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.paths import MemberColours
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, Update, kind
 from coadjoint.pictures.series import draw_members, draw_series, from_start
@@ -127,10 +127,7 @@ def _mark_flips(axes: Any, drawn: PlottedRun, i: int) -> None:
 def flip_times(
     field: Callable[[Floats, float], Floats], t: Floats, x: Floats, i: int, max_count: int | None = None
 ) -> Floats:
-    """Return the first `max_count` times, in the order of t, at which coordinate i of a motion crosses zero.
-
-    Between saved points the motion is interpolated by cubic Hermite polynomials with the slopes `field(x, t)`.
-    """
+    """Return the first `max_count` times at which coordinate i of a motion crosses zero, by cubic interpolation."""
     values = x[:, i]
     intervals = np.flatnonzero((values[:-1] != 0.0) & (np.sign(values[:-1]) * np.sign(values[1:]) <= 0.0))
     times = []

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.kinds.body_axis import axis_in_space, declared_vertical
-from coadjoint.pictures.members import MemberColours
+from coadjoint.pictures.paths import MemberColours
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import Paint, kind
 from coadjoint.pictures.style import colour, dots, plain_axes, set_title, thickness

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.pictures.kinds.coadjoint_orbit import frame_space
-from coadjoint.pictures.members import MemberColours
-from coadjoint.pictures.path_update import PathUpdate
+from coadjoint.pictures.paths import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, dots, ink, legend, set_title, thickness

@@ -58,13 +58,9 @@ def section(drawn: PlottedRun, event: str | int | None = None, components: Any =
 
 @with_figure_settings
 def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = None) -> Figure:
-    """Draw the crossings of events in two coordinates (right, up), by default those that vary most.
-
-    Raises TypeError or ValueError without crossings, for matrix states, or for unknown coordinates.
-    """
+    """Draw the crossings of events in two coordinates (right, up), by default those that vary most."""
     require_packages("pictures", "matplotlib")
-    from coadjoint.pictures.figure import ShownFigure
-    from coadjoint.pictures.layout import PanelLayout
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
     names = events.coordinates
     across, up = drawn_coordinates(events, components)

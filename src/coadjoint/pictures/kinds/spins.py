@@ -167,16 +167,7 @@ def _draw_colours(axes: Any, positions: Floats, S: Floats, flat: tuple[int, int]
 
 
 def direction_colours(S: Floats) -> Floats:
-    """Return colours (k, 3) of vectors (3, k) of length at most 1: hue of the first two components, lightness of the
-    third, from black to white.
-
-    Examples
-    --------
-    >>> direction_colours(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, -1.0, 0.0]])).round(2)
-    array([[1. , 1. , 1. ],
-           [0. , 0. , 0. ],
-           [0.9, 0.1, 0.1]])
-    """
+    """Return colours (k, 3) of vectors (3, k): hue of the first two components, lightness of the third."""
     hue = np.arctan2(S[1], S[0]) / (2.0 * np.pi)
     lightness = 0.5 + 0.5 * np.clip(S[2], -1.0, 1.0)
     strength = SATURATION * np.minimum(lightness, 1.0 - lightness)
@@ -187,23 +178,14 @@ def direction_colours(S: Floats) -> Floats:
 
 
 def sites_of_row(lattice: Any, count: int) -> int:
-    """Return the number of sites per row of a long chain, ring or graph, which is folded; `count` if it is not folded.
-
-    Examples
-    --------
-    >>> sites_of_row("chain", 20), sites_of_row("chain", 100), sites_of_row(None, 100), sites_of_row("square", 100)
-    (20, 15, 15, 100)
-    """
+    """Return the number of sites per row of a long chain, ring or graph, which is folded; else `count`."""
     in_plane = isinstance(lattice, str) and lattice in CELL_GEOMETRY and lattice not in ("chain", "ring")
     return count if in_plane or count <= SITES_PER_ROW else math.ceil((2.0 * count) ** 0.5)
 
 
 def site_positions(lattice: Any, shape: Any, count: int) -> Floats:
-    """Return the positions (count, 2) of sites in the plane, cell by cell, along the last axis of `shape` first.
-
-    Long chains, rings and general graphs are folded into rows, the first on top; short rings and graphs are drawn as a
-    circle. Raises CannotShow for three-dimensional lattices.
-    """
+    """Return the positions (count, 2) of sites in the plane, cell by cell, along the last axis of `shape` first."""
+    # Long chains, rings and general graphs are folded into rows, the first on top; short rings and graphs are circles.
     if lattice == "cubic":
         raise CannotShow("the lattice is three-dimensional, and spins are drawn in a plane")
     row = sites_of_row(lattice, count)

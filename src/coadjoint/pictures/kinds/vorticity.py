@@ -205,13 +205,7 @@ def sphere_field(
 
 
 def on_grid(grid: Floats, towards: Floats) -> Floats:
-    """Interpolate a grid (a, b) of `sphere_field` to unit vectors (..., 3), linearly in latitude and longitude.
-
-    Examples
-    --------
-    >>> float(on_grid(np.array([[-1.0, -1.0], [0.0, 0.0], [1.0, 1.0]]), np.array([0.0, 0.8660254037844386, 0.5])))
-    0.333...
-    """
+    """Interpolate a grid (a, b) of `sphere_field` to unit vectors (..., 3), linearly in latitude and longitude."""
     rows, columns = grid.shape
     latitude = (np.arcsin(np.clip(towards[..., 2], -1.0, 1.0)) / np.pi + 0.5) * (rows - 1)
     longitude = np.arctan2(towards[..., 1], towards[..., 0]) / (2.0 * np.pi) * columns
@@ -225,11 +219,7 @@ def on_grid(grid: Floats, towards: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Projection:
-    """A map of the sphere into an ellipse with the half axes `half_width` and 1.
-
-    `half_width` is 2 for maps of the whole sphere, 1 for the view from outside. `project` maps longitudes and latitudes
-    in radians, relative to the centre, to x, y, and `unproject` inverts it; invisible points are NaN.
-    """
+    """A map of the sphere, in radians from its centre, into an ellipse; invisible points are NaN."""
 
     half_width: float
     project: Callable[[Floats, Floats], ArrayPair]
@@ -266,15 +256,7 @@ def unit_vectors(longitude: Floats, latitude: Floats) -> Floats:
 
 
 def turned(centre: tuple[float, float]) -> Floats:
-    """Return the rotation whose rows are the axes of the map: towards its centre, to the right, and upward.
-
-    Examples
-    --------
-    >>> turned((90.0, 0.0)).round(12) + 0.0
-    array([[ 0.,  1.,  0.],
-           [-1.,  0.,  0.],
-           [ 0.,  0.,  1.]])
-    """
+    """Return the rotation whose rows are the axes of the map: towards its centre, to the right, and upward."""
     longitude, latitude = np.radians(centre)
     middle = unit_vectors(longitude, latitude)
     right = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
