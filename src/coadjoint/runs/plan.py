@@ -42,7 +42,8 @@ class Plan:
     ) -> None:
         self.system, self.base, self.method, self.loops, self.times = system, system, method, loops, times
         self.groups = groups
-        self.watching, self.workers, self.inside, self.events = watching, workers, inside, 0
+        self.watching, self.workers, self.inside = watching, workers, inside  # threads, and those that share a member
+        self.events = 0  # address of the event tables
         members, square = groups[0], groups[1] ** 2
         self.layout = loops.layout(members, times.points, square)
         check_run_memory(self.layout, times, members)

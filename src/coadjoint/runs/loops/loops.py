@@ -86,7 +86,7 @@ class Loops:
     """The compiled loops of a run, and further properties of its system; concurrent runs may share them.
 
     There is one loop for each distinct system, or for several with `columns`; `owners` (members,) are the numbers of
-    their loops. With `in_order` a member keeps its row, which its noise depends on. `accounts` are (force, invariant).
+    their loops. With `in_order` a member keeps its row, which its noise depends on.
     """
 
     corrected_groups: GroupCorrection
@@ -110,9 +110,11 @@ class Loops:
         self._corrected = owners if corrected is None else corrected
         self.dim, self.names, self.corrections = dim, names, list(corrections)
         self.owners, self.in_order, self.rows = owners, in_order, rows
-        self.accounts = compiled[0].accounts
+        self.accounts = compiled[0].accounts  # of works behind the coordinates of a state, as (force, invariant)
+        # Numbers of a state, and those of a member that persist from step to step.
         self.size, self.memory = dim + len(self.accounts), max(loop.memory for loop in compiled)
         self.measured = None if matrices is None else MatrixInvariants(matrices, names, self.accounts)
+        # Members with the same tables that are advanced side by side.
         self.block = limit("MOST_LANES") if dim <= limit("WIDEST") else 1
         self.corrected_groups = (
             partial(corrected_groups_each, self.corrections, self._corrected)
