@@ -21,7 +21,6 @@ def flip() -> None:
     """Draw the run of the lines that the README has, and its movie."""
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 90), 0.05, co.Splitting(order=4), attitude=True)
-    sol.plot().savefig(DOCS / "intermediate_axis_flip.png", dpi=75)
     sol.movie(DOCS / "intermediate_axis_flip.gif", frames=300, fps=25, size=(480, 360))
 
 
