@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.coefficients import Coefficients, decoded
+from coadjoint.systems.coefficients import Coefficients, Key, decoded
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -125,6 +125,12 @@ class EnergyDerivative(NamedTuple):
             others=tuple(one for piece in moved for one in piece.others),
             functions=tuple(one for piece in moved for one in piece.functions),
         )
+
+    @property
+    def keys(self) -> list[Key]:
+        """The coordinates of each monomial, sorted, in the order of `entries`."""
+        pairs = zip(*np.sort(self.quadratic, axis=1).T.tolist(), strict=True)
+        return [*((i,) for i in self.linear.tolist()), *pairs, *(one.coordinates for one in self.others)]
 
     @property
     def of_functions(self) -> EnergyDerivative:

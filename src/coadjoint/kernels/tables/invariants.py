@@ -10,7 +10,8 @@ import numpy as np
 from coadjoint.algebra.invariants.invariant import Invariant, LogarithmicInvariant
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
-from coadjoint.program.sources import INDEPENDENT, Coefficients, Multiples, Sources, concatenated, sources_of
+from coadjoint.program.multiples import Multiples, concatenated
+from coadjoint.program.sources import INDEPENDENT, Coefficients, Sources, sources_of
 from coadjoint.program.term_table import ValueTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term

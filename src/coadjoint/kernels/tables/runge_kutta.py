@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, sources_of_field, substeps
-from coadjoint.program.sources import Coefficients, Multiples, Sources
+from coadjoint.program.multiples import Multiples
+from coadjoint.program.sources import Coefficients, Sources
 from coadjoint.systems.system import System
 
 

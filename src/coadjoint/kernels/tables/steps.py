@@ -24,8 +24,9 @@ from coadjoint.kernels.tables.field import (
 from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.program.multiples import Multiples
 from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.program.sources import Coefficients, Multiples, Sources
+from coadjoint.program.sources import Coefficients, Sources
 from coadjoint.systems.system import System
 
 

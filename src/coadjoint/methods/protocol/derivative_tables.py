@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.tables.structures import unrecorded
 
 if TYPE_CHECKING:
-    from coadjoint.program.added_part import CoefficientMap
+    from coadjoint.program.multiples import Multiples
     from coadjoint.program.sources import Sources
 
 EXACT = "exact"
@@ -44,12 +44,12 @@ class DerivativeTables(NamedTuple):
     forward: Kernel
     backward: Kernel
     coefficient_count: int
-    coefficients: Mapping[str, CoefficientMap]
-    factors: Mapping[str, CoefficientMap]
+    coefficients: Mapping[str, Multiples]
+    factors: Mapping[str, Multiples]
     rules: Mapping[str, str]
     shift: tuple[Any, ...]
     reversible: bool
     located: tuple[str, ...] = ()
-    monomials: Mapping[str, tuple[CoefficientMap, CoefficientMap]] = {}
+    monomials: Mapping[str, tuple[Multiples, Multiples]] = {}
     of_members: NDArray[np.float64] | None = None
     sources: Callable[[], Sources] = unrecorded

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, with_step
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, EXACT, DerivativeTables
-from coadjoint.program.added_part import CoefficientMap, with_added_part
-from coadjoint.program.provenance import in_parts
+from coadjoint.program.added_part import with_added_part
+from coadjoint.program.multiples import NO_MULTIPLES, concatenated
+from coadjoint.program.places import Places
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 if TYPE_CHECKING:
@@ -33,15 +34,19 @@ def flow_derivatives(
     """
     program = method.program(system, group=representation)
     apart = {name: G.apart for name, G in energies.items()}
-    found = {name: in_parts(program, G) for name, G in apart.items()}
-    others = [name for name, pair in found.items() if pair is None]
-    own, empty, added = {name: pair[0] for name, pair in found.items() if pair}, CoefficientMap.of_triplets(()), None
+    places = Places(program)
+    found = {name: places.of(G) for name, G in apart.items()}
+    own = {name: (of_parts, of_shift) for name, (of_parts, of_shift, missing) in found.items() if not len(missing)}
+    others, added = [name for name in found if name not in own], None
     in_added = [G if name in others else G.of_functions for name, G in apart.items()]
+    monomials = {name: own.get(name, (NO_MULTIPLES, NO_MULTIPLES)) for name in found}
     if others or any(G.functions for G in in_added):
         added = with_added_part(program, method, system, representation, EnergyDerivative.joined(in_added))
         split = added.split({name: G.size for name, G in apart.items()})
-        own = {name: one.joined(added.renumbered(own[name])) if name in own else one for name, one in split.items()}
-    monomials = {name: (own[name], pair[1] if pair else empty) for name, pair in found.items()}
+        monomials = {
+            name: (concatenated([split[name], added.renumbered(of_parts)]), of_shift)
+            for name, (of_parts, of_shift) in monomials.items()
+        }
     built = flow_cotangents(program, system, representation, h, method.compensates, added)
     terms = built.tables.base.terms
 

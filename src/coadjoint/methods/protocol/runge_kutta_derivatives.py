@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.kernels.tables.cotangents import runge_kutta_cotangents
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
-from coadjoint.program.added_part import CoefficientMap, terms_of
+from coadjoint.program.added_part import terms_of
+from coadjoint.program.multiples import NO_MULTIPLES
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 if TYPE_CHECKING:
@@ -29,10 +30,7 @@ def runge_kutta_derivatives(
     apart = {name: energy.apart for name, energy in energies.items()}
     joined = EnergyDerivative.joined(list(apart.values()))
     added, coefficients = terms_of(joined, system.dim)
-    of_monomials, empty = (
-        coefficients.split({name: G.size for name, G in apart.items()}),
-        CoefficientMap.of_triplets(()),
-    )
+    of_monomials = coefficients.split({name: G.size for name, G in apart.items()})
     loop = method.loop_of_substeps(system, h, representation, fractions)
     built = runge_kutta_cotangents(loop, system, added, joined.functions)
     return DerivativeTables(
@@ -42,10 +40,10 @@ def runge_kutta_derivatives(
         backward=BACKWARD,
         coefficient_count=len(added.offset) + len(added.weight) + len(added.coefficient),
         coefficients={name: one.of_energy(energies[name]) for name, one in of_monomials.items()},
-        factors=dict.fromkeys(energies, empty),
+        factors=dict.fromkeys(energies, NO_MULTIPLES),
         rules=dict.fromkeys(energies, EXACT),
         shift=(),
         reversible=False,
-        monomials={name: (one, empty) for name, one in of_monomials.items()},
+        monomials={name: (one, NO_MULTIPLES) for name, one in of_monomials.items()},
         sources=lambda: loop.sources().within("base."),
     )

@@ -15,7 +15,7 @@ from coadjoint.kernels.tables.structures import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.program.added_part import CoefficientMap
+from coadjoint.program.multiples import NO_MULTIPLES
 from coadjoint.runs.inputs import Inputs
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameter_differences import DISTANCE, RADIUS, NearbySystems
@@ -42,15 +42,14 @@ def tables_with_inputs(
     if not tables.located:
         return _located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)})[0]
     try:
-        triplets = list(at(h).derivatives(tables.located))
+        by_inputs = at(h).derivatives(tables.located)
     except NotWritable as reason:
         raise TypeError(
             f'{scheme} has no derivatives by inputs for {inputs.system.name}: {reason}; take parts="auto"'
         ) from None
-    by_inputs = CoefficientMap.of_triplets(triplets)
     return tables._replace(
         coefficients={**tables.coefficients, INPUTS: by_inputs},
-        factors={**tables.factors, INPUTS: CoefficientMap.of_triplets(())},
+        factors={**tables.factors, INPUTS: NO_MULTIPLES},
         rules={**tables.rules, INPUTS: EXACT},
     )
 

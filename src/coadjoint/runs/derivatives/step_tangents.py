@@ -39,7 +39,7 @@ class StepTangents:
         if len(inputs):
             directions = np.zeros((count, 1 + max(inputs)))
             directions[np.arange(n, count), inputs] = 1.0
-            coefficients += tables.coefficients[INPUTS].of_coefficients(directions, tables.coefficient_count)
+            coefficients += tables.coefficients[INPUTS].of_directions(directions, tables.coefficient_count)
         step = Stretch.of_step(0.0, h, self._momenta, np.zeros((1, 0, 0)))
         run = step.forward(self._tangents, np.zeros((1, count, 0, 0)), coefficients)
         self._after, self._run = run.at_points, self._prepared(run)
