@@ -27,11 +27,9 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 class AddedPart(NamedTuple):
-    """A program with one more part, the last one, which moves nothing.
-
-    `rows` and `terms` are those of all parts. The added one has as many `shares`, the last ones with `functions`;
-    `state` and `group` contain the generators of its angles, and `coefficients` are those of `terms_of`. `counts` are
-    the numbers of offsets, weights and coefficients of the program and of the added part.
+    """A program with one more part, the last one, which moves nothing: `rows` and `terms` of all parts, its numbers of
+    `shares` and `angles`, the generators of all in `state` and `group`, its `coefficients`, and `counts` of constants
+    of both.
     """
 
     rows: Rows
@@ -94,10 +92,7 @@ def with_added_part(
 
 
 def _position(program: Program, G: EnergyDerivative) -> int:
-    """Return the position of the added part in the order of parts: inside of sweeps, where no rows are joined.
-
-    Next to the function that G has derivatives of, with which these commute: they are those of the computed map.
-    """
+    """Return the position of the added part: inside of sweeps, next to the function that G has derivatives of."""
     last = len(program.parts) - 1
     if not G.functions:
         return max(0, min(1, last))

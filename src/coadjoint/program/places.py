@@ -23,10 +23,9 @@ _AFTER_ALL = np.iinfo(np.int64).max
 
 
 class Places:
-    """The constants of the parts of a program to which the coefficients of monomials of the energy are added.
-
-    Positions count all offsets, then all weights, then all coefficients of monomials. `copied` has those of shares that
-    are copies of terms of the energy; others, as of completed squares, contain more.
+    """The constants of the parts of a program to which the coefficients of monomials of the energy are added. Positions
+    count all offsets, then all weights, then all coefficients of monomials. `copied` has those of shares that are
+    copies of terms of the energy; others, as of completed squares, contain more.
     """
 
     def __init__(self, program: Program) -> None:
@@ -125,10 +124,7 @@ class Places:
         return [(one, factor) for one in self._position[at].tolist() if one >= 0] or None
 
     def _removed(self, key: Key) -> tuple[list[tuple[int, float]], list[tuple[int, float]]]:
-        """Return the places of the rest of a Casimir that has replaced a monomial, and its number, with factors.
-
-        The factor of the Casimir depends on the coefficient.
-        """
+        """Return the places of the rest of a Casimir that has replaced a monomial, and its number, with factors."""
         for number, casimir in enumerate(self._casimirs):
             if key in casimir:
                 rest = {other: self._find(other) for other in casimir if other != key}

@@ -30,7 +30,6 @@ INDEPENDENT = -2
 
 class Sums(NamedTuple):
     """Constants that are exact sums of the linear coefficients of the energy, (n,): at the positions of each rule.
-
     `linear` are the values of these; those of `coordinate` that are not zero are the sources `number`.
     """
 
@@ -54,10 +53,7 @@ class Sums(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """Constants of tables by the paths of their fields; all others do not depend on any source.
-
-    `computed` are the sources that a field depends on in another way, or that decide its structure.
-    """
+    """Constants of tables by the paths of their fields; `computed` are the sources of other functions of them."""
 
     multiples: Mapping[str, Multiples] = {}
     sums: Mapping[str, Sums] = {}
@@ -134,7 +130,6 @@ class Coefficients(NamedTuple):
 
 def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: Sequence[Term]) -> Sources:
     """Return the sources of a table whose term k is a copy of source[k] among `terms`, if that is not negative.
-
     `coordinate` has that of each row. If a coordinate has several rows in a term, the linear coefficient is in one.
     """
     energy = Coefficients.of(terms)

@@ -196,7 +196,9 @@ def test_monomials_are_found_at_once_as_each_alone(name):
         places = Places(co.Splitting(order=2, parts=parts).program(system))
         for parameter in parameters_of(system).values():
             G = parameter.energy()
-            monomials = [Monomial(*one) for one in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=True)]
+            monomials = [
+                Monomial(*one) for one in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=True)
+            ]
             alone = [places.of(EnergyDerivative.of_monomials(G.size, [one])) for one in monomials]
             *found, missing = places.of(G)
             assert sorted(missing) == sorted(entry for *_, own in alone for entry in own)

@@ -116,12 +116,9 @@ class _Block:
 
 
 class WritableTables:
-    """The tables of a scheme and of the watched invariants, for numbers (m,) given with each call.
-
-    `indices` maps sources to the indices of the numbers that they are; `tangled` are other sources that change with
-    these. `values` (m,) are the numbers of the tables as given. `separate_tables` is set if members with different
-    numbers need separate tables: tables refer to other tables, or a number is one that the kernels read once for all
-    members. Raise `NotWritable` if the tables depend on the sources in another way than by multiples and exact sums.
+    """The tables of a scheme and of the watched invariants for numbers (m,) given with each call: `indices` maps
+    sources to those that they are, `tangled` are sources that change with them, `values` the numbers as built. With
+    `separate_tables` members need tables of their own.
     """
 
     def __init__(
