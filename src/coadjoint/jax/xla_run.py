@@ -19,7 +19,6 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
-from coadjoint.program.provenance import monomials_of
 from coadjoint.program.public_table import energy_and_parameters
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -149,7 +148,7 @@ class XlaRun:
                     f'{name} is a parameter of a force, which has the numbers of the prepared run with backend="xla"; '
                     'take backend="compiled"'
                 )
-            self._check_provenance(name)
+            self._check_places(name)
         if not values:
             return energy
         if not all(known[name]["linear"] for name in values):
@@ -175,7 +174,7 @@ class XlaRun:
             energy = energy.at[np.array(numbers)].set(value.ravel())
         return energy
 
-    def _check_provenance(self, name: str) -> None:
+    def _check_places(self, name: str) -> None:
         one = self._table["parameters"].get(name)
         if one is None or np.any(np.isin(one["monomial"], self._table["fixed"]) & (one["derivative"] != 0.0)):
             raise ValueError(
@@ -203,9 +202,10 @@ class XlaRun:
             number, start = {key: k for k, key in enumerate(keys)}, 0
             found = np.zeros((len(keys), count))
             for parameter in parameters_at(self._system.unforced, at(*arrays)).values():
-                for one in monomials_of(parameter.energy()):
-                    if one.coordinates:
-                        found[number[one.coordinates], start + one.entry] += one.factor
+                G = parameter.energy()
+                for key, entry, factor in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=False):
+                    if key:
+                        found[number[key], start + entry] += factor
                 start += parameter.value.size
             return found
 

@@ -83,16 +83,9 @@ class NamedArrays:
 
 
 class Layout:
-    """The arrays of a run, in the order, types and shapes that the library describes.
-
-    `saved`, at K points: `x` (K, M, n); `group` (K, M, d*d), transposed matrices; `values` (K, M, I), invariants.
-
-    `state`, everything a run carries from one step to the next: `momenta` (M, n) and `groups` (M, d*d), with the
-    carries of their compensated sums, `errors` and `group_errors`; the `memory` (M, memory_size) of a scheme; `first`
-    and `last` (M, I), invariants at the start and after the previous step; `worst` (M, 10, I), their largest deviation
-    in each tenth of the run; and for each member, (M,): `status`, the `step` that failed, the `residual` of its last
-    iteration, and the work done, `evaluations` (elementary flows of a program, or evaluations of the vector field) and
-    `iterations`.
+    """The arrays of a run by name, "saved" at K points and the "state" carried between steps, as the library describes
+    them in `boundary/arrays.hpp`; matrices are transposed, and `worst` has the largest deviations in each tenth of the
+    run.
     """
 
     def __init__(self, extent: Extent) -> None:

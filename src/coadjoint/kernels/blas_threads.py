@@ -19,10 +19,7 @@ def matrix_rows(system: Any) -> int:
 
 
 def concurrent_members(rows: int) -> int:
-    """Return the number of members to advance concurrently: the number of cores, or 1 for large matrices.
-
-    BLAS distributes products of matrices with more than `SINGLE_THREAD_ROWS` rows over threads itself.
-    """
+    """Return the number of members to advance concurrently: 1 for large matrices, which BLAS distributes."""
     return 1 if rows > SINGLE_THREAD_ROWS else os.cpu_count() or 1
 
 

@@ -32,11 +32,7 @@ class Array(NamedTuple):
 
 
 class Description(NamedTuple):
-    """The interface that the library describes, in its order.
-
-    `tables` are pairs (type, field) by name, `arrays` by "saved" or "state" and name, `codes` by list and name; the
-    list "Limit" has the limits.
-    """
+    """The interface by name: fields (type, field) of `tables`, `arrays` "saved" and "state", `codes` and "Limit"."""
 
     tables: Mapping[str, Fields]
     arrays: Mapping[str, Mapping[str, Array]]
@@ -103,15 +99,7 @@ TYPES = ("numbers", "integers")
 
 
 def parse_description(text: str) -> Description:
-    r"""Parse a description: one line for each table, kind of arrays and list of codes, with its kind, name and entries.
-
-    Examples
-    --------
-    >>> text = "table Pair:number left;number right;\narrays saved:numbers x points * size;\ncodes Way:UP 1;"
-    >>> parsed = parse_description(text)
-    >>> parsed.tables["Pair"], parsed.arrays["saved"]["x"].axes, parsed.codes["Way"]
-    ((('number', 'left'), ('number', 'right')), ('points', 'size'), {'UP': 1})
-    """
+    """Parse a description: a line for each table, kind of arrays and list of codes, with its entries."""
     parsed: dict[str, dict[str, Any]] = {"table": {}, "arrays": {}, "codes": {}}
     for line in text.splitlines():
         head, _, rest = line.partition(":")

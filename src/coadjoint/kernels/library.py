@@ -75,10 +75,7 @@ def built_levels() -> list[int]:
 
 
 def level_in_use() -> int | None:
-    """Return the highest level that is built and supported by the processor; None if it is not x86-64.
-
-    The environment variable ``COADJOINT_LEVEL`` requests another one. Raise ImportError if there is none.
-    """
+    """Return the highest level that is built and supported by the processor; None if it is not x86-64."""
     highest = processor_level()
     requested = os.environ.get("COADJOINT_LEVEL")
     if highest is None:
@@ -123,22 +120,16 @@ def _build_advice(level: str) -> str:
 
 @functools.cache
 def kernels() -> ctypes.CDLL:
-    """Return the library of kernels for this processor, on x86-64 the highest level that is built and supported.
-
-    The environment variable ``COADJOINT_LEVEL`` (v1, v3 or v4), read on first use, selects another level for
-    comparison; all levels give the same bits. Raise ImportError if the library is missing, cannot be loaded, or has no
-    such level.
-    """
+    """Return the library for the highest level of this processor that is built, or that of ``COADJOINT_LEVEL``."""
     level = level_in_use()
     return _load("_kernels" if level is None else f"_kernels_v{level}")
 
 
 @functools.cache
 def interruptible_kernels() -> ctypes.PyDLL:
-    """Return the same library with its loops, which are called while Python's global lock is held.
-
-    The loops release the lock while they work, and acquire it periodically to check for signals; exceptions of handlers
-    are raised by the call. In a daemon thread they suspend the thread once the interpreter is finalizing.
+    """Return the same library with its loops, which are called while Python's global lock is held. The loops release
+    the lock while they work, and acquire it periodically to check for signals; exceptions of handlers are raised by the
+    call. In a daemon thread they suspend the thread once the interpreter is finalizing.
     """
     library = kernels()
     python = ctypes.pythonapi

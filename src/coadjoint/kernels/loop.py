@@ -30,13 +30,9 @@ WholeRun: Any = ctypes.c_int64 * 9
 
 @dataclass(frozen=True)
 class CompiledLoop:
-    """A compiled loop over steps: its name in the library, and the tables that it reads.
-
-    `keepalive` are objects that must live as long, such as the machine code of user functions; `shift` are the Casimirs
-    and factors subtracted from the Hamiltonian, which rotate the group element at output; `memory` is the number of
-    scheme memory entries per member. `accounts` are the force and the invariant of each entry after the coordinates of
-    a state. `referenced` are the inner loops and `CompiledTables` that the step reads by address, by the index of the
-    address among its integers. `sources` returns the sources of its constants.
+    """A compiled loop: its name in the library, its tables, and objects to keep alive. `memory` counts the numbers of a
+    member that the scheme keeps; `accounts` are the force and the invariant of each entry after the coordinates;
+    `referenced` are tables read by address, by its index among the integers of the step.
     """
 
     name: str
@@ -70,10 +66,9 @@ NEVER_STOPPED = StopFlag()
 
 
 class MemberBatch:
-    """The members `first` to `last` - 1 that one call of a loop advances, with its tables, plain or `as_structure`.
-
-    If `stride` is nonzero, constants differ by member: each is an array of `stride` columns, the first for member
-    `base`. They are read in whole lanes, up to 32: the last column must be followed by as many.
+    """The members `first` to `last` - 1 that one call of a loop advances, with its tables, plain or `as_structure`. If
+    `stride` is nonzero, constants differ by member: each is an array of `stride` columns, the first for member `base`.
+    They are read in whole lanes, up to 32: the last column must be followed by as many.
     """
 
     def __init__(
@@ -110,11 +105,9 @@ class MemberBatch:
     def advance(
         self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: StopFlag
     ) -> int:
-        """Take the steps k0 + 1 to k1, and save the start if k0 is 0; return the number of failed members.
-
-        Members whose energy is not finite after the last step count as failed. Signals are handled several times a
-        second in the main thread, other threads check `stop`; the resulting exception, such as KeyboardInterrupt,
-        invalidates the arrays of the batch. Raise MemoryError if the working arrays cannot be allocated.
+        """Take the steps k0 + 1 to k1, and save the start if k0 is 0; return the number of failed members, with those
+        of a last energy that is not finite. An exception of a signal, such as KeyboardInterrupt, invalidates the arrays
+        of the batch.
         """
         failed_count: int = self._advance(
             layout.address, schedule, saved.address, state.address, as_int64(k0), as_int64(k1), stop.address
@@ -122,11 +115,9 @@ class MemberBatch:
         return failed_count if failed_count >= 0 else raise_outcome(failed_count)
 
     def whole_run(self, layout: Layout, schedule: Any) -> Callable[[Any], int]:
-        """Return a function that takes all steps of a run, for many calls; the schedule is a `ctypes` buffer.
-
-        Its argument is the address of the arrays in one allocation: the saved ones, then the state. It returns the
-        number of failed members, or a negative outcome for `raise_outcome`. If the initial momenta are not all finite,
-        all members fail, and their results are not set.
+        """Return a function of the address of the arrays, the saved ones and then the state, that takes all steps of a
+        run, for many calls. It returns the number of failed members, all if a momentum is not finite, or a negative
+        outcome.
         """
         pointed = *self._pointed_tables, layout.table, schedule, NEVER_STOPPED.flag
         tables, watch, extent, schedule_address, stop = map(ctypes.addressof, pointed)

@@ -20,9 +20,7 @@ LIBRARY_ADDRESS_FIELDS = ("step", "whole")
 
 
 class LibraryAddress(NamedTuple):
-    """An object that every process has at its own address: a BLAS routine by name if `blas`, else a step for
-    `step_address`.
-    """
+    """An object that every process has at its own address: a BLAS routine if `blas`, else a step, by name."""
 
     what: Any
     blas: bool
@@ -53,19 +51,7 @@ def picklable_tables(tables: Any, keepalive: tuple[Any, ...]) -> PicklableTables
 
 
 def restored_tables(pickled: PicklableTables) -> CompiledTables:
-    """Return tables with the addresses of this process; functions are compiled again, once.
-
-    Examples
-    --------
-    >>> import pickle
-    >>> from coadjoint.kernels.tables.invariants import watch_tables
-    >>> import coadjoint as co
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> watch = watch_tables(body, body.casimirs)
-    >>> there = restored_tables(pickle.loads(pickle.dumps(picklable_tables(watch.tables, watch.keepalive))))
-    >>> bool((there.tables.constant == watch.tables.constant).all())
-    True
-    """
+    """Return tables with the addresses of this process; functions are compiled again, once."""
     relocations = {address: owner.address for address, owner in pickled.owners}
     keepalive = tuple(owner for _, owner in pickled.owners if isinstance(owner, OWNERS))
     return CompiledTables(_relocated(pickled.tables, relocations) if relocations else pickled.tables, keepalive)

@@ -9,24 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
-from coadjoint.program.block_table import BlockTable, block_table, joined_tables, repeated_block_table
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.program.block_table import MIN_REPEATED, BlockTable, block_table, joined_tables, repeated_block_table
 from coadjoint.program.blocks import RULES, Kind
 from coadjoint.program.generators import BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.sparse_rows import layers, order_by, run_starts, starts_of
+from coadjoint.program.sparse_rows import SparseRows, layers, order_by, run_starts, starts_of
 
 NOTHING_OMITTED = np.zeros((0, 3), dtype=np.int64)
 
 
 class Action(NamedTuple):
-    """exp(theta D) of each part on vectors of `size` components, stored by columns.
-
-    Part p has the runs run[p] to run[p + 1]. A run applies theta[angle], theta[angle + 1], ... (`angles` of them), each
-    to `repeat` blocks of one kind with shared constants (a shear has a constant per block), from indices[position] and
-    constants[constant] on. For CUBIC and SERIES blocks, `width` is the number of coordinates, `degree` the number of
-    terms of the sum, and the coordinates are followed by compressed sparse rows: `width` + 1 starts, then `entries`
-    columns. The values of D (of a CUBIC block those of D^2 and their rounding errors) follow the constants.
+    """exp(theta D) of each part on vectors of `size` components: part p has the runs run[p] to run[p + 1], and a run
+    applies `angles` angles from `angle` on, each to `repeat` blocks with indices from `position` and constants from
+    `constant` on. `docs/table.md` describes the indices and constants of blocks.
     """
 
     size: int
@@ -47,11 +44,7 @@ class Action(NamedTuple):
 def build_action(
     matrices: BasisMatrices, parts: Parts, number: Number = float, omitted: Integers = NOTHING_OMITTED
 ) -> Action:
-    """Classify the generators of each part and arrange their blocks in runs.
-
-    The angles have the order of `parts.forms`. Entries `omitted`, (angle, row, column), count as zero. Raises
-    SplittingTooExpensive for generators of too many products.
-    """
+    """Classify the generators of each part and arrange their blocks in runs."""
     check_products(matrices.products(parts.forms), "the Hamiltonian")
     repeated = repeated_block_table(matrices, parts.forms) if number is float and not len(omitted) else None
     tables = (
@@ -72,10 +65,7 @@ def build_action(
 
 
 class _Groups(NamedTuple):
-    """Blocks of one kind that share an angle (and constants, except for shears), in table order.
-
-    Group g has the blocks block[g] to block[g + 1]; `begins` marks the groups that start a new run.
-    """
+    """Blocks of one kind that share an angle (and constants, except for shears), in table order."""
 
     part: Integers
     angle: Integers
@@ -84,10 +74,7 @@ class _Groups(NamedTuple):
 
 
 def _angle_levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
-    """Assign a level to each angle, so that generators of one level have no coordinate in common.
-
-    The generators of a part commute, but single overlapping blocks of two of them need not.
-    """
+    """Assign a level to each angle, so that generators of one level, which commute, have no coordinate in common."""
     angle = np.repeat(blocks.angle, blocks.width)
     _, index = expand(blocks.begin[:-1], blocks.begin[:-1] + blocks.width)
     coordinate, part = blocks.indices[index], part_of_angle[angle]
@@ -113,10 +100,7 @@ def _sharing_labels(blocks: BlockTable) -> Integers:
 
 
 def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[_Groups, BlockTable]:
-    """Group the blocks, and order the groups so that equal shapes with consecutive angles form one run.
-
-    Blocks of one level have no coordinate in common, so their order is free.
-    """
+    """Group the blocks, and order the groups so that equal shapes with consecutive angles form one run."""
     label = _sharing_labels(blocks)
     order = order_by(blocks.angle, blocks.kind, label)
     member = np.arange(len(blocks.angle))[order]
@@ -234,3 +218,55 @@ def run_entries(action: Action, run: int, q: int) -> dict[tuple[int, int], Any]:
         for i, j in np.argwhere(matrix != 0):
             entries[int(coordinates[i]), int(coordinates[j])] = matrix[i, j]
     return entries
+
+
+# Largest number of parts, each of which is a run of rotations.
+MAX_PARTS = 64
+
+
+def copied_action(algebra: LieAlgebra, parts: Parts) -> Action | None:
+    """Return the action of parts that rotate one plane of each copy, bitwise as by `build_action`; else None."""
+    count = len(parts.offset)
+    if algebra._copied is None or count < MIN_REPEATED or len(parts) > MAX_PARTS:
+        return None
+    forms = parts.forms
+    if len(forms.coordinate) != count or not np.all(np.diff(forms.start) == 1) or not np.all(forms.value == 1.0):
+        return None
+    summand, _ = algebra._copied
+    units = SparseRows.units(np.arange(summand.dim))
+    generators = BasisMatrices.coadjoint(summand).combinations(units, float)
+    tables = [block_table(one, roundoff(float)) for one in generators]
+    if not tables:
+        return None
+    blocks = joined_tables(tables)
+    if not np.array_equal(blocks.angle, np.arange(summand.dim)) or np.any(blocks.kind != Kind.ROTATE):
+        return None
+    inner = forms.coordinate % np.uint32(summand.dim)
+    indices = blocks.indices.reshape(summand.dim, 2).astype(np.uint32)[inner]
+    indices += (forms.coordinate - inner)[:, None]
+    first = parts.angle
+    sizes = np.diff(first)
+    for begin, size in zip(first[:-1].tolist(), sizes.tolist(), strict=True):
+        moved = np.zeros(algebra.dim, dtype=bool)
+        moved[indices[begin : begin + size]] = True
+        if np.count_nonzero(moved) < 2 * size:  # planes with a common coordinate
+            return None
+    used = sizes > 0
+    runs = int(np.count_nonzero(used))
+    begin = first[:-1][used].astype(np.uint32)
+    ones, zeros = np.ones(runs, dtype=np.uint32), np.zeros(runs, dtype=np.uint32)
+    return Action(
+        size=algebra.dim,
+        run=np.concatenate([[0], np.cumsum(used)]).astype(np.uint32),
+        kind=np.full(runs, Kind.ROTATE, dtype=np.uint8),
+        angles=sizes[used].astype(np.uint32),
+        repeat=ones,
+        angle=zeros,
+        position=2 * begin,
+        constant=begin,
+        width=2 * ones,
+        entries=zeros,
+        degree=np.full(runs, blocks.degree[0], dtype=np.uint32),
+        indices=indices.ravel(),
+        constants=blocks.constants[inner],
+    )

@@ -6,8 +6,7 @@ coefficients of that part times J(x) grad G(x) at its rows, carried on by the ta
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import prod
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
 from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.multiples import Multiples
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
 from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
@@ -26,69 +26,10 @@ from coadjoint.systems.energy_derivatives import EnergyDerivative, FunctionDeriv
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
-class CoefficientMap(NamedTuple):
-    """Coefficients of terms as functions of parameters: `factor` times parameter `entry` is added to `coefficient`.
-
-    Coefficients are numbered as in the compiled loops: all offsets, all weights, then all coefficients of monomials.
-    Members of a batch have factors (members, count).
-    """
-
-    coefficient: NDArray[np.int64]
-    entry: NDArray[np.int64]
-    factor: NDArray[np.float64]
-
-    @classmethod
-    def of_triplets(cls, triplets: Sequence[tuple[int, int, float]]) -> CoefficientMap:
-        """Construct from (coefficient, entry, factor)."""
-        table = np.array(triplets, dtype=object).reshape(-1, 3)
-        return cls(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2].astype(np.float64))
-
-    def joined(self, other: CoefficientMap) -> CoefficientMap:
-        """Return both."""
-        return CoefficientMap(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
-
-    def split(self, sizes: Mapping[str, int]) -> dict[str, CoefficientMap]:
-        """Return the parts that belong to parameters of these numbers of entries, one after the other."""
-        found, start = {}, 0
-        for name, size in sizes.items():
-            chosen = (self.entry >= start) & (self.entry < start + size)
-            found[name] = CoefficientMap(self.coefficient[chosen], self.entry[chosen] - start, self.factor[chosen])
-            start += size
-        return found
-
-    def of_energies(self, energies: Sequence[EnergyDerivative]) -> CoefficientMap:
-        """Return the map of members, from the one of monomials that are `apart`."""
-        factors = np.stack([one.coefficients for one in energies])
-        return CoefficientMap(self.coefficient, energies[0].entries[self.entry], self.factor * factors[:, self.entry])
-
-    def of_energy(self, energy: EnergyDerivative) -> CoefficientMap:
-        """Return the map of one system, from the one of monomials that are `apart`."""
-        of_one = self.of_energies([energy])
-        return of_one._replace(factor=of_one.factor[0])
-
-    def of_entries(self, by_coefficient: NDArray[np.float64], entries: int) -> NDArray[np.float64]:
-        """Return derivatives by the entries, (..., entries), of derivatives by coefficients (..., count)."""
-        return _sums(self.factor * by_coefficient[..., self.coefficient], self.entry, entries)
-
-    def of_coefficients(self, directions: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-        """Return directions of the coefficients (..., k, count) for directions of the entries (..., k, entries)."""
-        return _sums(self.factor[..., None, :] * directions[..., self.entry], self.coefficient, count)
-
-
-def _sums(numbers: NDArray[np.float64], index: NDArray[np.int64], count: int) -> NDArray[np.float64]:
-    """Return the sums (..., count) of the numbers (..., k) of each index, in their order."""
-    rows = prod(numbers.shape[:-1])
-    positions = index + count * np.arange(rows)[:, None]
-    sums = np.bincount(positions.ravel(), numbers.ravel(), minlength=count * rows)
-    return sums.astype(np.float64).reshape(*numbers.shape[:-1], count)
-
-
 class AddedPart(NamedTuple):
-    """A program with one more part, the last one, which moves nothing.
-
-    `rows` and `terms` are those of all parts. The added one has as many `shares`, the last ones with `functions`;
-    `state` and `group` contain the generators of its angles, and `coefficients` are those of `terms_of`. `counts` are
-    the numbers of offsets, weights and coefficients of the program and of the added part.
+    """A program with one more part, the last one, which moves nothing: `rows` and `terms` of all parts, its numbers of
+    `shares` and `angles`, the generators of all in `state` and `group`, its `coefficients`, and `counts` of constants
+    of both.
     """
 
     rows: Rows
@@ -98,15 +39,15 @@ class AddedPart(NamedTuple):
     angles: int
     state: Action
     group: Action | None
-    coefficients: CoefficientMap
+    coefficients: Multiples
     counts: NDArray[np.int64]
 
-    def split(self, sizes: Mapping[str, int]) -> dict[str, CoefficientMap]:
+    def split(self, sizes: Mapping[str, int]) -> dict[str, Multiples]:
         """Assign to the coefficients of the part the numbers of those of all terms, by parameters of these sizes."""
         to = starts_of(self.counts.sum(axis=0))[:-1] + self.counts[0]
         return _moved(self.coefficients, starts_of(self.counts[1]), to).split(sizes)
 
-    def renumbered(self, coefficients: CoefficientMap) -> CoefficientMap:
+    def renumbered(self, coefficients: Multiples) -> Multiples:
         """Assign to coefficients of the program the numbers of those of all terms."""
         own, joined = starts_of(self.counts[0]), starts_of(self.counts.sum(axis=0))
         return _moved(coefficients, own, joined[:-1])
@@ -151,10 +92,7 @@ def with_added_part(
 
 
 def _position(program: Program, G: EnergyDerivative) -> int:
-    """Return the position of the added part in the order of parts: inside of sweeps, where no rows are joined.
-
-    Next to the function that G has derivatives of, with which these commute: they are those of the computed map.
-    """
+    """Return the position of the added part: inside of sweeps, next to the function that G has derivatives of."""
     last = len(program.parts) - 1
     if not G.functions:
         return max(0, min(1, last))
@@ -174,7 +112,7 @@ def _rows(program: Program, method: Swept, position: int) -> Rows:
     return rows._replace(part=renumbered.astype(np.uint32))
 
 
-def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
+def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, Multiples]:
     """Return the terms of all monomials of G, with coefficients of zero, and how these depend on the parameters."""
     table = TermTable()
     # x_i x_j has the derivatives x_j by x_i and x_i by x_j; the rows are those of both.
@@ -199,7 +137,7 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
     weights = len(terms.offset)
     monomials = weights + len(terms.weight)
     of_functions = np.concatenate([np.zeros(0, dtype=np.int64), *by_functions])
-    return terms._replace(coefficient=0.0 * terms.coefficient), CoefficientMap(
+    return terms._replace(coefficient=0.0 * terms.coefficient), Multiples(
         np.concatenate(
             [
                 np.searchsorted(used, G.linear),
@@ -229,10 +167,10 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, CoefficientMap]:
     )
 
 
-def _moved(coefficients: CoefficientMap, starts: NDArray[np.int64], to: NDArray[np.int64]) -> CoefficientMap:
+def _moved(coefficients: Multiples, starts: NDArray[np.int64], to: NDArray[np.int64]) -> Multiples:
     """Move coefficients of each kind, from `starts` on, to other numbers."""
-    kind = np.searchsorted(starts[1:-1], coefficients.coefficient, side="right")
-    return coefficients._replace(coefficient=coefficients.coefficient + (to - starts[:-1])[kind])
+    kind = np.searchsorted(starts[1:-1], coefficients.position, side="right")
+    return coefficients._replace(position=coefficients.position + (to - starts[:-1])[kind])
 
 
 def _joined_terms(first: Terms, second: Terms) -> Terms:

@@ -21,11 +21,9 @@ HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 class BlockTable(NamedTuple):
-    """Blocks by columns, sorted by angle and then by first coordinate; each entry of a shear is a block.
-
-    Block b belongs to angle[b]; its `width` coordinates start at indices[begin[b]], in the order of its formula. For
-    CUBIC and SERIES blocks they are followed by compressed sparse rows: `width` + 1 starts and `entries` columns. The
-    constants from constant_begin[b] on are those of `Block`, then the values of its entries, column by column.
+    """Blocks sorted by angle, then by first coordinate: `width` coordinates of block b from indices[begin[b]] on, for
+    CUBIC and SERIES followed by starts of rows and columns; its constants from constant_begin[b] on, then the values of
+    entries.
     """
 
     angle: Integers
@@ -69,10 +67,7 @@ def joined_tables(tables: Sequence[BlockTable]) -> BlockTable:
 
 
 def block_table(generators: Generators, u: Any) -> BlockTable:
-    """Decompose generators, given by sorted nonzero entries, into blocks in the order of their angles.
-
-    `u` is the unit round-off of the number type, used in tests for equality up to rounding.
-    """
+    """Decompose generators, by sorted entries, into blocks in the order of their angles; `u` is the round-off."""
     sets, sheared, depth = components_of(generators)
     width = sets.width
     larger = ~sheared & (width > 2)
@@ -261,10 +256,7 @@ def _block(table: BlockTable, b: int) -> Block:
 
 
 def repeated_block_table(matrices: BasisMatrices, forms: SparseRows) -> BlockTable | None:
-    """Return the table of blocks of many forms that are basis elements; None for others, or if few are translates.
-
-    It is bitwise equal to that of all their generators.
-    """
+    """Return the table of forms that are basis elements, bitwise that of all; None if few are translates."""
     count = len(forms.start) - 1
     units = len(forms.value) == count and bool(np.all(np.diff(forms.start) == 1)) and bool(np.all(forms.value == 1.0))
     if count < MIN_REPEATED or not units:

@@ -15,11 +15,9 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 
 
 class Kind(IntEnum):
-    """Closed form of exp(theta D) - 1 on a block; `RULES` has the forms.
-
-    SCALE: one coordinate. ROTATE: (0, -w; w, 0). PLANE: any other 2 x 2 matrix. SHEAR: D^2 = 0, no coordinate both
-    source and target. CUBIC: D^3 = lam D (Rodrigues' formula in any basis). SERIES: a finite sum if D is nilpotent,
-    else the truncated Taylor series in substeps with abs(theta) norm1(D) <= 1.
+    """Closed form of exp(theta D) - 1 on a block, as in `RULES`: ROTATE (0, -w; w, 0); PLANE any other 2 x 2 matrix;
+    SHEAR D^2 = 0, no coordinate both source and target; CUBIC D^3 = lam D; SERIES a sum, in substeps unless D is
+    nilpotent.
     """
 
     SCALE = 0
@@ -31,13 +29,9 @@ class Kind(IntEnum):
 
 
 class Rule(NamedTuple):
-    """What is stored of a block of one kind, and its closed form.
-
-    There are `header` constants before the values of entries. `matrix` makes the rows of D of them, None where D is
-    given by entries. `mean` and `square` are functions of D and the first constant: with N = D - mean and N^3 = square
-    N, exp(theta D) = e^(theta mean) (1 + s theta N + c theta^2 N^2), s = sinh(w)/w and c = (cosh(w) - 1)/w^2 for w^2 =
-    square theta^2 of either sign, so without a case distinction. Only for CUBIC is N^2 no multiple of one, `square`. N
-    has the powers up to `degree`; a series has its own degree and norm instead.
+    """What is stored of a block of one kind: `header` constants before the values of entries, and `matrix`, the rows of
+    D that they make. With N = D - mean and N^3 = square N, exp(theta D) = e^(theta mean) (1 + s theta N + c theta^2
+    N^2), s = sinh(w)/w and c = (cosh(w) - 1)/w^2 for w^2 = square theta^2 of either sign. N has powers up to `degree`.
     """
 
     header: int
@@ -90,11 +84,9 @@ FEW_SUBSTEPS = 64
 
 
 class Block(NamedTuple):
-    """One block: kind, coordinates in the order of its formula, constants, and entries for CUBIC and SERIES.
-
-    An entry is (row, column, value of D); for CUBIC blocks followed by the value of D^2 and its rounding error.
-    Constants of CUBIC: lam, sqrt(abs(lam)), then 1/sqrt(abs(lam)) and 1/lam, each followed by its rounding error; of
-    SERIES: the 1-norm (zero if nilpotent). `degree` is the highest power of a series.
+    """One block: kind, coordinates in the order of its formula, constants, and entries (row, column, value of D; of
+    CUBIC also of D^2 and its rounding error). CUBIC: lam, sqrt(abs(lam)), its inverse and 1/lam with their errors;
+    SERIES: the 1-norm.
     """
 
     kind: Kind
@@ -105,10 +97,7 @@ class Block(NamedTuple):
 
 
 def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> Block:
-    """Classify a connected matrix of size >= 3 whose pattern has a cycle as CUBIC or SERIES.
-
-    `local` has its sorted entries (row, column, value), numbered from 0; `u` is the unit round-off of the number type.
-    """
+    """Classify a connected matrix of size >= 3 whose pattern has a cycle as CUBIC or SERIES."""
     coordinates = tuple(range(size))
     rows, columns, values = (np.array(column) for column in zip(*local, strict=True))
     wide = wide_series(size, rows, columns, values)
@@ -138,10 +127,7 @@ def wide_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: ND
 
 
 def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> bool:
-    """Test whether D^2 and D^3 - lam D are nonzero, far beyond rounding, in the column of the largest entry of D.
-
-    Avoids the size^3 multiplications of full matrix products.
-    """
+    """Test whether D^2 and D^3 - lam D are nonzero, far beyond rounding, in the column of the largest entry of D."""
 
     def multiply(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.bincount(rows, weights=matrix * vector[columns], minlength=size).astype(np.float64)
@@ -163,11 +149,7 @@ def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values:
 
 
 def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
-    """Build a CUBIC block with D^2, 1/sqrt(abs(lam)) and 1/lam in twice the precision.
-
-    Rounding them to float64 would make a rotation systematically stretch or shrink. Fractions are not rounded; their
-    root has 50 digits.
-    """
+    """Build a CUBIC block in twice the precision, since rounded constants would make a rotation stretch."""
     if matrix.dtype == np.float64:
         square, lam = _exact_square(matrix)
     else:

@@ -220,11 +220,8 @@ def _without_repeats(first: NDArray[Any], second: NDArray[Any]) -> Pairs:
 def surely_noncommuting(
     forms: Floats, algebra: LieAlgebra, first: Integers, second: Integers, costs: Integers
 ) -> NDArray[np.bool_]:
-    """Test pairs of dense forms, shape (forms, n), for a bracket component that is nonzero far beyond rounding.
-
-    For unrelated long forms one or two components suffice; pairs not decided here need the sum of all products. `costs`
-    has the number of products in each bracket. A component counts as nonzero only if this holds for two summation
-    orders, so the result is the same on every machine.
+    """Test pairs of dense forms (forms, n) for a bracket component that is nonzero, by two orders of summation, far
+    beyond rounding; others need the sum of all products. `costs` has the number of products in each bracket.
     """
     size = forms.shape[1]
     i, j, k, c = algebra.triples
@@ -252,11 +249,7 @@ def surely_noncommuting(
 
 
 def few_parts(parts: Parts, commutation: Commutation) -> Parts:
-    """Join commuting parts, both input and result sorted by first coordinate, deterministically.
-
-    First fit in the given order; if more than two groups remain, also in the orders of most and of fewest clashes. Not
-    always the minimum, since a minimal clique cover is NP-hard.
-    """
+    """Join commuting parts by first fit; if more than two remain, also in orders of most and fewest clashes."""
     if not len(parts):
         return parts
     coupled_pairs = commutation.coupled_pairs(parts)
@@ -293,20 +286,14 @@ def _first_fit_in_order(order: Integers, first: Integers, second: Integers) -> I
 
 
 def first_fit(count: int, first: Integers, second: Integers) -> Integers:
-    """Assign the items 0 ... count - 1 to groups by first fit; return the group of each, shape (count,).
-
-    The pairs in conflict have first < second. Groups are numbered in the order in which they are opened.
-    """
+    """Return the group of each item by first fit; the pairs in conflict have first < second."""
     masks = _group_masks(count, first, second, np.ones((count, 1), dtype=bool))[:, 0]
     word = np.argmax(masks != 0, axis=1)
     return WORD_BITS * word + np.bitwise_count(masks[np.arange(count), word] - np.uint64(1)).astype(np.int64)
 
 
 def count_groups(count: int, first: Integers, second: Integers, present: NDArray[np.bool_]) -> Integers:
-    """Count the groups of `first_fit` for subsets of the items, for many cases at once.
-
-    `present` has shape (count, cases); the pairs in conflict have first < second.
-    """
+    """Count the groups of `first_fit` for subsets of the items, for many cases at once."""
     batch_size = max(1, MAX_BATCH_ITEMS // max(count, 1))
     counts = [np.zeros(0, dtype=np.int64)]
     for begin in range(0, present.shape[1], batch_size):
@@ -317,11 +304,7 @@ def count_groups(count: int, first: Integers, second: Integers, present: NDArray
 
 
 def _group_masks(count: int, first: Integers, second: Integers, present: NDArray[np.bool_]) -> Masks:
-    """Return the group of each item in each case as one bit in words, (count, cases, words); no bit if absent.
-
-    Computed layer by layer: items without conflict with an earlier item, then those in conflict with the first layer
-    only, ...
-    """
+    """Return the group of each item in each case as one bit in words, (count, cases, words), or none."""
     layer = layers(count, first, second)
     order = order_by(second)
     start, earlier = starts_of(np.bincount(second, minlength=count)), first[order]

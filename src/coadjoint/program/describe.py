@@ -30,10 +30,9 @@ BOND_WORK = 60
 
 @dataclass(frozen=True)
 class PartDescription:
-    """Description of one part, with counts for one flow of it.
-
-    `generators` has the forms l_a in coordinate names, `blocks` the number of blocks of each kind in the coadjoint
-    action. `multiplications` include the additions; `functions` counts sincos, exponentials, and user functions.
+    """Description of one part, with counts for one flow of it. `generators` has the forms l_a in coordinate names,
+    `blocks` the number of blocks of each kind in the coadjoint action. `multiplications` include the additions;
+    `functions` counts sincos, exponentials, and user functions.
     """
 
     generators: tuple[str, ...]
@@ -44,11 +43,9 @@ class PartDescription:
 
 @dataclass(frozen=True)
 class Description:
-    """Description of a splitting of a system, with a readable `str`.
-
-    `parts` are in the order of a forward sweep; `shift` maps Casimirs to the multiples subtracted from H. `flows`
-    (outer flows of neighbouring steps merged), `multiplications` and `functions` are per step. `found` has the sums
-    that functions in H were found to be.
+    """Description of a splitting of a system, with a readable `str`. `parts` are in the order of a forward sweep;
+    `shift` maps Casimirs to the multiples subtracted from H. `flows` (outer flows of neighbouring steps merged),
+    `multiplications` and `functions` are per step. `found` has the sums that functions in H were found to be.
     """
 
     system: str
@@ -77,13 +74,7 @@ class Description:
 
 
 def _subtracted(name: str, factor: float) -> str:
-    """Return the text that subtracts a multiple of a Casimir, whose name may be a sum.
-
-    Examples
-    --------
-    >>> _subtracted("C2", -1.5), _subtracted("x1*x3 + x2^2", 1.0)
-    (' + 1.5 C2', ' - 1 (x1*x3 + x2^2)')
-    """
+    """Return the text that subtracts a multiple of a Casimir, whose name may be a sum."""
     shown = f"({name})" if " + " in name or " - " in name else name
     return f" {'+' if factor < 0 else '-'} {abs(factor):.6g} {shown}"
 

@@ -107,11 +107,7 @@ class BasisMatrices:
 
 
 class Components(NamedTuple):
-    """Connected sets of coordinates by columns.
-
-    Set s has the members low[s] to low[s + 1] and the entries first[s] to first[s + 1], whose rows and columns are
-    local.
-    """
+    """Connected sets of coordinates by columns."""
 
     angle: Integers
     low: Integers
@@ -152,10 +148,9 @@ class Components(NamedTuple):
 
 
 def components_of(generators: Generators) -> tuple[Components, NDArray[np.bool_], Integers]:
-    """Return the connected sets by angle and first coordinate, a shear flag and a depth for each.
-
-    A shear has no coordinate that is both source and target. The depth of other sets is the longest path in their
-    pattern, -1 if it has a cycle.
+    """Return the connected sets by angle and first coordinate, a shear flag and a depth for each. A shear has no
+    coordinate that is both source and target. The depth of other sets is the longest path in their pattern, -1 if it
+    has a cycle.
     """
     angle, row, column, value = generators
     size = int(max(row.max(initial=0), column.max(initial=0))) + 1
@@ -207,10 +202,7 @@ class SplittingTooExpensive(ValueError):
 
 
 def check_products(products: NDArray[np.int64] | Integers, what: str) -> None:
-    """Raise SplittingTooExpensive if generators are sums of too many products, ValueError if they exceed the memory.
-
-    `products` has the number for each angle; `what` is the subject of the message.
-    """
+    """Raise SplittingTooExpensive if generators are sums of too many products, ValueError if they exceed the memory."""
     wide = products[products > MIN_COUNTED_PRODUCTS]
     total = int(wide.sum())
     if total > MAX_PRODUCTS:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.actions import Action, run_blocks
 from coadjoint.program.blocks import RULES, Kind
+from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.provenance import Provenance, monomials_of
+from coadjoint.program.places import Places
+from coadjoint.program.sources import products_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.coefficients import Key, coefficients_of
+from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 from coadjoint.systems.parameters import parameters_of
 
 VERSION = 3
@@ -30,10 +33,7 @@ PUBLIC_COLUMNS = tuple(name for name in Terms._fields if name not in ("size", "r
 """Fields of `Terms` in the table; rows that repeat are stored once only for kernels."""
 
 DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
-"""Arrays that depend on the energy, in the order of `CoefficientMap`."""
-
-_Row = tuple[int, int, float]
-"""Index of a number, the number of a coefficient, and a factor."""
+"""Arrays that depend on the energy, in the order of positions in `Places`."""
 
 
 def mapping_of(program: Program) -> dict[str, Any]:
@@ -115,17 +115,18 @@ def energy_and_parameters(system: Any) -> dict[str, Any]:
             keys[key] = len(keys)
             values.append(float(value))
     for name, parameter in parameters_of(system).items():
-        monomials = [one for one in monomials_of(parameter.energy()) if one.coordinates]
-        for one in monomials:
-            if keys.setdefault(one.coordinates, len(values)) == len(values):
+        G = parameter.energy()
+        known = [bool(key) for key in G.keys]
+        for key in filter(None, G.keys):
+            if keys.setdefault(key, len(values)) == len(values):
                 values.append(0.0)
         parameters[name] = {
             "shape": list(parameter.value.shape),
             "value": parameter.value.ravel(),
             "linear": name not in (system.parameters or {}),
-            "monomial": np.array([keys[one.coordinates] for one in monomials], dtype=np.int64),
-            "entry": np.array([one.entry for one in monomials], dtype=np.int64),
-            "derivative": np.array([one.factor for one in monomials], dtype=np.float64),
+            "monomial": np.array([keys[key] for key in G.keys if key], dtype=np.int64),
+            "entry": G.entries[: len(known)][known],
+            "derivative": G.coefficients[: len(known)][known],
         }
     return {
         "energy": {"monomials": [list(key) for key in keys], "coefficients": np.array(values, dtype=np.float64)},
@@ -146,30 +147,37 @@ def _provenance(program: Program) -> dict[str, Any]:
     for casimir, (_, factor) in zip(casimirs, program.shift, strict=True):
         for key, c in casimir.items() if not program.parts.bodies else ():
             rest[number[key]] -= factor * c
-    multiples: dict[str, list[_Row]] = {name: [] for name in DEPENDENT}
+    arrays = [program.terms.offset, program.terms.weight, program.terms.coefficient]
+    constants, starts = np.concatenate(arrays), starts_of(np.array([*map(len, arrays)]))
+    places, each = Places(program), [Monomial(key, k, 1.0) for k, key in enumerate(keys)]
+    found, shifts, missing = places.of(EnergyDerivative.of_monomials(len(keys), each))
+    of_bodies = _weights_of_bodies(program, {keys[k]: k for k in missing.tolist()})
+    follows = np.ones(len(keys), dtype=bool)
+    follows[[*missing, *found.number[~places.copied[found.position]]]] = False
+    follows[of_bodies.number] = True
     removed: dict[int, int] = {}
-    fixed: list[int] = []
-    constants = [program.terms.offset, program.terms.weight, program.terms.coefficient]
-    starts = starts_of(np.array([len(one) for one in constants])).tolist()
-    for monomial, found in enumerate(Provenance(program).multiples_of(keys)):
-        rows: list[tuple[int, int, float]] = []
-        for position, by in [] if found is None or found.shifts else found.coefficients:
-            kind = bisect_right(starts, position, hi=len(constants)) - 1
-            rows.append((kind, position - starts[kind], by))
-        if found is not None and found.shifts:
-            ((k, _),) = found.shifts
-            follows = program.shift[k][1] == values[monomial] / casimirs[k][keys[monomial]]
-            removed |= {k: monomial} if follows else {}
-        else:  # monomials of several terms have other coefficients in each
-            follows = found is not None and all(constants[kind][at] == by * rest[monomial] for kind, at, by in rows)
-            for kind, at, by in rows if follows else ():
-                multiples[DEPENDENT[kind]].append((at, monomial, by))
-        fixed += [] if follows else [monomial]
+    for k, monomial in zip(shifts.position.tolist(), shifts.number.tolist(), strict=True):
+        follows[monomial] &= program.shift[k][1] == values[monomial] / casimirs[k][keys[monomial]]
+        removed |= {k: monomial} if follows[monomial] else {}
+    found = concatenated([found.take(~np.isin(found.number, shifts.number)), of_bodies])
+    # Monomials of several terms have other coefficients in each.
+    equal = np.asarray(constants[found.position] == found.factor * rest[found.number], dtype=bool)
+    follows[found.number[~equal]] = False
+    found = found.take(follows[found.number])
+    found = found.take(np.lexsort((found.factor, found.number, found.position)))
+    bounds = np.searchsorted(found.position, starts).tolist()
     return {
         **described,
         "energy": {"monomials": [list(key) for key in keys], "coefficients": values},
-        "provenance": {name: _columns(rows) for name, rows in multiples.items()},
-        "fixed": fixed,
+        "provenance": {
+            name: {
+                "index": found.position[first:last] - start,
+                "monomial": found.number[first:last],
+                "factor": found.factor[first:last],
+            }
+            for name, start, (first, last) in zip(DEPENDENT, starts.tolist(), pairwise(bounds), strict=False)
+        },
+        "fixed": np.flatnonzero(~follows).tolist(),
         "shift": [
             {
                 "factor": factor,
@@ -182,10 +190,15 @@ def _provenance(program: Program) -> dict[str, Any]:
     }
 
 
-def _columns(rows: Sequence[_Row]) -> dict[str, NDArray[Any]]:
-    index, monomial, factor = zip(*sorted(rows), strict=True) if rows else ((), (), ())
-    return {
-        "index": np.array(index, dtype=np.int64),
-        "monomial": np.array(monomial, dtype=np.int64),
-        "factor": np.array(factor, dtype=np.float64),
-    }
+def _weights_of_bodies(program: Program, number: Mapping[Key, int]) -> Multiples:
+    """Return the weights of free bodies, which are entries of M, as multiples of the monomials of these numbers."""
+    found: list[tuple[int, int, float]] = []
+    terms, forms = program.terms, program.parts.forms
+    for share, body in program.parts.bodies.items():
+        if body.other is None:
+            rows = np.arange(*terms.row[share : share + 2].tolist())
+            entries, i, j = products_of(terms, rows, forms.coordinate[forms.start[rows]].astype(np.int64))
+            for entry, *pair in zip(entries.tolist(), *np.sort([i, j], axis=0).tolist(), strict=True):
+                if (monomial := number.get(tuple(pair))) is not None:
+                    found.append((len(terms.offset) + entry, monomial, 1.0 + (pair[0] == pair[1])))
+    return Multiples.of_triplets(found)

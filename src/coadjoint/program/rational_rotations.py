@@ -18,20 +18,9 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, number: Number) -> NDArray[Any]:
-    """Return the frequency w of each angle, shape (angles,), for 2/w atan(w angle/2); 0 for exact angles.
-
-    A rational rotation is the exact flow of another function of l.x, hence Poisson, if the angle depends on l.x alone.
-    It needs no trigonometry if the generator of l has the single frequency w. Nilpotent generators stay exact. In exact
-    numbers, which have no square roots, w^2 is returned in place of w. Raises ValueError if a generator is neither
-    nilpotent nor of a single frequency, or its angle depends on other forms.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> from coadjoint.program.table import build_program
-    >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-    >>> build_program(body, co.Splitting(rotation="rational", parts="coordinates")).frequency
-    array([1., 1., 1.])
+    """Return the frequency w of each angle for 2/w atan(w angle/2), in exact numbers w^2, and 0 for exact angles. This
+    is the exact flow of another function of l.x if the generator has the one frequency w and the angle depends on l.x
+    alone; otherwise raise ValueError, unless the generator is nilpotent.
     """
     least, largest, known, _ = _frequencies(state, parts, number, squared=is_exact(number))
     # Frequencies are roots of sums of some products, rounded alike.
@@ -53,10 +42,7 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
 
 
 class _Frequencies(NamedTuple):
-    """Smallest and largest frequency, or square of it, of the blocks of each angle (0 if nilpotent).
-
-    `known` marks angles whose blocks are all nilpotent or rotations, `acting` those with any blocks.
-    """
+    """Smallest and largest frequency of the blocks of each angle; `known`: all are nilpotent or rotations."""
 
     least: NDArray[Any]
     largest: NDArray[Any]
@@ -120,10 +106,8 @@ def rational_angle(angle: Any, frequency: Any, atan: Any) -> Any:
 
 
 def rational_angle_series(angle: Any, squared_frequency: Any, count: int) -> Any:
-    """Return the angle of a rational rotation for a power series of `count` terms, the first of them zero.
-
-    It depends on the square of the frequency alone: 2/w atan(w angle/2) = angle (1 - z/3 + z^2/5 - ...), z = (w
-    angle/2)^2.
+    """Return the angle of a rational rotation for a power series of `count` terms, the first of them zero. It depends
+    on the square of the frequency alone: 2/w atan(w angle/2) = angle (1 - z/3 + z^2/5 - ...), z = (w angle/2)^2.
     """
     if squared_frequency == 0:
         return angle
@@ -136,10 +120,7 @@ def rational_angle_series(angle: Any, squared_frequency: Any, count: int) -> Any
 
 
 def acts_rationally(action: Action, parts: Parts, frequency: NDArray[Any]) -> NDArray[np.bool_]:
-    """Test for each part whether its blocks in a representation have the frequencies of the coadjoint ones.
-
-    Rational rotations then need no arc tangent in this representation either.
-    """
+    """Test for each part whether its blocks in a representation have the frequencies of the coadjoint ones."""
     least, largest, known, acting = _frequencies(action, parts, float)
     difference = np.maximum(np.abs(least - frequency), np.abs(largest - frequency))
     agree = np.ones(len(parts), dtype=bool)

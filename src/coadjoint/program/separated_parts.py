@@ -35,11 +35,7 @@ class SeparatedParts(NamedTuple):
 
 
 def separated_parts(algebra: LieAlgebra, parts: Parts, inputs: Collection[int] = ()) -> SeparatedParts:
-    """Return parts in which a function has angles for each of the vectors that its gradient is the sum of.
-
-    Products are omitted in rows that no generator of the part reads. The angles of the coordinates `inputs` are given
-    numbers later.
-    """
+    """Return parts in which a function has angles for each of the vectors that its gradient is the sum of."""
     key = frozenset(inputs)
     known = _SEPARATED.setdefault(parts, {})
     if (algebra, key) not in known:
@@ -136,10 +132,7 @@ def _omitted_in_part(
 def _of_polynomials(
     parts: Parts, shares: Iterable[int], candidates: Iterable[Product], inputs: Collection[int]
 ) -> list[tuple[int, int, Product, tuple[int, int, list[Monomial], Any]]]:
-    """Return products with angles of polynomials: share, angle in it, and the product with the monomials of the angle.
-
-    None are returned if there are too many monomials.
-    """
+    """Return products with angles of polynomials: share, angle, and the monomials of the product; none if too many."""
     by_column: dict[int, list[Product]] = {}
     for each in candidates:
         by_column.setdefault(each.column, []).append(each)

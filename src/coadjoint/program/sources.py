@@ -7,16 +7,18 @@ scheme splits, after multiples of Casimirs were subtracted: -1 is the first.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
+from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.parts.squares import ExactSums, ReductionSteps, offsets_of_squares
 from coadjoint.program.term_table import LINEAR, POLYNOMIAL, Terms
+from coadjoint.systems.coefficients import Key, coordinates_of
 from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.system_stacks import counts_of
 
@@ -26,39 +28,8 @@ INDEPENDENT = -2
 """Source of terms of a table that do not belong to the energy."""
 
 
-class Multiples(NamedTuple):
-    """The constants at `position` of an array, which are `factor` times the sources `number`; None: equal to them."""
-
-    position: Integers
-    number: Integers
-    factor: Any
-
-    def of(self, values: Floats) -> Floats:
-        """Return these constants for the values (m,) of the sources, or (members, constants) for (members, m)."""
-        chosen = values.take(self.number, -1)
-        return chosen if self.factor is None else np.asarray(chosen * self.factor)
-
-    def at(self, constants: NDArray[Any], values: Floats) -> NDArray[Any]:
-        """Return the array for other values of all sources: (count,) for (m,), (count, members) for (m, members)."""
-        filled = np.repeat(constants, values[0].size).reshape(len(constants), *values.shape[1:])
-        filled[self.position] = self.of(values.T).T
-        return filled
-
-    def among(self, sources: Integers, numbers: Integers) -> Multiples:
-        """Return the multiples of some sources, ascending, with other numbers."""
-        chosen = np.isin(self.number, sources)
-        number = numbers[np.searchsorted(sources, self.number[chosen])]
-        return Multiples(self.position[chosen], number, self.factor[chosen])
-
-
-def concatenated(found: Sequence[Multiples]) -> Multiples:
-    """Return the multiples of an array together."""
-    return Multiples(*map(np.concatenate, zip(_NONE, *found, strict=True)))
-
-
 class Sums(NamedTuple):
     """Constants that are exact sums of the linear coefficients of the energy, (n,): at the positions of each rule.
-
     `linear` are the values of these; those of `coordinate` that are not zero are the sources `number`.
     """
 
@@ -82,10 +53,7 @@ class Sums(NamedTuple):
 
 
 class Sources(NamedTuple):
-    """Constants of tables by the paths of their fields; all others do not depend on any source.
-
-    `computed` are the sources that a field depends on in another way, or that decide its structure.
-    """
+    """Constants of tables by the paths of their fields; `computed` are the sources of other functions of them."""
 
     multiples: Mapping[str, Multiples] = {}
     sums: Mapping[str, Sums] = {}
@@ -162,7 +130,6 @@ class Coefficients(NamedTuple):
 
 def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: Sequence[Term]) -> Sources:
     """Return the sources of a table whose term k is a copy of source[k] among `terms`, if that is not negative.
-
     `coordinate` has that of each row. If a coordinate has several rows in a term, the linear coefficient is in one.
     """
     energy = Coefficients.of(terms)
@@ -181,16 +148,12 @@ def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: 
             offset.append(Multiples(rows, start + own, np.ones(len(rows))))
             weight.append(Multiples(entries, start + n + found, np.ones(len(entries))))
         elif (polynomial := getattr(term, "polynomial", None)) is not None:
-            number = {
-                tuple((k, e) for k, e in enumerate(exponents) if e): start + position
-                for position, exponents in enumerate(polynomial.monomials)
-            }
-            offset.append(
-                _listed([(r, number.get(((k, 1),)), 1.0) for r, k in zip(rows.tolist(), own.tolist(), strict=True)])
-            )
+            number = {coordinates_of(exponents): k for k, exponents in enumerate(polynomial.monomials, start)}
+            own_rows = zip(rows.tolist(), own.tolist(), strict=True)
             pairs = zip(entries.tolist(), row.tolist(), column.tolist(), strict=True)
-            weight.append(_listed([(e, number.get(_pair(i, j)), 2.0 if i == j else 1.0) for e, i, j in pairs]))
-            coefficient.append(_listed([(m, number.get(key), 1.0) for m, key in powers_of(table, source == t)]))
+            offset.append(_of_monomials(number, ((r, (k,), 1.0) for r, k in own_rows)))
+            weight.append(_of_monomials(number, ((e, (min(i, j), max(i, j)), 1.0 + (i == j)) for e, i, j in pairs)))
+            coefficient.append(_of_monomials(number, ((m, key, 1.0) for m, key in monomials_in(table, source == t))))
     fields = {"offset": offset, "weight": weight, "coefficient": coefficient}
     return Sources({name: concatenated(found) for name, found in fields.items()})
 
@@ -222,12 +185,13 @@ def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sourc
     rest &= table.offset != 0.0
     own = rest & (np.diff(forms.start) == 1) & (table.offset == linear[first])
     alone = [Multiples(np.flatnonzero(own), number[first[own]], np.ones(np.count_nonzero(own)))]
-    powers = powers_of(table, computed)
-    single = [(m, int(number[key[0][0]]), 1.0) for m, key in powers if len(key) == 1 and key[0][1] == 1]
+    keys: list[Key] = [(k,) for k in energy.coordinate.tolist()]
+    linear_terms = dict(zip(keys, energy.number.tolist(), strict=True))
+    single = _of_monomials(linear_terms, ((m, key, 1.0) for m, key in monomials_in(table, computed)))
     multiples = {
         **found.multiples,
         "offset": concatenated([found.multiples["offset"], *alone]),
-        "coefficient": concatenated([found.multiples["coefficient"], _listed(single)]),
+        "coefficient": concatenated([found.multiples["coefficient"], single]),
     }
     of_rest = forms.take(np.flatnonzero(rest & ~own)).coordinate
     bodies = [i for body in parts.bodies.values() for i in (*body.coordinates, *(body.other or ()))]
@@ -245,27 +209,19 @@ def _value(rule: ExactSums | ReductionSteps, linear: Floats) -> list[float] | No
         return None
 
 
-_NONE = Multiples(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0))
+def _of_monomials(number: Mapping[Key, int], found: Iterable[tuple[int, Key, float]]) -> Multiples:
+    """Return the constants at some positions that are factors times the coefficients of monomials, if they have one."""
+    return Multiples.of_triplets([(k, number[key], factor) for k, key, factor in found if key in number])
 
 
-def _listed(found: Sequence[tuple[int, int | None, float]]) -> Multiples:
-    """Return the multiples in a list, without constants that are zero for any coefficients."""
-    rows = np.array([one for one in found if one[1] is not None], dtype=np.float64).reshape(-1, 3)
-    return Multiples(rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2])
-
-
-def _pair(i: int, j: int) -> tuple[tuple[int, int], ...]:
-    return ((i, 2),) if i == j else ((min(i, j), 1), (max(i, j), 1))
-
-
-def powers_of(table: Terms, chosen: NDArray[np.bool_]) -> list[tuple[int, tuple[tuple[int, int], ...]]]:
-    """Return the monomials of some terms of a table, with their exponents by coordinate."""
+def monomials_in(table: Terms, chosen: NDArray[np.bool_]) -> list[tuple[int, Key]]:
+    """Return the monomials of the polynomials among some terms of a table."""
     found = []
     for k in np.flatnonzero(chosen & (table.kind == POLYNOMIAL)).tolist():
         for monomial in range(int(table.monomial[k]), int(table.monomial[k + 1])):
             factors = slice(int(table.factor[monomial]), int(table.factor[monomial + 1]))
-            targets = table.target[table.factor_row[factors]].tolist()
-            found.append((monomial, tuple(sorted(zip(targets, table.exponent[factors].tolist(), strict=True)))))
+            targets = np.repeat(table.target[table.factor_row[factors]], table.exponent[factors])
+            found.append((monomial, tuple(sorted(targets.tolist()))))
     return found
 
 

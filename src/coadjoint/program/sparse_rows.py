@@ -19,10 +19,7 @@ MAX_PATTERN_SIZE = 64  # coordinates, forms or parts; larger patterns are not ca
 
 
 class SparseRows(NamedTuple):
-    """Sparse rows, as linear forms or weights of angles: row r has the entries start[r] to start[r + 1].
-
-    Coordinates (uint32) ascend in each row; values are float64, or objects (fractions).
-    """
+    """Sparse rows, as linear forms or weights of angles: row r has the entries start[r] to start[r + 1]."""
 
     start: Integers
     coordinate: NDArray[np.uint32]
@@ -84,39 +81,21 @@ def sparse_row(rows: Any, r: int) -> tuple[list[int], list[Any]]:
 
 
 def starts_of(counts: Any) -> Integers:
-    """Return the starts of concatenated lists of these lengths, and the end of the last one.
-
-    Examples
-    --------
-    >>> starts_of([2, 0, 3]).tolist()
-    [0, 2, 2, 5]
-    """
+    """Return the starts of concatenated lists of these lengths, and the end of the last one."""
     start = np.zeros(len(counts) + 1, dtype=np.int64)
     np.cumsum(counts, out=start[1:])
     return start
 
 
 def joined_starts(pieces: Sequence[NDArray[Any]]) -> Integers:
-    """Return the starts of concatenated tables.
-
-    Examples
-    --------
-    >>> joined_starts([np.array([0, 2, 3]), np.array([0, 4])]).tolist()
-    [0, 2, 3, 7]
-    """
+    """Return the starts of concatenated tables."""
     ends = starts_of([int(piece[-1]) for piece in pieces])
     rows = np.repeat(ends[:-1], [len(piece) - 1 for piece in pieces])
     return np.concatenate([np.zeros(1, dtype=np.int64), rows + np.concatenate([piece[1:] for piece in pieces])])
 
 
 def is_ordered(*keys: NDArray[Any]) -> bool:
-    """Test whether rows are sorted by several keys, the most significant first.
-
-    Examples
-    --------
-    >>> is_ordered(np.array([0, 0, 1]), np.array([3, 4, 0])), is_ordered(np.array([0, 0]), np.array([4, 3]))
-    (True, False)
-    """
+    """Test whether rows are sorted by several keys, the most significant first."""
     tied: Any = True
     for key in keys:
         if np.any(tied & (key[1:] < key[:-1])):
@@ -126,13 +105,7 @@ def is_ordered(*keys: NDArray[Any]) -> bool:
 
 
 def order_by(*keys: NDArray[Any]) -> Integers | slice:
-    """Return the stable order by several keys; the full slice if they are sorted.
-
-    Examples
-    --------
-    >>> order_by(np.array([1, 0, 1]), np.array([5, 7, 4])).tolist(), order_by(np.array([1, 2]))
-    ([1, 2, 0], slice(None, None, None))
-    """
+    """Return the stable order by several keys; the full slice if they are sorted."""
     if is_ordered(*keys):
         return slice(None)
     (key,) = keys if len(keys) == 1 else (keys[0][:0],)
@@ -142,13 +115,7 @@ def order_by(*keys: NDArray[Any]) -> Integers | slice:
 
 
 def run_starts(*keys: NDArray[Any]) -> NDArray[np.bool_]:
-    """Mark sorted rows that differ from the previous one; the first row does.
-
-    Examples
-    --------
-    >>> run_starts(np.array([0, 0, 1]), np.array([3, 3, 3])).tolist()
-    [True, False, True]
-    """
+    """Mark sorted rows that differ from the previous one; the first row does."""
     begins = np.zeros(len(keys[0]), dtype=bool)
     begins[:1] = True
     for key in keys:
@@ -157,13 +124,7 @@ def run_starts(*keys: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def run_sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
-    """Return sums of consecutive values, from left to right; `first` marks the start of each sum.
-
-    Examples
-    --------
-    >>> run_sums(np.array([1.0, 2.0, 4.0]), np.array([True, False, True]))
-    array([3., 4.])
-    """
+    """Return sums of consecutive values, from left to right; `first` marks the start of each sum."""
     if values.dtype == object:
         return np.add.reduceat(values, np.flatnonzero(first)) if len(values) else values
     if np.all(first):
@@ -173,10 +134,7 @@ def run_sums(values: NDArray[Any], first: NDArray[np.bool_]) -> NDArray[Any]:
 
 
 def layers(count: int, source: Integers, target: Integers) -> Integers:
-    """Return the length of the longest path to each node, shape (count,); -1 for nodes on or behind a cycle.
-
-    The edges lead from `source` to `target`. Computed layer by layer, each vectorised.
-    """
+    """Return the length of the longest path to each node, (count,); -1 for nodes on or behind a cycle."""
     layer = np.full(count, -1, dtype=np.int64)
     open_edges = np.bincount(target, minlength=count)
     order = order_by(source)
@@ -192,18 +150,7 @@ def layers(count: int, source: Integers, target: Integers) -> Integers:
 
 
 class Pattern(Generic[SourceT]):
-    """Hashable set of arrays that determine a cached result; equal if the arrays are equal.
-
-    `source` is the object from which the result is computed; the first one is used for all equal patterns.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> Pattern("one", np.array([1, 2])) == Pattern("other", np.array([1, 2]))
-    True
-    >>> Pattern("one", np.array([1, 2])) == Pattern("one", np.array([1, 3]))
-    False
-    """
+    """Hashable set of arrays that determine a result; of equal patterns the `source` of the first one is used."""
 
     def __init__(self, source: SourceT, *columns: NDArray[Any]) -> None:
         self.source = source

@@ -56,12 +56,9 @@ class Swept(Protocol):
 
 
 class Rows(NamedTuple):
-    """Rows of a program, section by section.
-
-    Row r applies part[r] over the time coefficient[r] * h, with functions of time evaluated at t + moment[r] * h.
-    Section s (0 start, 1 step, 2 finish) has the rows section[s] to section[s + 1]: *start* is the first step, *step*
-    every other one, and *finish* completes a state for output. For a processed scheme P K P^-1, *start* is P^-1 and K,
-    *step* K, *finish* P.
+    """Rows of a program: row r applies part[r] over coefficient[r] * h, at the time t + moment[r] * h. Section s has
+    the rows section[s] to section[s + 1]: the first step, every other step, and the finish, which completes a state for
+    output.
     """
 
     part: NDArray[np.uint32]
@@ -71,9 +68,8 @@ class Rows(NamedTuple):
 
 
 class Flows(NamedTuple):
-    """Sequence of flows of parts, over coefficient[r] * h at moment[r] of the step.
-
-    turn[r] marks a rational rotation that may be joined with the previous one.
+    """Sequence of flows of parts, over coefficient[r] * h at moment[r] of the step. turn[r] marks a rational rotation
+    that may be joined with the previous one.
     """
 
     part: Integers
@@ -105,10 +101,7 @@ class JoinRules(NamedTuple):
         return cls(parts.timed, rational)
 
     def joins(self, part: int, moment: Any, later: Any, turn: bool) -> bool:
-        """Test whether two flows of one part, at `moment` and then `later`, can be joined.
-
-        Not if a time-dependent part has different moments, nor for rational rotations, unless they form a turn.
-        """
+        """Test whether flows of one part can be joined: not timed ones at other moments, nor half-turns alone."""
         return not (self.timed[part] and moment != later) and (not self.rational[part] or turn)
 
     def joined(self, flows: Flows) -> Flows:
@@ -124,10 +117,7 @@ class JoinRules(NamedTuple):
 
 
 def rows_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> Rows:
-    """Return the rows of a method, with consecutive flows of one part joined, also across steps.
-
-    The coefficients include the `sign` of the equation.
-    """
+    """Return the rows of a method, with consecutive flows of one part joined, also across steps."""
     sweeps, processor = tuple(method.sweeps(number)), tuple(method.processor(number))
     if len(joining.timed) <= MAX_PATTERN_SIZE:
         return _cached_rows(sweeps, processor, Pattern(joining, *joining), sign, number, precision_of(number))

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action
-from coadjoint.program.copied_actions import copied_action
+from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action, copied_action
 from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import ChosenParts, decompose
@@ -54,39 +53,10 @@ class _LazyTerms:
 
 @dataclass(frozen=True)
 class Program:
-    """A splitting of one system as a table of plain arrays, which compiled and Python interpreters use.
-
-    Parameters
-    ----------
-    system : LiePoissonSystem
-        The system.
-    rows : Rows
-        The flows, in order of application.
-    parts : Parts
-        The exact flows.
-    terms : Terms
-        The shares of all parts.
-    share : ndarray of uint32, shape (parts + 1,)
-        Part p has the shares share[p] to share[p + 1].
-    functions : dict
-        Index of a FUNCTION term -> the user's functions.
-    state : Action
-        The coadjoint action on the momentum.
-    group : Action or None
-        The action on the rows of the group element; None without a group element.
-    sign : int
-        Sign of the equation; the coefficients of the rows include it.
-    number : callable
-        Number type of the constants.
-    frequency : ndarray, shape (angles,)
-        The frequencies of the angles that are rational rotations, part after part; 0 for exact ones. In exact numbers
-        their squares.
-    omitted : ndarray of int64, shape (k, 3)
-        Entries (angle, row, column) of generators that `state` omits, since their products cancel.
-    shift : tuple of (Polynomial, float)
-        Casimirs and factors subtracted from the Hamiltonian; `group` excludes their action on the group element.
-    choice : ChosenParts
-        The order of the parts, and the shift by the names of Casimirs.
+    """A splitting of one system as plain arrays, which compiled and Python interpreters use: rows of flows, parts,
+    their shares as terms, and actions. `frequency` has that of each rational rotation, else 0, in exact numbers its
+    square; `omitted` the entries (angle, row, column) whose products cancel; `shift` the Casimirs and factors
+    subtracted from H.
     """
 
     system: LiePoissonSystem
@@ -140,12 +110,7 @@ def build_program(
     group: NDArray[Any] | str | None = None,
     number: Number = float,
 ) -> Program:
-    """Build the table of a splitting method for a system.
-
-    `group` is the representation (n, d, d) of the group element, "coadjoint", or None. `number` is the number type:
-    `float`, or for instance `mpmath.mpf` for the reference interpreter. Raises ValueError if the Hamiltonian does not
-    split, or the chosen parts do not fit it.
-    """
+    """Build the table of a splitting method; `group` is the representation (n, d, d), "coadjoint", or None."""
     try:
         decomposition = decompose(system, method.parts)
     except (NotSplittable, SplittingTooExpensive) as reason:
@@ -210,10 +175,7 @@ def term_table(parts: Parts) -> TermTable:
 
 
 def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
-    """Return a function for the sources of a program with these terms, by the paths of `Terms`.
-
-    The program is not kept.
-    """
+    """Return a function, without the program, for its sources with these terms, by the paths of `Terms`."""
     fixed = program.system, program.parts, program.choice.shift
     plain = not len(program.omitted) and not np.any(program.frequency)
 

@@ -19,15 +19,9 @@ LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 
 
 class Terms(NamedTuple):
-    """Table of `size` terms. Term k has the rows row[k] to row[k + 1]; each row is one component of a gradient.
-
-    A row of a LINEAR term is ``offset + weight . x`` for the coordinate `target`; the value of the term is the sum of
-    x[target] (offset + weight . x / 2). A POLYNOMIAL term is a list of monomials over its rows; a FUNCTION term calls
-    compiled (in the reference interpreter: Python) functions of y = x[target]. In derivatives of the energy it may have
-    coefficients, as monomials without factors.
-
-    With `repeated`, for kernels that compute values and flows, row r has the entries of shape[r], with columns relative
-    to target[r], modulo 2^32; `offset` has a number for each shape if `repeated` is 2, else for each row.
+    """Table of terms, as in `docs/table.md`; a linear term is the sum of x[target] (offset + weight . x / 2). A
+    FUNCTION in derivatives of the energy has coefficients, as monomials without factors. With `repeated`, row r has the
+    entries of shape[r], with columns relative to target[r], modulo 2^32, and if it is 2 their offset too.
     """
 
     size: int

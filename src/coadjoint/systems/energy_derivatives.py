@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.coefficients import Coefficients, Monomials, decoded
+from coadjoint.systems.coefficients import Coefficients, Key, Monomials, decoded
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.parameter_differences import sizes_of_entries
@@ -129,6 +129,12 @@ class EnergyDerivative(NamedTuple):
             others=tuple(one for piece in moved for one in piece.others),
             functions=tuple(one for piece in moved for one in piece.functions),
         )
+
+    @property
+    def keys(self) -> list[Key]:
+        """The coordinates of each monomial, sorted, in the order of `entries`."""
+        pairs = zip(*np.sort(self.quadratic, axis=1).T.tolist(), strict=True)
+        return [*((i,) for i in self.linear.tolist()), *pairs, *(one.coordinates for one in self.others)]
 
     @property
     def of_functions(self) -> EnergyDerivative:

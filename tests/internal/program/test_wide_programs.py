@@ -14,7 +14,8 @@ from coadjoint.program.modified_energy.sweep_logarithm import Commutators
 from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from coadjoint.program.parts.split import split
-from coadjoint.program.provenance import Provenance, in_parts, monomials_of
+from coadjoint.program.places import Places
+from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
 from coadjoint.systems.parameters import parameters_of
 from refusals import refused
 
@@ -192,24 +193,18 @@ def triplets(found):
 def test_monomials_are_found_at_once_as_each_alone(name):
     system, compared = SYSTEMS[name], 0
     for parts in ("auto", "coordinates"):
-        program = co.Splitting(order=2, parts=parts).program(system)
-        provenance = Provenance(program)
+        places = Places(co.Splitting(order=2, parts=parts).program(system))
         for parameter in parameters_of(system).values():
             G = parameter.energy()
-            alone = [(one, provenance.changes(one.coordinates)) for one in monomials_of(G)]
-            assert Provenance(program).changes_of([one.coordinates for one, _ in alone]) == [c for _, c in alone]
-            found = in_parts(program, G)
-            assert (found is None) == any(changes is None for _, changes in alone)
-            if found is None:
-                continue
-            for kind, of_parts in zip(("coefficients", "shifts"), found, strict=True):
-                expected = [
-                    (number, one.entry, by * one.factor)
-                    for one, changes in alone
-                    for number, by in getattr(changes, kind)
-                ]
-                assert triplets(of_parts) == sorted(expected)
-                compared += len(expected)
+            monomials = [
+                Monomial(*one) for one in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=True)
+            ]
+            alone = [places.of(EnergyDerivative.of_monomials(G.size, [one])) for one in monomials]
+            *found, missing = places.of(G)
+            assert sorted(missing) == sorted(entry for *_, own in alone for entry in own)
+            for kind, of_all in enumerate(found):
+                assert triplets(of_all) == sorted(triplet for one in alone for triplet in triplets(one[kind]))
+                compared += len(of_all.number)
     assert compared
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.actions import build_action
-from coadjoint.program.copied_actions import copied_action
+from coadjoint.program.actions import build_action, copied_action
 from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.systems.hamiltonians import repeated_rows as rows

@@ -15,11 +15,8 @@ from coadjoint.systems.hamiltonians.traced_function import picklable_function, r
 
 
 class CompiledFunction:
-    """A user function compiled to a C address; the object keeps the machine code alive.
-
-    The function takes ``y``, an array of `size` numbers, or one number if `scalar`, and the time if `timed`. It returns
-    a number, or if `flat` an array of `results` numbers in C order. `what` names it in errors. Raise
-    MissingPackageError if Numba is not installed, TypeError with the reason if it cannot compile the function.
+    """A user function compiled to a C address, of `size` numbers y, or of one if `scalar`, and the time if `timed`; it
+    returns a number, or if `flat` an array of `results` numbers. The object keeps the machine code alive.
     """
 
     def __init__(

@@ -30,29 +30,14 @@ IGNORED_ATTRIBUTES = frozenset(
 
 
 class Contents(NamedTuple):
-    """The digest of a value, equal in all processes of one minor version of Python.
-
-    `unknown` names parts that could not be digested: C functions, objects with hidden state, values that are too large.
-    """
+    """The digest of a value, equal in all processes of one version of Python; `unknown` names parts without one."""
 
     digest: str
     unknown: tuple[str, ...]
 
 
 def contents_of(value: Any, written: bool = False) -> Contents:
-    """Return the digest of a value and of everything that the functions in it read.
-
-    With `written`, the source text of functions is digested instead of their code, for the same digest under other
-    versions of Python; functions without a source that matches their code are unknown.
-
-    Examples
-    --------
-    >>> def times(a):
-    ...     return lambda x: a * x
-    >>> first, second, third = (contents_of(times(a)).digest for a in (1.0, 2.0, 1.0))
-    >>> first == second, first == third
-    (False, True)
-    """
+    """Return the digest of a value and of all that functions in it read, if `written` of their source text."""
     walk = _Digester(written)
     walk.add(value)
     return Contents(walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown)))

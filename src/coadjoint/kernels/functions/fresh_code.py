@@ -21,10 +21,9 @@ _warned: set[str] = set()
 
 
 def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callable[[], Any]) -> Any:
-    """Return the cached result of `make`, valid while `value` and everything its functions read are unchanged.
-
-    Values that cannot be compared are compiled again on each call, with a warning. An interrupt waits for `make`: if
-    it ended a generator of Numba's registries, Numba would compile nothing more in this process.
+    """Return the cached result of `make`, valid while `value` and everything its functions read are unchanged. Values
+    that cannot be compared are compiled again on each call, with a warning. An interrupt waits for `make`: if it ended
+    a generator of Numba's registries, Numba would compile nothing more in this process.
     """
     contents = contents_of(value)
     if contents.unknown:
@@ -52,10 +51,7 @@ def compiled_digests() -> set[str]:
 
 
 def fresh_dispatchers(function: Any) -> Any:
-    """Return a function for Numba to compile in which each dispatcher is replaced by one without machine code.
-
-    Numba treats globals as constants, and a dispatcher does not recompile when they change.
-    """
+    """Return a function in which each dispatcher is replaced by one without machine code."""
     if isinstance(function, types.FunctionType):
         return _copied(function, {})
     return _with_fresh_dispatchers(function, {}, False)
@@ -68,10 +64,7 @@ def _cache(cache: dict[Any, Any], key: Any, value: Any) -> None:
 
 
 def _with_fresh_dispatchers(value: Any, fresh: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
-    """Return a value with fresh dispatchers; if `compiles`, plain functions are compiled too.
-
-    `fresh` holds each dispatcher with its fresh copy, so that ids are not reused.
-    """
+    """Return a value with fresh dispatchers; if `compiles`, plain functions are compiled too."""
     if id(value) in fresh:
         return fresh[id(value)][1]
     if isinstance(value, tuple) and type(value) is tuple:
@@ -105,9 +98,7 @@ def _copied(
     fresh: dict[int, tuple[Any, Any]],
     register_copy: Callable[[types.FunctionType], None] | None = None,
 ) -> types.FunctionType:
-    """Return a copy of a function that reads fresh dispatchers; recursive functions read what `register_copy`
-    registers.
-    """
+    """Return a copy of a function that reads fresh dispatchers, or if recursive what `register_copy` registers."""
     cells = tuple(types.CellType() for _ in function.__closure__ or ())
     names = dict(function.__globals__)
     copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells or None)

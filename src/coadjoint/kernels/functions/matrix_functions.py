@@ -20,7 +20,6 @@ CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_voi
 
 class MatrixFunction:
     """A stream function for the loops, on matrices of this `shape`, complex128 if `complex_entries`, else float64.
-
     `address` is that of ``void(const double* W, double t, double* P)``. `compiled` is set if Numba compiled it;
     otherwise each call is a Python call, which only one thread at a time can make.
     """

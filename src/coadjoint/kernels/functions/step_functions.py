@@ -21,10 +21,9 @@ CALLBACK = ctypes.CFUNCTYPE(
 
 
 class StepFunction:
-    """The step of a scheme on a system as a C function for the loops.
-
-    The scheme has ``step(system, x, t, h)``; if it is a dataclass of numbers, strings and arrays, the step may be
-    compiled by Numba. `compiled` is set if it was; otherwise each step is a Python call.
+    """The step of a scheme on a system as a C function for the loops. The scheme has ``step(system, x, t, h)``; if it
+    is a dataclass of numbers, strings and arrays, the step may be compiled by Numba. `compiled` is set if it was;
+    otherwise each step is a Python call.
     """
 
     def __init__(self, method: Any, system: Any) -> None:

@@ -23,10 +23,9 @@ MAX_PRODUCTS = 2e7
 
 
 class Unshifted(NamedTuple):
-    """The part of a run to process: addresses of its arrays for `members` members, and ranges of members and points.
-
-    X is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and
-    member, instead of those of a schedule.
+    """The part of a run to process: addresses of its arrays for `members` members, and ranges of members and points. X
+    is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and member,
+    instead of those of a schedule.
     """
 
     momenta: int
@@ -43,10 +42,7 @@ class Unshifted(NamedTuple):
 
 
 class CompiledShiftCorrection:
-    """Tables of one shift, whose generator X is multiplied by `rate`.
-
-    `most` bounds the norm of X for momenta with components of at most 1.
-    """
+    """Tables of one shift, whose generator X is multiplied by `rate`."""
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
         self._keepalive, self._rate = as_structure(tables), rate
@@ -75,12 +71,8 @@ class CompiledShiftCorrection:
         schedule: bytes,
         elapsed: NDArray[np.float64] | None = None,
     ) -> None:
-        """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1.
-
-        `loop_groups` is the address of the transposed elements (k, members, d*d) of the shifted run, which starts at
-        the unit element. `momenta` (members, n) and `initial` (members, d, d) are the start; elements at step 0 equal
-        `initial`, bitwise. `schedule` comes from `schedule_of`; `elapsed` (k, members) replaces its times. All arrays
-        are C-contiguous.
+        """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1, from the transposed ones
+        of the shifted run at the address `loop_groups`. `elapsed` (k, members) replaces the times of the schedule.
         """
         x0, g0 = addressof(as_c_double(momenta)), addressof(as_c_double(initial))
         out_address = addressof(as_c_double(out))

@@ -38,10 +38,7 @@ class CompiledTables(NamedTuple):
 def addresses_of(
     functions: Mapping[int, FunctionTerm], count: int, derivative: str, owner: str
 ) -> tuple[NDArray[np.int64], Owners]:
-    """Compile the values, gradients or Hessians of FUNCTION terms, given by term number, out of `count` terms.
-
-    Return the addresses (count,), 0 for other terms, and the owners of the machine code. `owner` appears in messages.
-    """
+    """Compile a derivative of FUNCTION terms by number; return addresses (count,), 0 for others, and owners."""
     addresses = np.zeros(count, dtype=np.int64)
     keepalive: list[CompiledFunction | CompiledShares | FormulaFunction | PythonCallback] = []
     if not functions:

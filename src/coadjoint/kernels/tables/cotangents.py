@@ -152,10 +152,7 @@ def flow_cotangents(
 def runge_kutta_cotangents(
     loop: CompiledLoop, system: System, added: Terms, functions: Sequence[FunctionDerivative]
 ) -> CompiledTables:
-    """Return `RungeKuttaCotangents` of a loop over stages, with the terms of the derivative of the energy.
-
-    The last terms are those of `functions`.
-    """
+    """Return `RungeKuttaCotangents` of a loop over stages, with the terms of the derivative of the energy."""
     check_differentiable(system)
     base: RungeKuttaTables = loop.tables
     table = terms_of_field(system)

@@ -19,13 +19,9 @@ from coadjoint.systems.vanishing_products import FieldProducts, Products, field_
 
 
 class Field(NamedTuple):
-    """The field x' = sign * J(x) grad H(x, t) in `size` coordinates.
-
-    On a Lie algebra row i of J has the entries first[i] to first[i + 1], each a nonzero structure constant:
-    `constant` = sign * c_ij^k with j = `column`, k = `state`. If `nonlinear`, `structure` holds the address of the
-    compiled function x -> J(x). `longest` is the largest number of rows of a term of H. If `separated`, the field at
-    a point is the sum of the products `own_first` to `own_constant`, without those that cancel; columns from `size` on
-    are partial components of the gradient, the sums of the rows `partial_row` of terms.
+    """The field x' = sign * J(x) grad H(x, t). On a Lie algebra, row i of J has the entries first[i] to first[i + 1]:
+    `constant` = sign * c_ij^k with j = `column`, k = `state`; if `nonlinear`, `structure` is the address of x -> J(x).
+    `separated` and the fields after it are described in `boundary/tables.hpp`.
     """
 
     size: int
@@ -51,11 +47,7 @@ class Field(NamedTuple):
 
 
 class GroupField(NamedTuple):
-    """The equation g' = -sign * g rho(u) for d x d matrices; `size` is d, or 0 if no group element is computed.
-
-    There are `entries` nonzeros: (rho_i)_ab with i = `element`, a = `row`, b = `column`, and `value` = -sign *
-    (rho_i)_ab.
-    """
+    """The equation g' = -sign * g rho(u) of d x d matrices: nonzeros `value` = -sign * (rho_element)_row,column."""
 
     size: int
     entries: int
@@ -66,11 +58,7 @@ class GroupField(NamedTuple):
 
 
 def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
-    """Return the vector field of a system with its functions compiled, and the owners of the compiled functions.
-
-    `called` means that the field is a call into Python, which does not read the bracket. Raise TypeError if a user
-    function cannot be compiled.
-    """
+    """Return the vector field of a system with its functions compiled, and the owners of the compiled functions."""
     table = terms_of_field(system)
     terms = table.table()
     addresses, keepalive = addresses_of(table.functions, len(table), "gradient", "the Hamiltonian")
@@ -176,9 +164,7 @@ def _own_products(system: System, products: Products, terms: Terms) -> tuple[Any
 
 
 def group_of(system: System, representation: Any) -> GroupField:
-    """Return the group equation for None, "coadjoint" (the coadjoint matrix) or a representation (n, d, d); size 0 for
-    None.
-    """
+    """Return the group equation for None (size 0), "coadjoint" (the coadjoint matrix) or a representation (n, d, d)."""
     no_integers = np.zeros(0, dtype=np.int64)
     if representation is None or system.algebra is None:
         return GroupField(0, 0, _indices(no_integers), _indices(no_integers), _indices(no_integers), np.zeros(0))
@@ -195,13 +181,7 @@ def group_of(system: System, representation: Any) -> GroupField:
 
 
 def substeps(fractions: Sequence[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lengths of the substeps of a step, and their start times, in units of the step.
-
-    Examples
-    --------
-    >>> substeps((0.75, -0.5, 0.75))[1].tolist()
-    [0.0, 0.75, 0.25]
-    """
+    """Return the lengths of the substeps of a step, and their start times, in units of the step."""
     lengths = np.array(fractions, dtype=np.float64)
     return lengths, np.array([0.0, *accumulate(fractions)][:-1], dtype=np.float64)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,25 +13,19 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
-from coadjoint.kernels.tables.free_body import body_tables
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.actions import Action, empty_action
 from coadjoint.program.blocks import Kind
+from coadjoint.program.parts.part import BodyShare
 from coadjoint.program.rational_rotations import acts_rationally
 from coadjoint.program.table import Program, recorded_sources
 from coadjoint.program.term_table import LINEAR, Terms
 
 
 class FlowTables(NamedTuple):
-    """The arrays of a program; the coefficients of the rows are already multiplied by `step`, and the loops rescale
-    them.
-
-    A part has at most `longest` angles; only[p] is the row of a part with a single, linear one, else -1. bent[p] is 1
-    if the blocks of part p on the group have other frequencies, frequency[row], than on the momentum, so that they need
-    the angle itself. Rational rotations are marked in the kinds of the actions. called[k] is the index of the free body
-    of share k, else -1; `body_column` has its triple and the other triple of a bond (the same one without a bond),
-    `body` its constants. properties[p] has bit 1 if all blocks of a body part rotate by the angle itself, bit 2 if it
-    consists of bonds of unit scale; bits 4 and 8 are those of `with_properties`.
+    """The arrays of a program, with coefficients of rows multiplied by `step`. only[p] is the row of a part of one
+    linear angle, else -1; bent[p] is 1 if its blocks on the group have other frequencies. `called`, the bodies and
+    `properties` are described in `boundary/tables.hpp` and `flows/called_parts.hpp`.
     """
 
     longest: int
@@ -61,10 +56,7 @@ next, and *finish* acts on a copy.
 
 
 def flow_tables(program: Program, h: float, compensated: bool, compact: bool = False) -> CompiledTables:
-    """Return `FlowTables` of a program with float64 constants, for a step h (negative for backward).
-
-    `compensated` selects compensated summation of the momentum; `compact` tables are for the loop over flows alone.
-    """
+    """Return `FlowTables` of a program with float64 constants, for a step h (negative for backward)."""
     terms = program.compact_terms if compact else program.terms
     count = len(terms.kind)
     addresses, keepalive = addresses_of(program.functions, count, "gradient", "the Hamiltonian")
@@ -104,9 +96,7 @@ def flow_tables(program: Program, h: float, compensated: bool, compact: bool = F
 
 
 def with_properties(tables: FlowTables) -> FlowTables:
-    """Return tables with the properties of parts that follow from their structure: that runs move different
-    coordinates (bit 4), and that rotations may follow their angles one by one (bit 8).
-    """
+    """Mark parts whose runs move different coordinates (bit 4), and whose angles may be applied one by one (8)."""
     found = tables._replace(properties=tables.properties.copy())
     if kernels().flow_properties(ctypes.byref(as_structure(found)), ctypes.c_int64(len(found.only))):
         raise MemoryError("not enough memory for the properties of the parts")
@@ -129,3 +119,80 @@ def mark_rational(action: Action, rational: NDArray[np.bool_]) -> Action:
         kinds = kind[action.run[part] : action.run[part + 1]]
         kinds[(kinds == Kind.ROTATE) | (kinds == Kind.CUBIC)] += limit("RATIONAL")
     return action._replace(kind=kind)
+
+
+MAX_SWEEPS = 16  # of the Jacobi method, which takes about six for a 3 x 3 matrix
+DIRECT, TOGETHER = 1, 2  # bits of `properties`
+
+
+class BodyTables(NamedTuple):
+    """The fields of `FlowTables` for free bodies."""
+
+    called: NDArray[np.int64]
+    body_column: NDArray[np.uint32]
+    body: NDArray[np.float64]
+    properties: NDArray[np.uint8]
+
+
+def body_tables(program: Program) -> BodyTables:
+    """Return the free bodies of a program as arrays; its constants are float64."""
+    parts, bodies = program.parts, program.parts.bodies
+    # A flow table may contain parts that are not in the Hamiltonian.
+    index_of_share = np.full(int(program.share[-1]), -1, dtype=np.int64)
+    properties = np.zeros(len(parts), dtype=np.uint8)
+    index_of_share[list(bodies)] = np.arange(len(bodies))
+    of_part = {int(np.searchsorted(parts.share, s, side="right")) - 1: share for s, share in bodies.items()}
+    for p, share in of_part.items():
+        unit_scale = all(abs(length) == 1.0 for length in share.scale)
+        actions = (program.state,) if program.group is None else (program.state, program.group)
+        properties[p] = DIRECT * (unit_scale and all(_turns_directly(action, p) for action in actions))
+        if all(bodies[s].other and bodies[s].scale == (1.0, 1.0, 1.0) for s in range(*parts.share[p : p + 2])):
+            properties[p] |= TOGETHER
+    columns = np.array(
+        [(*share.coordinates, *(share.other or share.coordinates)) for share in bodies.values()], dtype=np.uint32
+    ).reshape(-1)
+    constants = np.array([_constants(share) for share in bodies.values()], dtype=np.float64).reshape(-1)
+    return BodyTables(index_of_share, columns, constants, properties)
+
+
+def _turns_directly(action: Action, part: int) -> bool:
+    for run in range(int(action.run[part]), int(action.run[part + 1])):
+        first = int(action.constant[run])
+        constants = action.constants[first : first + int(action.angles[run])]
+        if action.kind[run] != Kind.ROTATE or np.any(np.abs(constants) != 1.0):
+            return False
+    return True
+
+
+def _constants(share: BodyShare) -> list[float]:
+    """Return principal moments, principal axes row by row, and the scale."""
+    scaled = [[v / (share.scale[a] * share.scale[b]) for b, v in enumerate(row)] for a, row in enumerate(share.matrix)]
+    moments, axes = principal_axes(scaled)
+    return [*moments, *(entry for row in axes for entry in row), *share.scale]
+
+
+def principal_axes(matrix: Sequence[Sequence[float]]) -> tuple[list[float], list[list[float]]]:
+    """Return eigenvalues (unsorted) and eigenvectors (columns, a rotation) of a symmetric 3x3 matrix by Jacobi
+    rotations. The bits are the same on every machine. A diagonal matrix keeps its order.
+    """
+    M = [list(row) for row in matrix]
+    Q = [[float(i == j) for j in range(3)] for i in range(3)]
+    for _ in range(MAX_SWEEPS):
+        if M[0][1] == M[0][2] == M[1][2] == 0.0:
+            break
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            # Smaller entries no longer change the diagonal ones, since convergence is quadratic.
+            if abs(M[p][q]) <= 2.0**-60 * (abs(M[p][p]) + abs(M[q][q])):
+                M[p][q] = M[q][p] = 0.0
+                continue
+            slope = (M[q][q] - M[p][p]) / (2.0 * M[p][q])
+            t = math.copysign(1.0, slope) / (abs(slope) + math.sqrt(slope * slope + 1.0))
+            c = 1.0 / math.sqrt(t * t + 1.0)
+            s, r = t * c, 3 - p - q
+            M[p][p], M[q][q] = M[p][p] - t * M[p][q], M[q][q] + t * M[p][q]
+            M[p][q] = M[q][p] = 0.0
+            M[p][r], M[q][r] = c * M[p][r] - s * M[q][r], s * M[p][r] + c * M[q][r]
+            M[r][p], M[r][q] = M[p][r], M[q][r]
+            for row in Q:
+                row[p], row[q] = c * row[p] - s * row[q], s * row[p] + c * row[q]
+    return [M[i][i] for i in range(3)], Q

@@ -20,7 +20,8 @@ from coadjoint.kernels.tables.matrix_steps import stream_tables
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
-from coadjoint.program.sources import Coefficients, Multiples, Sources
+from coadjoint.program.multiples import Multiples
+from coadjoint.program.sources import Coefficients, Sources
 from coadjoint.systems.forces.base import Force, Noise
 from coadjoint.systems.forces.state_torque import extrapolation_columns
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
@@ -31,7 +32,6 @@ NO_NUMBERS = np.zeros(1)
 
 class ForceTable(NamedTuple):
     """A force as the kernels read it; `account` is the index of its first account, `accounts` the number of invariants.
-
     The directions of a noise are grouped into `sets` that commute; set s has the directions begin[s] to begin[s + 1].
     """
 
@@ -87,10 +87,7 @@ def _adapted_matrix_function(
 
 
 def accounts_of(system: Any) -> tuple[Account, ...]:
-    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it changes.
-
-    For a system of matrices these are the Casimirs of degree two.
-    """
+    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it changes."""
     accounts, hamiltonian_part = [], system.unforced
     tracked_casimirs = (
         hamiltonian_part.quadratic_casimirs if hamiltonian_part.has_matrices else hamiltonian_part.casimirs
@@ -180,11 +177,7 @@ class _ForceTableBuilder:
 def _adapted_arguments(
     function: Callable[..., Any], arguments: str, shape: tuple[int, ...] | None
 ) -> Callable[..., Any]:
-    """Return a function of (y) or (y, t), as the kernels call it, from one with other arguments.
-
-    For a system of matrices `shape` is the shape of a state and whether entries are complex; the function takes such
-    states.
-    """
+    """Return a function of (y) or (y, t) from one with other arguments; `shape` is that of a matrix, if complex."""
     if shape is not None:
         return _adapted_matrix_function(function, arguments, shape[:-1], np.complex128 if shape[-1] else np.float64)
     if arguments in ("x", "x, t"):
@@ -215,10 +208,7 @@ def _matrices(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
 def forced_loop(
     system: Any, inner: Mapping[float, CompiledLoop], fractions: Sequence[float], order: int, representation: Any
 ) -> CompiledLoop:
-    """Return a loop of substeps at fractions of the step, each between half flows of the forces, of an order.
-
-    `inner` are the loops of the Hamiltonian part for one member, by fraction.
-    """
+    """Return a loop of substeps at fractions of the step, each between half flows of the forces, of an order."""
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
@@ -292,10 +282,7 @@ class _FunctionReader(_ForceTableBuilder):
 
 
 def linear_coefficients_in(force: Force, system: Any) -> list[int]:
-    """Return the coordinates of the linear term of H of a system whose coefficients the function of a force contains.
-
-    A function is compiled with what it reads of the system, such as the angular velocity of a body at zero momentum.
-    """
+    """Return the coordinates of the linear term of H whose coefficients the compiled function of a force contains."""
     if not force.uses_energy or not len(Coefficients.of(system.hamiltonian.terms()).number):
         return []
     n = system.dim

@@ -10,7 +10,8 @@ import numpy as np
 from coadjoint.algebra.invariants.invariant import Invariant, LogarithmicInvariant
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
-from coadjoint.program.sources import INDEPENDENT, Coefficients, Multiples, Sources, concatenated, sources_of
+from coadjoint.program.multiples import Multiples, concatenated
+from coadjoint.program.sources import INDEPENDENT, Coefficients, Sources, sources_of
 from coadjoint.program.term_table import ValueTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
@@ -18,11 +19,7 @@ from coadjoint.systems.user_functions import Formula, takes_time
 
 
 def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = False) -> CompiledTables:
-    """Return a `Watch` of the energy of a system, then of the given `Polynomial`, `Quadratic` or `Invariant` by name.
-
-    The cost of a quadratic invariant is proportional to its nonzero entries. `compact` tables, of which only values are
-    computed, store rows that repeat once.
-    """
+    """Return a `Watch` of the energy of a system, then of other invariants by name; `compact` ones store rows once."""
     found = invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact)
     return found._replace(sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables, (0,)))
 
@@ -41,10 +38,7 @@ def _sources_of_watch(terms: Sequence[Term], watch: Watch, energies: Sequence[in
 
 
 def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequence[tuple[str, str]]) -> CompiledTables:
-    """Return a `Watch` for states with accounts: energy and invariants, then each of them minus its accounts.
-
-    `accounts` has the force and the invariant ("energy" or a name) of each account, an entry after the coordinates.
-    """
+    """Return a `Watch` of energy and invariants, then of each minus its `accounts`, (force, invariant)."""
     watched = [("energy", system.hamiltonian), *invariants.items()]
     subtracted = [
         [system.dim + k for k, (_, invariant) in enumerate(accounts) if invariant == name] for name, _ in watched
@@ -60,10 +54,7 @@ def invariants_table(
     subtracted: Sequence[Sequence[int]] | None = None,
     compact: bool = False,
 ) -> CompiledTables:
-    """Return a `Watch` of named invariants of states with `size` coordinates; names appear in messages.
-
-    `taken` has for each invariant the indices of entries of a state that are subtracted from it.
-    """
+    """Return a `Watch` of named invariants of states with `size` coordinates; names appear in messages."""
     table, first, constant, period, owners = ValueTable(), [0], [], [], {}
 
     def end_invariant(name: str, offset: float, wrapped: float) -> None:

@@ -36,11 +36,9 @@ def blas_address(name: str) -> int:
 
 
 def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
-    """Return the integers and numbers of the stream of a matrix system, and the owners of its functions.
-
-    The integers are the size, the layers, the kinds of `stream` and `second_stream` (the map of the first of two
-    layers, -1 without one), whether there is a constant `linear`, and the address of a function. The numbers are the
-    constant and the tables of the maps.
+    """Return the integers (size, layers, the kinds of both streams, -1 for none, whether there is a constant `linear`,
+    address of a function) and the numbers (the constant, the tables of the maps) of a stream, and the owners of its
+    functions.
     """
     kinds = codes("StreamKind")
     stream, second, linear, function = system.stream, system.second_stream, system.linear, None

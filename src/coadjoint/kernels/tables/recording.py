@@ -19,11 +19,9 @@ STEPS_BACK = 3
 
 
 class Watch(NamedTuple):
-    """The watched invariants: I of them, each a constant plus a sum of terms.
-
-    Invariant i has the terms first[i] to first[i + 1]. A positive period[i] marks a multivalued one (a logarithm with
-    an angle), which is unwrapped by whole periods along the run. `longest` is the largest number of arguments of a
-    function.
+    """The watched invariants: I of them, each a constant plus a sum of terms. Invariant i has the terms first[i] to
+    first[i + 1]. A positive period[i] marks a multivalued one (a logarithm with an angle), which is unwrapped by whole
+    periods along the run. `longest` is the largest number of arguments of a function.
     """
 
     size: int
@@ -36,12 +34,8 @@ class Watch(NamedTuple):
 
 
 class Schedule(NamedTuple):
-    """The steps of a run, and those after which states are saved or invariants computed; `passed` points were saved
-    before.
-
-    Saved are the `marked` steps at the address `marks`, ascending; if it is 0, every `save_every`-th step and the last.
-    `starts` and `lengths`, if not 0, are addresses of the start and length of the one step of each member.
-    `events` is the address of `EventTables`, or 0. `threads` may share the work of one member.
+    """The steps of a run, those after which states are saved or invariants computed, and the addresses of the steps of
+    single members and of events, 0 if there are none, as in `boundary/tables.hpp`.
     """
 
     t0: float
@@ -79,9 +73,8 @@ SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
 
 
 def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float64]) -> bytes:
-    """Return a `Schedule` as bytes in which each member takes one step of its own and saves the result.
-
-    The run does not end with this step, so that no energy is computed. The arrays must live as long.
+    """Return a `Schedule` as bytes in which each member takes one step of its own and saves the result. The run does
+    not end with this step, so that no energy is computed. The arrays must live as long.
     """
     addresses = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
     return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, 1)
@@ -112,10 +105,9 @@ class EventTables(NamedTuple):
 
 
 class FlaggedSteps(NamedTuple):
-    """Rows recorded by the loops, r of them, each a step of a member with a possible crossing.
-
-    `codes` (r, E) are `Crossing` codes of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the step;
-    `before` and `after` (r, E) are the values of the events.
+    """Rows recorded by the loops, r of them, each a step of a member with a possible crossing. `codes` (r, E) are
+    `Crossing` codes of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the step; `before` and
+    `after` (r, E) are the values of the events.
     """
 
     members: NDArray[np.int64]
@@ -138,12 +130,9 @@ class FlaggedSteps(NamedTuple):
 
 
 class EventArrays:
-    """Arrays with which the loops detect events, for all members in the order of the loops.
-
-    `direction` (E,) is 1 for rising zeros, -1 for falling, 0 for both. `left` (members, E) is the number of crossings
-    after which an event ends the run of a member, 0 if it does not. `size` and `square` are the numbers of a state and
-    of a group element. A loop may take at most `chunk` steps between two calls of `take`. `limit` (members,), the
-    last step of each member, may be set.
+    """Arrays with which the loops detect events: `direction` (E,), 1 for rising zeros, -1 for falling, 0 for both;
+    `left` (members, E), crossings until a run ends, 0 for no end. At most `chunk` steps may pass between calls of
+    `take`.
     """
 
     def __init__(

@@ -11,21 +11,16 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, sources_of_field, substeps
-from coadjoint.program.sources import Coefficients, Multiples, Sources
+from coadjoint.program.multiples import Multiples
+from coadjoint.program.sources import Coefficients, Sources
 from coadjoint.systems.system import System
 
 
 class RungeKuttaTables(NamedTuple):
-    """The arrays of a Runge-Kutta method on a system.
-
-    The stages are X_i = x + sum_j mix_ij L_j with L_j = h scale_j f(X_j, t + node_j h), and the step adds sum_j out_j
-    L_j. `iterations` is the number of function iterations before the output, or before the linear system. If `direct`,
-    linear systems are solved by LU factors, with `quadratic` the dense M if needed; otherwise by iteration. If the
-    iteration fails, and for implicit steps, large systems are solved by a banded factorization in the order `position`,
-    in which coupled coordinates are at most `band` apart; if `band` is -1, they are solved without a matrix. A step
-    consists of substeps of the lengths `fraction`, at the moments `moment`, in units of the step. The initial guess of
-    an implicit substep is x + sum_j forecast_ij L_j, with the slopes L of the previous substep, and one such matrix per
-    substep.
+    """The arrays of a Runge-Kutta method: X_i = x + sum_j mix_ij L_j with L_j = h scale_j f(X_j, t + node_j h), and the
+    step adds sum_j out_j L_j; the guess is x + sum_j forecast_ij L_j with the last slopes. `direct` systems have LU
+    factors, others are iterated, or factored in a `band` in the order `position`; if it is -1, they are solved without
+    a matrix.
     """
 
     field: Field
@@ -72,10 +67,7 @@ class Tableau(Protocol):
 def runge_kutta_tables(
     system: System, method: Tableau, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> CompiledTables:
-    """Return `RungeKuttaTables`, which do not depend on the step, for a method whose substeps have these fractions.
-
-    Raise TypeError if a function of the user cannot be compiled.
-    """
+    """Return `RungeKuttaTables`, which do not depend on the step, for a method whose substeps have these fractions."""
     field, keepalive = field_of(system)
     group = group_of(system, representation)
     node, scale, mix, out = method.coefficients()
@@ -139,10 +131,9 @@ NO_BAND: tuple[int, NDArray[np.uint32]] = (-1, np.zeros(0, dtype=np.uint32))
 
 
 def narrow_band(system: System, stages: int, solver: str) -> tuple[int, NDArray[np.uint32]]:
-    """Return the bandwidth of a Jacobian (-1 without a narrow band) and the position (n,) of each coordinate.
-
-    The ordering is reverse Cuthill-McKee; the `stages` unknowns of a coordinate are adjacent. The Jacobian of the
-    solver is sign (D_u + J(x) H'') for "implicit", J(x) H'' for "structure", D_u for "gradient".
+    """Return the bandwidth of a Jacobian (-1 without a narrow band) and the position (n,) of each coordinate. The
+    ordering is reverse Cuthill-McKee; the `stages` unknowns of a coordinate are adjacent. The Jacobian of the solver is
+    sign (D_u + J(x) H'') for "implicit", J(x) H'' for "structure", D_u for "gradient".
     """
     if system.algebra is None:
         return NO_BAND

@@ -24,15 +24,14 @@ from coadjoint.kernels.tables.field import (
 from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.program.multiples import Multiples
 from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.program.sources import Coefficients, Multiples, Sources
+from coadjoint.program.sources import Coefficients, Sources
 from coadjoint.systems.system import System
 
 
 class StepTables(NamedTuple):
-    """Tables that a step reads: the field, the compiled values of the terms of H, the group equation, the invariants
-    that it restores, integers, and coefficients.
-    """
+    """Tables that a step reads: field, values of the terms of H, group equation, invariants, and numbers."""
 
     field: Field
     values: NDArray[np.int64]
@@ -43,10 +42,9 @@ class StepTables(NamedTuple):
 
 
 class Stepping(NamedTuple):
-    """A compiled step, by address, and its tables; a step of the run consists of `substeps` of it.
-
-    They have the lengths `fraction`, at the moments `moment`, in units of the step. `serial` is the number that the
-    loop assigns to the tables when it first reads them.
+    """A compiled step, by address, and its tables; a step of the run consists of `substeps` of it. They have the
+    lengths `fraction`, at the moments `moment`, in units of the step. `serial` is the number that the loop assigns to
+    the tables when it first reads them.
     """
 
     step: NDArray[np.int64]
@@ -62,10 +60,7 @@ STEPS: dict[int, Any] = {}
 
 
 def step_address(step: Any) -> int:
-    """Return the address of a step: an object with an ``address``, or a name (`STEP_SCHEME` in its C++ file).
-
-    Raise ValueError if the library has no step of this name.
-    """
+    """Return the address of a step: an object with an ``address``, or a name (`STEP_SCHEME` in its C++ file)."""
     if not isinstance(step, str):
         STEPS[int(step.address)] = step
         return int(step.address)
@@ -106,10 +101,7 @@ class CompiledStep(Protocol):
 def step_tables(
     system: System, method: CompiledStep, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> CompiledTables:
-    """Return the tables, a `Stepping` independent of the step, of a step method whose substeps have these fractions.
-
-    Raise TypeError if a function of the user cannot be compiled.
-    """
+    """Return the tables, a `Stepping` independent of the step, of a step method whose substeps have these fractions."""
     restored = method.restored(system)
     watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
     tables = _tables(system, group_of(system, representation), watched, *method.constants())
@@ -119,10 +111,7 @@ def step_tables(
 def function_tables(
     system: System, function: int, fractions: Sequence[float] = (1.0,), compiled: bool = False
 ) -> CompiledTables:
-    """Return the tables, a `Stepping`, of a step that is a function at an address.
-
-    If it is `compiled`, it reads the system from the tables.
-    """
+    """Return the `Stepping` of a step at an address; if `compiled`, it reads the system from the tables."""
     constant = sum(term.constant for term in system.hamiltonian.terms())
     no_invariants = invariants_table([], system.dim)
     tables = _tables(
@@ -151,19 +140,15 @@ def numeric_step_tables(
 
 
 def wrapped_step_tables(system: System, step: str, inner: CompiledLoop, restored: Mapping[str, Any]) -> CompiledTables:
-    """Return the tables, a `Stepping`, of a named step: a step of `inner`, then a correction of energy and invariants.
-
-    `inner` is a loop for one member; `restored` maps names to `Polynomial` or `Quadratic`.
-    """
+    """Return the `Stepping` of a named step: one of `inner`, for one member, then a correction of `restored`."""
     integers, keepalive = inner_loop_integers(inner, system, None)
     return named_step_tables(system, step, watch_tables(system, restored), integers, None, keepalive)
 
 
 def inner_loop_integers(inner: CompiledLoop, system: System, representation: Any) -> tuple[list[int], tuple[Any, ...]]:
-    """Return the integers by which a step calls `inner`, a loop for one member, and the objects to keep alive.
-
-    The integers are the addresses of the loop, of its tables and of an empty watch, the size of its memory, and the
-    address of the tables that rotate the group element by the shift of the Hamiltonian, or 0.
+    """Return the integers by which a step calls `inner`, a loop for one member, and the objects to keep alive. The
+    integers are the addresses of the loop, of its tables and of an empty watch, the size of its memory, and the address
+    of the tables that rotate the group element by the shift of the Hamiltonian, or 0.
     """
     loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
     no_invariants = invariants_table([], system.dim)
@@ -185,10 +170,7 @@ def named_step_tables(
     keepalive: tuple[Any, ...],
     coefficients: Sequence[float] = (),
 ) -> CompiledTables:
-    """Return the tables, a `Stepping`, of a named step that reads integers, coefficients and `invariants`.
-
-    The integers begin with those of `inner_loop_integers`.
-    """
+    """Return the tables, a `Stepping`, of a named step that reads integers, coefficients and `invariants`."""
     tables = _tables(
         system,
         group_of(system, representation),

@@ -58,14 +58,7 @@ def structure_of_table(kind: Any) -> Any:
 
 @functools.cache
 def per_member_fields(kind: Any) -> frozenset[str]:
-    """Return the arrays of a table class with one column per member if constants of members differ.
-
-    Examples
-    --------
-    >>> from coadjoint.kernels.tables.field import GroupField
-    >>> sorted(per_member_fields(GroupField))
-    ['value']
-    """
+    """Return the arrays of a table class with one column per member if constants of members differ."""
     structure = structure_of_table(kind)
     return frozenset(
         name for (name, _), token in zip(structure._fields_, structure.kinds, strict=True) if token in PER_MEMBER_TYPES
@@ -73,11 +66,7 @@ def per_member_fields(kind: Any) -> frozenset[str]:
 
 
 def as_structure(table: Any) -> Any:
-    """Return a named tuple as the C structure of its name, which keeps the arrays alive; return a structure unchanged.
-
-    Raise TypeError if an array is not C-contiguous or has another type than the kernels read, ImportError if the
-    library has no such table or one with other fields.
-    """
+    """Return a named tuple as the C structure of its name, which keeps arrays alive; a structure unchanged."""
     if isinstance(table, ctypes.Structure):
         return table
     table_class: Any = type(table)
@@ -99,10 +88,7 @@ def as_structure(table: Any) -> Any:
 
 @functools.cache
 def packer(kind: Any) -> Callable[..., bytes]:
-    """Return a function from the fields of a table of numbers and addresses, in the order of the class, to its bytes.
-
-    It is ten times faster than `as_structure`.
-    """
+    """Return a function from the fields of a table of numbers to its bytes, ten times faster than `as_structure`."""
     structure = structure_of_table(kind)
     names = tuple(name for name, _ in structure._fields_)
     pack = struct.Struct("=" + "".join("d" if token == "number" else "q" for token in structure.kinds)).pack
@@ -130,11 +116,7 @@ def _fields(tables: Any) -> Sequence[str]:
 
 
 def structure_of(tables: Any) -> Hashable:
-    """Return everything in tables except their constants: members of equal structure can share one set of tables.
-
-    Constants are the arrays that the kernels call `constants`, and the `addresses` of functions; only the shape of
-    constants, and which addresses are zero, belong to the structure.
-    """
+    """Return everything in tables except their constants: members of equal structure can share one set of tables."""
     if isinstance(tables, np.ndarray):
         return tables.dtype.char, tables.shape, tables.tobytes()
     if isinstance(tables, tuple):
@@ -149,11 +131,8 @@ def _shape_of(item: Any) -> Hashable:
 
 
 def stacked(members: Sequence[Tables]) -> Tables:
-    """Return one set of tables for a nonempty sequence of members of equal `structure_of`.
-
-    Integers and functions are those of the first member. Each array of constants (count,) becomes (count, columns),
-    C-contiguous, one column per member; the last column is repeated up to a multiple of the limit MOST_LANES, since
-    lanes may read beyond the last member.
+    """Return one set of tables for members of equal `structure_of`, with a column of constants for each; the last one
+    is repeated up to a multiple of MOST_LANES, since lanes may read beyond it.
     """
     first = members[0]
     columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)

@@ -64,11 +64,7 @@ TANGENT_LOOPS: Mapping[type, tuple[str, Any]] = {
 def with_tangents(
     loop: CompiledLoop, system: System, functions: Mapping[int, FunctionTerm], frame: Frame
 ) -> CompiledLoop:
-    """Return a loop that takes the same steps, bitwise, with tangent vectors and without the group element.
-
-    `functions` are the functions of the user by term number. The memory of a member ends with the data of
-    `stretch_logarithms`. Raise TypeError if a second derivative is unknown or cannot be compiled.
-    """
+    """Return a loop that takes the same steps, bitwise, with tangent vectors and without the group element."""
     name, kind = TANGENT_LOOPS[type(loop.tables)]
     check_differentiable(system)
     terms = loop.tables.terms if isinstance(loop.tables, FlowTables) else loop.tables.field.terms

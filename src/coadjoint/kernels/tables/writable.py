@@ -23,7 +23,8 @@ from coadjoint.memory import check_available_memory
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
-    from coadjoint.program.sources import Multiples, Sources, Sums
+    from coadjoint.program.multiples import Multiples
+    from coadjoint.program.sources import Sources, Sums
 
 Floats = NDArray[np.float64]
 
@@ -115,12 +116,9 @@ class _Block:
 
 
 class WritableTables:
-    """The tables of a scheme and of the watched invariants, for numbers (m,) given with each call.
-
-    `indices` maps sources to the indices of the numbers that they are; `tangled` are other sources that change with
-    these. `values` (m,) are the numbers of the tables as given. `separate_tables` is set if members with different
-    numbers need separate tables: tables refer to other tables, or a number is one that the kernels read once for all
-    members. Raise `NotWritable` if the tables depend on the sources in another way than by multiples and exact sums.
+    """The tables of a scheme and of the watched invariants for numbers (m,) given with each call: `indices` maps
+    sources to those that they are, `tangled` are sources that change with them, `values` the numbers as built. With
+    `separate_tables` members need tables of their own.
     """
 
     def __init__(
@@ -176,7 +174,7 @@ class WritableTables:
 
     def _written(self, block: _Block) -> tuple[Multiples, list[tuple[Sums, list[Integers]]]]:
         """Return the multiples of given numbers with their rows in a block, and exact sums with those of each rule."""
-        from coadjoint.program.sources import concatenated
+        from coadjoint.program.multiples import concatenated
 
         rows = [one._replace(position=block.start[table, path] + one.position) for table, path, one in self._multiples]
         multiples = concatenated(rows)
@@ -201,27 +199,27 @@ class WritableTables:
         """Return what belongs to the scheme, not to the watched invariants."""
         return [one for one in found if one[0] != WATCH]
 
-    def derivatives(self, names: Sequence[str]) -> Iterator[tuple[int, int, float]]:
-        """Yield the entries of these fields of the scheme, numbered one after the other, that depend on the numbers.
+    def derivatives(self, names: Sequence[str]) -> Multiples:
+        """Return the derivatives by the numbers of the entries of these fields of the scheme, one after the other.
 
-        Each with the index of a number, and the derivative by it. Raise `NotWritable` if others depend on them.
+        Raise `NotWritable` if other fields depend on the numbers.
         """
+        from coadjoint.program.multiples import Multiples, concatenated
+
         fields = self._tables[0].fields
         first = dict(zip(names, accumulate((len(fields[name].value) for name in names), initial=0), strict=False))
         for number, path, _ in (*self._multiples, *self._sums):
             if number == 0 and path not in first:
                 raise NotWritable(f"its table has {path} that {DEPENDENT}")
-        for number, path, one in self._multiples:
-            if number == 0:
-                entries = first[path] + one.position
-                yield from zip(entries.tolist(), one.number.tolist(), one.factor.tolist(), strict=True)
-        for number, path, sums in self._sums:
-            for position, rule in sums.rules if number == 0 else ():
-                entries, used = first[path] + position, np.isin(sums.coordinate, rule.used)
-                for coordinate, index in zip(sums.coordinate[used].tolist(), sums.number[used].tolist(), strict=True):
-                    unit = np.zeros(len(sums.linear))
-                    unit[coordinate] = 1.0
-                    yield from zip(entries.tolist(), [index] * len(entries), rule.at(unit), strict=True)
+        found = [one._replace(position=first[path] + one.position) for k, path, one in self._multiples if k == 0]
+        rules = [(path, sums, rule) for k, path, sums in self._sums if k == 0 for rule in sums.rules]
+        for path, of_rule, (position, rule) in rules:
+            used = np.isin(of_rule.coordinate, rule.used)
+            for coordinate, index in zip(of_rule.coordinate[used].tolist(), of_rule.number[used], strict=True):
+                unit = np.zeros(len(of_rule.linear))
+                unit[coordinate] = 1.0
+                found.append(Multiples(first[path] + position, np.full(len(position), index), np.array(rule.at(unit))))
+        return concatenated(found)
 
     def shared(self, numbers: Floats) -> tuple[Any, Any]:
         """Return the structures of the scheme and of the invariants for numbers (m,) common to all members."""

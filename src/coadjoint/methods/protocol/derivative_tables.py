@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.tables.cotangents import flow_cotangents, runge_kutta_cotangents, with_step
 from coadjoint.kernels.tables.structures import unrecorded
-from coadjoint.program.added_part import CoefficientMap, terms_of, with_added_part
-from coadjoint.program.provenance import in_parts
+from coadjoint.program.added_part import terms_of, with_added_part
+from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
+from coadjoint.program.places import Places
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 if TYPE_CHECKING:
@@ -38,14 +39,14 @@ class DerivativeTables(NamedTuple):
     forward: Kernel
     backward: Kernel
     coefficient_count: int
-    coefficients: Mapping[str, CoefficientMap]
-    factors: Mapping[str, CoefficientMap]
+    coefficients: Mapping[str, Multiples]
+    factors: Mapping[str, Multiples]
     rules: Mapping[str, str]
     keepalive: tuple[Any, ...] = ()
     shift: tuple[Any, ...] = ()
     reversible: bool = False
     located: tuple[str, ...] = ()
-    monomials: Mapping[str, tuple[CoefficientMap, CoefficientMap]] = {}
+    monomials: Mapping[str, tuple[Multiples, Multiples]] = {}
     of_members: NDArray[np.float64] | None = None
     sources: Callable[[], Sources] = unrecorded
 
@@ -61,15 +62,19 @@ def flow_derivatives(
     # Parameters that are in no coefficient, as those of functions, are differentiated as an added part of size zero.
     program = method.program(system, group=representation)
     apart = {name: G.apart for name, G in energies.items()}
-    found = {name: in_parts(program, G) for name, G in apart.items()}
-    others = [name for name, pair in found.items() if pair is None]
-    own, empty, added = {name: pair[0] for name, pair in found.items() if pair}, CoefficientMap.of_triplets(()), None
+    places = Places(program)
+    found = {name: places.of(G) for name, G in apart.items()}
+    own = {name: (of_parts, of_shift) for name, (of_parts, of_shift, missing) in found.items() if not len(missing)}
+    others, added = [name for name in found if name not in own], None
     in_added = [G if name in others else G.of_functions for name, G in apart.items()]
+    monomials = {name: own.get(name, (NO_MULTIPLES, NO_MULTIPLES)) for name in found}
     if others or any(G.functions for G in in_added):
         added = with_added_part(program, method, system, representation, EnergyDerivative.joined(in_added))
         split = added.split({name: G.size for name, G in apart.items()})
-        own = {name: one.joined(added.renumbered(own[name])) if name in own else one for name, one in split.items()}
-    monomials = {name: (own[name], pair[1] if pair else empty) for name, pair in found.items()}
+        monomials = {
+            name: (concatenated([split[name], added.renumbered(of_parts)]), of_shift)
+            for name, (of_parts, of_shift) in monomials.items()
+        }
     built = flow_cotangents(program, system, representation, h, method.compensates, added)
     terms = built.tables.base.terms
 
@@ -101,7 +106,6 @@ def runge_kutta_derivatives(
     joined = EnergyDerivative.joined(list(apart.values()))
     added, coefficients = terms_of(joined, system.dim)
     of_monomials = coefficients.split({name: G.size for name, G in apart.items()})
-    empty = CoefficientMap.of_triplets(())
     built = runge_kutta_cotangents(loop, system, added, joined.functions)
     return DerivativeTables(
         tables_at=lambda step: built.tables,
@@ -110,8 +114,8 @@ def runge_kutta_derivatives(
         backward="runge_kutta_cotangents",
         coefficient_count=len(added.offset) + len(added.weight) + len(added.coefficient),
         coefficients={name: one.of_energy(energies[name]) for name, one in of_monomials.items()},
-        factors=dict.fromkeys(energies, empty),
+        factors=dict.fromkeys(energies, NO_MULTIPLES),
         rules=dict.fromkeys(energies, EXACT),
-        monomials={name: (one, empty) for name, one in of_monomials.items()},
+        monomials={name: (one, NO_MULTIPLES) for name, one in of_monomials.items()},
         sources=lambda: loop.sources().within("base."),
     )

@@ -13,7 +13,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
-from coadjoint.program.added_part import CoefficientMap
+from coadjoint.program.multiples import NO_MULTIPLES, Multiples
 from coadjoint.systems.parameter_differences import NearbySystems, differences, nearby_systems
 from coadjoint.systems.parameters import Parameter, with_entry_moved
 
@@ -147,7 +147,7 @@ def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Ma
     coefficients, start = {}, 0
     for name, size in sizes.items():
         entries = np.arange(size)
-        coefficients[name] = CoefficientMap(start + entries, entries, np.ones(size))
+        coefficients[name] = Multiples(start + entries, entries, np.ones(size))
         start += size
     return DerivativeTables(
         tables_at=lambda h, *values: steps_at(*values),
@@ -155,6 +155,6 @@ def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Ma
         backward=StepwiseDerivatives.backward,
         coefficient_count=start,
         coefficients=coefficients,
-        factors=dict.fromkeys(sizes, CoefficientMap.of_triplets(())),
+        factors=dict.fromkeys(sizes, NO_MULTIPLES),
         rules=dict.fromkeys(sizes, DIFFERENCES),
     )

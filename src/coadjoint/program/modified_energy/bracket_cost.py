@@ -19,11 +19,9 @@ SAMPLED_PARTS = 6
 
 
 def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
-    """Estimate a lower bound on the products of monomials in `sweep_logarithm`, from the sparsity pattern.
-
-    Part p acts on the series R of the parts after it. Products up to h^3 are counted, few compared with those of higher
-    powers up to `highest`. Returns 0 without an estimate: for parts that are not quadratic forms, and very large
-    systems.
+    """Estimate a lower bound on the products of monomials in `sweep_logarithm`, from the sparsity pattern. Part p acts
+    on the series R of the parts after it. Products up to h^3 are counted, few compared with those of higher powers up
+    to `highest`. Returns 0 without an estimate: for parts that are not quadratic forms, and very large systems.
     """
     n = algebra.dim
     if highest < 2 or parts.nonlinear_shares or n > MAX_ESTIMATED_DIMENSION:
@@ -69,10 +67,7 @@ def _field(
     shifted: bool,
     n: int,
 ) -> tuple[NDArray[np.float64], Integers]:
-    """Count the monomials in each component of the field of (form.x) (weights.x).
-
-    The second result encodes as i n + k where component i of J(x) form contains x_k.
-    """
+    """Count the monomials in each component of the field of (form.x) (weights.x); and where it has x_k, as i n + k."""
     row, column, k = acting
     selected = form[column]
     field_pattern = np.unique(row[selected] * n + k[selected])

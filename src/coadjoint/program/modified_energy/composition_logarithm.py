@@ -45,11 +45,9 @@ class Letter(NamedTuple):
 
 
 class Coordinates(NamedTuple):
-    """Lie series of a step: for each weight the coefficients of the brackets of Lyndon words.
-
-    `of_weight[w]` maps Lyndon words of `Letter` to nonzero `flint.fmpq` or `flint.arb`. `neglected` is the largest
-    coefficient set to zero, because an order condition holds only up to rounding of the scheme's coefficients; 0 if all
-    hold exactly. `exact` states whether all coefficients are rational.
+    """Lie series of a step: of_weight[w] maps Lyndon words of `Letter` to nonzero `flint.fmpq` or `flint.arb`;
+    `neglected` is the largest coefficient set to zero because an order condition holds only up to rounding; `exact`:
+    all are rational.
     """
 
     of_weight: tuple[Mapping[Word, Any], ...]
@@ -71,18 +69,9 @@ def composition_logarithm(
     parts: int = 2,
     rational: bool = False,
 ) -> Coordinates:
-    """Return the Lie series of one step P K P^-1 of a scheme, up to the power h^highest.
-
-    `sweeps` (of the kernel K) and `after` (of the processor P) are those of `exact_sweeps`. Coefficients of the
-    conditions of the declared `order` that vanish up to rounding are set to zero. With a single part every sweep meets
-    the next one. With `rational` rotations, two flows of one part are not its flow over the total time.
-
-    Examples
-    --------
-    >>> from coadjoint.methods.splitting import Splitting
-    >>> found = composition_logarithm(*exact_sweeps(Splitting(order=2)), 3, order=2)
-    >>> {tuple(letter.weight for letter in word): str(value) for word, value in found.of_weight[3].items()}
-    {(1, 2): '-1/8', (3,): '1/4'}
+    """Return the Lie series of one step P K P^-1, with the `sweeps` of K and `after` of P, up to h^highest.
+    Coefficients of order conditions that vanish up to rounding are zero. With `rational`, two flows of one part are not
+    its flow over the sum.
     """
     from flint import ctx, fmpq
 
@@ -178,13 +167,7 @@ def _sweeps_in(method: Swept, number: Callable[[Any], Any]) -> tuple[list[Sweep]
 
 
 def exact_or_ball(value: Any) -> Any:
-    """Convert a coefficient to `flint.fmpq` if exact, else to a ball (`flint.arb`) that contains it.
-
-    Examples
-    --------
-    >>> exact_or_ball("0.25"), exact_or_ball(0.5), float(exact_or_ball("0." + 40 * "3").rad()) < 1e-40
-    (1/4, 1/2, True)
-    """
+    """Convert a coefficient to `flint.fmpq` if exact, else to a ball (`flint.arb`) that contains it."""
     from flint import arb, ctx, fmpq
 
     if isinstance(value, fmpq | arb):

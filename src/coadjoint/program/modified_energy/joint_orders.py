@@ -25,11 +25,7 @@ MAX_ATOMS = 40  # pieces of all parts; brackets of all triples are stored
 
 
 class JointOrders:
-    """The size of the h^2 term of each order of parts, for coefficients (count, members).
-
-    The term is trilinear in the parts, which are sums of pieces: one for each coefficient that differs between members,
-    and one for all others. So brackets are computed once for all members.
-    """
+    """The size of the h^2 term of each order of parts, (count, members), by brackets that all members share."""
 
     def __init__(
         self, algebra: LieAlgebra, parts: Parts, sources: Sources, coefficients: Floats, points: Floats

@@ -38,11 +38,7 @@ MIN_BITS = 60  # of a coefficient, relative to the largest product: seven more t
 
 
 class ModifiedSeries:
-    """Terms of h Y_1 + h^2 Y_2 + ... for a step: its Lie series, with polynomials for the letters.
-
-    `flows` are the parts in the order of a forward sweep, each a mapping j -> polynomial (see `sweep_logarithm`), and
-    `highest` is the largest weight available.
-    """
+    """Terms of h Y_1 + h^2 Y_2 + ... for a step: its Lie series, with polynomials for the letters."""
 
     def __init__(self, commutators: Commutators, flows: Sequence[Flow], highest: int) -> None:
         self._commutators, self._flows, self._highest = commutators, flows, highest
@@ -113,10 +109,9 @@ def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> tuple[dict
 
 
 class ModifiedTerms(NamedTuple):
-    """Terms of a modified Hamiltonian, {power of h: polynomial}, nonzero ones only.
-
-    The polynomials are in the coordinates, then the symbols of a ring. `radius` is the largest relative error of a
-    coefficient before rounding to float64 (0 if exact), `neglected` a bound of the coefficients set to zero.
+    """Terms of a modified Hamiltonian, {power of h: polynomial}, nonzero ones only. The polynomials are in the
+    coordinates, then the symbols of a ring. `radius` is the largest relative error of a coefficient before rounding to
+    float64 (0 if exact), `neglected` a bound of the coefficients set to zero.
     """
 
     of_power: dict[int, Polynomial]
@@ -139,10 +134,9 @@ def modified_terms(
     H: Polynomial | None = None,
     factors: Mapping[Exponents, Exact] = MappingProxyType({}),
 ) -> ModifiedTerms:
-    """Return the terms of the given weights (>= 2); the power of h is the weight minus one.
-
-    If `H` is given, the coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors`
-    (see `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
+    """Return the terms of the given weights (>= 2); the power of h is the weight minus one. If `H` is given, the
+    coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors` (see
+    `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
     """
     nonzero = [weight for weight in weights if coordinates.of_weight[weight]]
     highest = max(nonzero, default=1)

@@ -29,10 +29,8 @@ IMPROVEMENT_FACTOR = 1.0 - 1e-9
 
 
 def part_derivatives(parts: Parts, points: Floats, t: float = 0.0) -> tuple[Floats, Floats]:
-    """Return gradient and Hessian of the piece of the Hamiltonian of each part at points (k, n).
-
-    The gradients sum_a l_a theta_a have shape (parts, k, n), the Hessians (parts, k, n, n), or (parts, 1, n, n) if all
-    are constant.
+    """Return gradient and Hessian of the piece of the Hamiltonian of each part at points (k, n). The gradients sum_a
+    l_a theta_a have shape (parts, k, n), the Hessians (parts, k, n, n), or (parts, 1, n, n) if all are constant.
     """
     count, n = points.shape
     constant, quadratic = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
@@ -72,10 +70,7 @@ def _share_derivatives(
 
 
 def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:
-    """Multiply matrices (..., n, n) by vectors (..., n), summed in order.
-
-    The bits of einsum may depend on the batch size, and the choice of the smallest term must not.
-    """
+    """Multiply matrices by vectors (..., n), summed in order, since bits of einsum depend on the batch."""
     total = matrices[..., 0] * vectors[..., :1]
     for j in range(1, matrices.shape[-1]):
         total = total + matrices[..., j] * vectors[..., j : j + 1]
@@ -83,11 +78,7 @@ def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:
 
 
 class Samples:
-    """Gradients and Hessians of several sets of parts at points (k, n), computed once to compare many orders.
-
-    The bracket is {F, G} = (grad F)^T J(x) grad G. All sets must have the same number of parts. Raises TypeError if a
-    user function has no second derivatives.
-    """
+    """Gradients and Hessians of several sets of parts at points (k, n), computed once to compare many orders."""
 
     def __init__(self, algebra: LieAlgebra, sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
         derivatives = part_derivatives(Parts.concatenate(sets), points, t)
@@ -102,10 +93,9 @@ class Samples:
         self._structure = flat.T.reshape(count, n, n)
 
     def second_order_terms(self, orders: Sequence[Sequence[int]]) -> Floats:
-        """Return H2, shape (sets, orders, k), for orders of parts in a forward sweep.
-
-        ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4). For a pair, A outside and D inside,
-        H2 = -{A, {A, D}}/24 + {D, {D, A}}/12; several parts are nested pairs.
+        """Return H2, shape (sets, orders, k), for orders of parts in a forward sweep. ``X1(h/2) ... Xn(h) ... X1(h/2)``
+        is the time-h flow of H + h^2 H2 + O(h^4). For a pair, A outside and D inside, H2 = -{A, {A, D}}/24 + {D, {D,
+        A}}/12; several parts are nested pairs.
         """
         order_array = np.array(orders)
         inside, inside_hessian = self._gradients[:, order_array[:, -1]], self._hessians[:, order_array[:, -1]]
@@ -211,10 +201,9 @@ class NestedBrackets:
 def best_order(
     system: LiePoissonSystem, parts: Parts, points: NDArray[np.float64], t: float = 0.0
 ) -> tuple[tuple[int, ...], float]:
-    """Return the order with the smallest root mean square of the h^2 term at `points` (k, n), and that value.
-
-    Up to five parts are permuted in all ways, up to eight moved one by one as long as that helps; more keep their
-    order. The natural order and zero are returned if the term is not available (no second derivatives, or no points).
+    """Return the order with the smallest root mean square of the h^2 term at `points` (k, n), and that value. Up to
+    five parts are permuted in all ways, up to eight moved one by one as long as that helps; more keep their order. The
+    natural order and zero are returned if the term is not available (no second derivatives, or no points).
     """
     return best_orders(system, [parts], points, t)[0]
 
@@ -240,10 +229,7 @@ def best_orders(
 def smallest_order(
     natural: tuple[int, ...], sizes: Callable[[Sequence[tuple[int, ...]]], Sequence[float]]
 ) -> tuple[tuple[int, ...], float]:
-    """Minimise a measure over the orders of few parts; return the order and its measure.
-
-    The search starts from `natural`, which is kept unless another order is clearly better.
-    """
+    """Return the order that minimises a measure, and it; the `natural` one is kept unless another is clearly better."""
     if len(natural) <= MAX_PERMUTED:
         orders = list(permutations(natural))
         return _first_clearly_smallest(orders, sizes(orders))

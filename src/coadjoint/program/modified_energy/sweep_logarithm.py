@@ -56,10 +56,7 @@ class Commutators:
         check_available_memory(count * size, "a bracket in a modified Hamiltonian")
 
     def check_cost(self, lengths: Sequence[Sequence[int]], series: Sequence[Exact]) -> None:
-        """Raise ValueError if the brackets of further fields with a series, which grows with each, are too many.
-
-        `lengths` has the number of monomials in the components of each field.
-        """
+        """Raise ValueError if brackets of fields of these `lengths` with a series are too many."""
         slopes = [[len(term.derivative(i)) for i in range(self.ring.dim)] for term in series if term != 0]
         expected = sum(sum(map(mul, field, slope)) for field in lengths for slope in slopes)
         check_products(self.spent + expected)
@@ -108,10 +105,9 @@ def _sum_in_pairs(polynomials: Iterable[Exact], zero: Exact) -> Exact:
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
-    """Return Y_1, ..., Y_highest: the given flows, the first one first, are the flow of h Y_1 + h^2 Y_2 + ...
-
-    With E(h) = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys Y' =
-    sum_k B_k/k! ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.
+    """Return Y_1, ..., Y_highest: the given flows, the first one first, are the flow of h Y_1 + h^2 Y_2 + ... With E(h)
+    = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys Y' = sum_k B_k/k!
+    ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.
     """
     ring = commutators.ring
     R = [ring.zero] * highest

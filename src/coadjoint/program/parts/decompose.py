@@ -47,12 +47,8 @@ BODY_FLOW_CHOICES = ("free_body", "bonds")
 
 @dataclass(frozen=True)
 class ChosenParts:
-    """Explicit choice of parts: those of ``parts="auto"`` after a given shift, in a given order.
-
-    `order` numbers the parts of the shifted Hamiltonian, first applied first, and must be a permutation. `shift` has
-    pairs of a quadratic Casimir's name and a factor c; the parts add up to H - sum c C, which generates the same
-    motion. `linear` lists coordinates whose linear coefficients count as present even if zero, so that systems that
-    differ only in these coefficients have the same parts.
+    """Explicit choice of parts: those of ``parts="auto"`` after a `shift`, names of quadratic Casimirs with factors, in
+    the order `order`. Linear coefficients of the coordinates `linear` count as present even if zero.
     """
 
     order: tuple[int, ...]
@@ -100,10 +96,9 @@ class ChosenParts:
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Parts in the order of a forward sweep, and the Casimirs subtracted from H, which leave the motion unchanged.
-
-    The parts add up to H - sum c C over the pairs (C, c) of `shift`, which is None if these have too many terms.
-    Passing `choice` as `parts` reproduces the decomposition.
+    """Parts in the order of a forward sweep, and the Casimirs subtracted from H, which leave the motion unchanged. The
+    parts add up to H - sum c C over the pairs (C, c) of `shift`, which is None if these have too many terms. Passing
+    `choice` as `parts` reproduces the decomposition.
     """
 
     parts: Parts
@@ -112,12 +107,9 @@ class Decomposition:
 
 
 def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
-    """Split the Hamiltonian of a system, deterministically, by the algebra and H alone.
-
-    ``"auto"`` minimises the number of parts: it joins commuting coordinates, subtracts quadratic Casimirs if that
-    removes a part or reduces the h^2 term, and orders the parts for the smallest h^2 term on a fixed sample.
-    ``"free_body"`` and ``"bonds"`` see `free_bodies` and `bonds`; other choices are used as given. Raises ValueError if
-    H does not split, or the choice does not fit the system.
+    """Split the Hamiltonian of a system, deterministically, by the algebra and H alone; ``"auto"`` joins commuting
+    coordinates, subtracts Casimirs if that removes a part or reduces the h^2 term, and orders the parts for the
+    smallest one.
     """
     if isinstance(choice, ChosenParts):
         return _explicit_decomposition(system, choice)
@@ -157,10 +149,9 @@ class Candidate(NamedTuple):
 
 
 def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
-    """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n).
-
-    A Casimir that is a sum of terms of H is always subtracted: in other units than those of the points, its flows may
-    be the fastest ones, with errors that cancel only in part.
+    """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n). A
+    Casimir that is a sum of terms of H is always subtracted: in other units than those of the points, its flows may be
+    the fastest ones, with errors that cancel only in part.
     """
     alternatives = candidates(system, len(points) > 0)
     orders = best_orders(system, [candidate.parts for candidate in alternatives], points, t)
@@ -222,10 +213,7 @@ def _shift_work(system: LiePoissonSystem, parts: Parts) -> int:
 
 
 def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
-    """Raise ValueError, naming the scheme, if a system does not split or the chosen parts do not fit it.
-
-    The automatic parts are not computed here, which may be slow. Results are cached.
-    """
+    """Raise ValueError, naming the scheme, if a system does not split or the chosen parts do not fit it."""
     key = choice if isinstance(choice, str | tuple | ChosenParts) else None
     if key is not None and key in _CHECKED_CACHE.get(system, ()):
         return

@@ -35,14 +35,9 @@ class Triple(NamedTuple):
 
 
 def free_bodies(system: LiePoissonSystem) -> Parts:
-    """Split a Hamiltonian into the exact flow of free rigid bodies and a remainder.
-
-    A free body is a triple of basis elements that spans so(3), with the energy quadratic in its coordinates; its flow
-    rotates all other momenta by its attitude. Bodies that commute are one part. A linear term on a triple (rotors) is a
-    rotation about a fixed axis, and a part of its own. The remainder is split as with ``"auto"``. The bodies come
-    first: for parts A, D the h^2 term is {A, {A, D}}/24 and {D, {D, A}}/12, and D is the weak part. The order is
-    independent of the linear term, which may be an input. Raises NotSplittable if no triple has an energy quadratic in
-    two coordinates or more, or the remainder does not split.
+    """Split a Hamiltonian into the exact flow of free rigid bodies, triples that span so(3) with a quadratic energy,
+    which come first, and a remainder, split as with ``"auto"``. The order is independent of the linear term, which may
+    be an input.
     """
     commutation = Commutation(system.algebra)
     terms = _terms_by_degree(system)
@@ -181,13 +176,8 @@ class Bonds(NamedTuple):
 
 
 def bonds(system: LiePoissonSystem) -> Bonds:
-    """Split a Hamiltonian into exact flows of single bonds and a remainder.
-
-    A bond c z.w couples the momenta z, w of two copies of so(3). Up to Casimirs it equals c |z + w|^2/2, so both
-    momenta rotate about the constant z + w by the angle c tau |z + w|. Bonds without a common momentum commute: edge
-    colouring by first fit makes each colour one part. A field with several components is a rotation about its axis. The
-    remainder is split as with ``"auto"``. Raises NotSplittable if there are no bonds, too many, or the remainder
-    does not split.
+    """Split a Hamiltonian into exact flows of bonds and a remainder. A bond c z.w is c |z + w|^2/2 up to Casimirs, so
+    both momenta rotate about z + w by c tau |z + w|; edge colouring joins bonds without a common momentum into parts.
     """
     commutation = Commutation(system.algebra)
     terms = _terms_by_degree(system)

@@ -82,9 +82,8 @@ def _plain(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], shift: Shi
 
 
 class _Shifted:
-    """Coefficients of energies after multiples of Casimirs, `factors` (members,) by name, were subtracted.
-
-    They are those of `shifted_terms`, bit for bit. `present` (cells, members) are the entries of M that remain.
+    """Coefficients of energies after multiples of Casimirs, `factors` (members,) by name, were subtracted. They are
+    those of `shifted_terms`, bit for bit. `present` (cells, members) are the entries of M that remain.
     """
 
     def __init__(

@@ -27,11 +27,7 @@ class PolynomialShare:
 
 @dataclass(frozen=True)
 class FunctionShare:
-    """Angles that are the gradient of a user function of the term's coordinates.
-
-    They are those of `divided`, if it is given: the same function, with its gradient as several vectors that add up to
-    it.
-    """
+    """Angles that are the gradient of a user function of the term's coordinates."""
 
     term: FunctionTerm
     divided: FunctionTerm | None = None
@@ -44,13 +40,9 @@ class FunctionShare:
 
 @dataclass(frozen=True)
 class BodyShare:
-    """Flow of a free rigid body, or of a bond: its forms do not commute, and its angles vary during the flow.
-
-    The energy is x.M.x/2 (`matrix`) on the triple `coordinates`. A bond has a second triple `other` of the same scale,
-    and M, with three equal moments, acts on the sum of both. `scale` times the basis elements have the brackets [1, 2]
-    = 3, [2, 3] = 1, [3, 1] = 2. The rows of the share are linear and give the energy: coordinates 3, 1, 2, 3, the first
-    without weights, in the order of the rotations of the compiled flow. The forms of a bond are sums of two
-    coordinates, one of each triple.
+    """Flow of a free rigid body of the energy x.M.x/2 on a triple, or of a bond with a second triple `other`, where M
+    acts on the sum of both. `scale` times the basis elements have the brackets of so(3). The rows are linear:
+    coordinates 3, 1, 2, 3, the first without weights, in the order of the rotations of the compiled flow.
     """
 
     coordinates: tuple[int, int, int]
@@ -72,14 +64,10 @@ class Part:
 
 
 class Parts(Sequence[Part]):
-    """Parts stored by columns, since there may be very many; items (`Part`) are built lazily.
-
-    Part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], and each angle one row of
-    `forms`. The angle of a linear share is offset + weights.x; rows of `weights` are empty in other shares.
-    `nonlinear_shares` maps the other shares to their rules; a part has only shares of free bodies, or none. `timed`
-    marks time-dependent parts. `source`, shape (shares,), is the number of the term of H of which a share is a copy: of
-    rows by its coordinates, of monomials, or of a function; COMPUTED if its numbers are found in another way. `pivots`,
-    shape (angles, 3), are those of `Squares` for completed squares with forms in floats, -1 for other angles.
+    """Parts by columns: part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], each
+    with one row of `forms` and the angle offset + weights.x, unless a rule in `nonlinear_shares` gives it. `source` is
+    the term of H that a share is a copy of, or COMPUTED; `pivots` (angles, 3) are those of `Squares` with forms in
+    floats, else -1.
     """
 
     pivots: NDArray[np.int64] | None = None

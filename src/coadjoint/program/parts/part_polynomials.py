@@ -21,10 +21,7 @@ MAX_BITS = 512
 
 
 def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
-    """Return the piece of the Hamiltonian of each part, whose gradient is sum_a l_a theta_a.
-
-    Raises TypeError if a part is a Python function.
-    """
+    """Return the piece of the Hamiltonian of each part, whose gradient is sum_a l_a theta_a."""
     pieces = [ring.zero for _ in range(len(parts))]
     for angle, p in enumerate(parts.part_of_angle.tolist()):
         pieces[p] += _linear_angle(ring, parts, angle)
@@ -61,11 +58,9 @@ def to_rational(value: Any) -> Any:
 def with_hamiltonian_coefficients(
     ring: ExactPolynomials, parts: Parts, pieces: Sequence[Exact], H: Polynomial, factors: Mapping[Exponents, Exact]
 ) -> list[Exact]:
-    """Replace the coefficients in the pieces of parts by those of H as given, or by symbols.
-
-    H, without Casimirs subtracted, may have fractions; `factors` maps exponents of its monomials to polynomials in
-    symbols. Each part must depend on coordinates, not on other linear forms. Parts not made of monomials of H are
-    returned unchanged; with symbols they raise ValueError.
+    """Replace the coefficients in the pieces of parts of coordinates by those of H, without Casimirs subtracted, or by
+    the polynomials `factors` in symbols. Parts not made of monomials of H are unchanged; with symbols they raise
+    ValueError.
     """
     lengths, values = np.diff(parts.forms.start), parts.forms.value
     unit_forms = bool(np.all(lengths == 1) and np.all(np.asarray(values == 1, dtype=bool)))
@@ -93,12 +88,9 @@ def with_hamiltonian_coefficients(
 def rational_pieces(
     ring: ExactPolynomials, parts: Parts, frequency: NDArray[Any], highest: int
 ) -> list[dict[int, Exact]]:
-    """Return for each part {j: coefficient of h^j}, j = 3, 5, ..., added to its piece by rational rotations.
-
-    The rational rotation of frequency w over the time h rotates by 2/w atan(h w theta/2) in place of h theta. If theta
-    is a function of s = l.x alone, it is the exact flow over h of a function K(s; h) with the derivative theta - (h
-    w/2)^2 theta^3/3 + (h w/2)^4 theta^5/5 - ... `frequency`, shape (angles,), is 0 for exact rotations; `highest` is
-    the largest power of h in h K.
+    """Return for each part {j: coefficient of h^j}, j = 3, 5, ..., added to its piece by rational rotations: they are
+    the exact flow over h of K(s; h) with the derivative theta - (h w/2)^2 theta^3/3 + ..., for angles theta of s = l.x
+    alone.
     """
     terms: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     share_of_angle = {

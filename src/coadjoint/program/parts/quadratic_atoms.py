@@ -24,10 +24,7 @@ MIN_CHECKED_ENTRIES = 1 << 14
 
 
 def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: bool) -> Parts:
-    """Split a quadratic term into parts of one share each, by the first coordinate of each connected set.
-
-    With `separate` the squares of coupled coordinates are completed even if these commute.
-    """
+    """Split a quadratic term into parts of one share each, by the first coordinate of each connected set."""
     label, members, squared = _sets(term, commutation, separate)
     if not separate and np.any(squared):
         terms = separated_products(term, commutation, squared[label] & (label >= 0), label)
@@ -43,20 +40,13 @@ def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: boo
 
 
 def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None:
-    """Return `quadratic_atoms` if all coupled coordinates commute, else None.
-
-    The parts then depend only on the sparsity pattern, and each angle belongs to one coordinate.
-    """
+    """Return `quadratic_atoms` if all coupled coordinates commute, else None."""
     label, members, squared = _sets(term, commutation, separate=False)
     return None if np.any(squared) else _coupled(term, members, label[members])
 
 
 def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
-    """Raise SplittingTooExpensive if completed squares of many coupled coordinates have too many entries.
-
-    Each of m squares eliminates one coordinate from the later forms, which have m/2 entries on average. Sparse
-    couplings are not checked, since their forms may stay short.
-    """
+    """Raise SplittingTooExpensive if completed squares of many coupled coordinates have too many entries."""
     if term.multiplications < MIN_CHECKED_ENTRIES or int(np.diff(term.indptr).max(initial=0)) < DENSE_ROW:
         return
     label, members, squared = _sets(term, commutation, separate=False)
@@ -70,10 +60,7 @@ def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
 def _sets(
     term: QuadraticTerm, commutation: Commutation, separate: bool
 ) -> tuple[Integers, Integers, NDArray[np.bool_]]:
-    """Label the connected sets of coupled coordinates, -1 if a coordinate is unused.
-
-    Also returns the used coordinates, set by set, and for each label whether squares are to be completed.
-    """
+    """Label the connected sets of coupled coordinates, -1 if a coordinate is unused."""
     used = term.linear != 0
     first: NDArray[Any]
     second: NDArray[Any]
@@ -99,11 +86,7 @@ def _sets(
 def separated_products(
     term: QuadraticTerm, commutation: Commutation, squared: NDArray[np.bool_], label: Integers
 ) -> list[QuadraticTerm]:
-    """Split the products of large sparse sets into terms of which all coordinates commute; squares would fill up.
-
-    In a lattice of spins with couplings of different components, products of two spins commute, and few terms contain
-    all of them. Products within a set of noncommuting coupled coordinates, as of one spin, are left to squares.
-    """
+    """Split the products of large sparse sets into terms of which all coordinates commute; squares would fill up."""
     rows, indices, values, size = term.rows, term.indices, term.values, len(term.linear)
     number = np.bincount(label[squared], minlength=size)
     entries = np.bincount(label[rows][squared[rows]], minlength=size)

@@ -31,12 +31,7 @@ Choice = str | Sequence[Sequence[int]]
 
 
 def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Term] | None = None) -> Parts:
-    """Split the Hamiltonian of a system into parts with exact flows (section 4 of Reich 1993, generalised).
-
-    ``"auto"`` joins commuting coordinates; ``"coordinates"`` gives each coordinate (or completed square) a part of its
-    own, as in the paper; sets of coordinates are used as given. The parts are in the order of a forward sweep. Raises
-    ValueError if the Hamiltonian is not a sum of functions of commuting forms, or the sets do not fit it.
-    """
+    """Split the Hamiltonian of a system into parts with exact flows (section 4 of Reich 1993, generalised)."""
     commutation = Commutation(system.algebra)
     terms = terms or system.hamiltonian.terms()
     cancels = cache(lambda: products_without_cancelling(system.algebra, terms) is not None)
@@ -159,10 +154,7 @@ def _polynomial_atoms(
 
 
 def separated_terms(system: LiePoissonSystem, term: FunctionTerm, commutation: Commutation) -> tuple[Term, ...]:
-    """Return a function of noncommuting coordinates as a sum of a polynomial and functions of commuting ones.
-
-    The terms are the same objects at every call for a system. Raises NotSplittable if it is no such sum.
-    """
+    """Return a function of noncommuting coordinates as a sum of a polynomial and functions of commuting ones."""
     cache = _SEPARATED_CACHE.setdefault(system, {})
     if id(term.value) not in cache:
         try:
@@ -219,10 +211,7 @@ class _CommutationCheck:
 
 
 def check_splits(system: LiePoissonSystem) -> None:
-    """Raise NotSplittable if the Hamiltonian is not a sum of functions of commuting forms, without splitting it.
-
-    Raises SplittingTooExpensive if there are too many long squares.
-    """
+    """Raise NotSplittable if the Hamiltonian is not a sum of functions of commuting forms, without splitting it."""
     terms = system.hamiltonian.terms()
     clashes = _CommutationCheck(system, Commutation(system.algebra))
     for term in terms:

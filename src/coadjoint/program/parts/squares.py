@@ -33,10 +33,9 @@ Form = dict[int, float]
 
 
 class Squares(NamedTuple):
-    """Completed squares: x.M.x/2 + b.x = sum_r d_r (l_r.x)^2 / 2 + beta_r l_r.x, at most n of them.
-
-    `forms` (r, n) has the l_r, `weights` the d_r (zero for a form that only carries a piece of b), `linear` the beta_r.
-    `pivots` (r, 3) has the step of the reduction and its pivots, repeated if there is only one.
+    """Completed squares: x.M.x/2 + b.x = sum_r d_r (l_r.x)^2 / 2 + beta_r l_r.x, at most n of them. `forms` (r, n) has
+    the l_r, `weights` the d_r (zero for a form that only carries a piece of b), `linear` the beta_r. `pivots` (r, 3)
+    has the step of the reduction and its pivots, repeated if there is only one.
     """
 
     forms: NDArray[Any]
@@ -46,10 +45,7 @@ class Squares(NamedTuple):
 
 
 def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
-    """Complete the square for any symmetric matrix (Lagrange's reduction with symmetric pivoting).
-
-    Eigenvectors are not used: they are irrational, not unique, and differ between platforms.
-    """
+    """Complete the square for any symmetric matrix (Lagrange's reduction), rational as eigenvectors are not."""
     size = len(linear)
     exact = matrix.dtype == np.float64 and size <= MAX_RATIONAL_SIZE
     lift = np.vectorize(Fraction, otypes=[object]) if exact else np.copy
@@ -105,9 +101,8 @@ def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:
 
 
 def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], Any]]:
-    """Return squares along e_i + e_j or e_i - e_j, then e_j, for a diagonal small against the entry (i, j).
-
-    For the entry m and a zero diagonal, ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2 with the rows m u and m v.
+    """Return squares along e_i + e_j or e_i - e_j, then e_j, for a diagonal small against the entry (i, j). For the
+    entry m and a zero diagonal, ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2 with the rows m u and m v.
     """
     sign = 1 if (residual[i, i] + residual[j, j]) * residual[i, j] >= 0 else -1
     along = residual[i] + sign * residual[j]
@@ -118,13 +113,7 @@ def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], An
 
 
 def _split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
-    """Return beta with sum beta_r l_r = b, from the entries of b and the forms at the one or two pivots.
-
-    Examples
-    --------
-    >>> _split_linear([3.0, 1.0], [[1.0, 1.0], [-1.0, 1.0]])
-    [2.0, -1.0]
-    """
+    """Return beta with sum beta_r l_r = b, from the entries of b and the forms at the one or two pivots."""
     if len(forms) == 1:
         return [b[0] / forms[0][0]]
     (p0, p1), (m0, m1), (b0, b1) = *forms, b
@@ -155,10 +144,7 @@ def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSqu
 
 
 class _Reduction:
-    """Residual matrix of `complete_squares`, with the same operations in the same order.
-
-    Rows are dictionaries; heaps give the largest entries.
-    """
+    """Residual matrix of `complete_squares`, with the same operations in the same order."""
 
     def __init__(self, matrix: SparseRows, linear: NDArray[np.float64]) -> None:
         self.rows: list[Form] = [{} for _ in linear]
@@ -292,10 +278,7 @@ class ExactSums(NamedTuple):
 
 
 class ReductionSteps(NamedTuple):
-    """Linear terms of squares with forms in floats, by the operations of the reduction in their order.
-
-    Each step has its pivots and its forms (coordinate -> value); `order` gives the position of each among the angles.
-    """
+    """Linear terms of squares with forms in floats, by the operations of the reduction in their order."""
 
     steps: tuple[tuple[tuple[int, ...], tuple[dict[int, float], ...]], ...]
     order: tuple[int, ...]
@@ -320,10 +303,9 @@ class ReductionSteps(NamedTuple):
 
 
 def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | ReductionSteps]]:
-    """Return (angles, offsets) for each set of coupled coordinates, as functions of the linear term.
-
-    Forms of up to 16 coupled coordinates are exact (`ExactSums`), others floats (`ReductionSteps`). Uncoupled
-    coordinates are omitted: their offset is the coefficient itself.
+    """Return (angles, offsets) for each set of coupled coordinates, as functions of the linear term. Forms of up to 16
+    coupled coordinates are exact (`ExactSums`), others floats (`ReductionSteps`). Uncoupled coordinates are omitted:
+    their offset is the coefficient itself.
     """
     forms = parts.forms
     linear = np.ones(len(parts.offset), dtype=bool)
@@ -367,10 +349,7 @@ def _reduced(rows: list[dict[int, Any]], pivots: NDArray[np.int64]) -> Reduction
 
 
 def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:
-    """Replace `PLACEHOLDER_COEFFICIENT` (zero coefficients kept as structure) by the linear term, shape (n,), in parts.
-
-    The forms are unchanged; some angles may be identically zero.
-    """
+    """Replace `PLACEHOLDER_COEFFICIENT`, zeros kept as structure, by the linear term, shape (n,), in parts."""
     offset = parts.offset.copy()
     for angles, sums in offsets_of_squares(parts):
         offset[angles] = sums.at(linear)

@@ -28,11 +28,7 @@ MAX_RELATIVE_ERROR = 1e-6
 
 
 def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
-    """Replace functions in time-independent parts by Taylor polynomials of a degree at the point x (n,).
-
-    Raises TypeError if a function has too few derivatives and rejects complex numbers, ValueError if it is not analytic
-    near the point, or has too many coordinates.
-    """
+    """Replace functions in time-independent parts by Taylor polynomials of a degree at the point x (n,)."""
     nonlinear_shares: dict[int, NonlinearShare] = {}
     for s, share in parts.nonlinear_shares.items():
         if isinstance(share, FunctionShare):
@@ -58,11 +54,8 @@ def _expanded(local: dict[tuple[int, ...], float], x: NDArray[np.float64], coord
 
 
 def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -> dict[tuple[int, ...], float]:
-    """Return {exponents: coefficient} of a function at y (m,), without its constant, for degree >= 1.
-
-    Up to degree two the given derivatives are used. Above, the gradient is evaluated on circles in the complex plane
-    around the point, with radii about the size of the point; the derivatives are its Fourier coefficients, to about
-    1e-10 of the largest if the function is analytic on the circles.
+    """Return {exponents: coefficient} of a function at y (m,), without its constant, for degree >= 1: above degree two
+    by Fourier coefficients of the gradient on circles in the complex plane, to about 1e-10 of the largest.
     """
     gradient = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
     m = len(y)

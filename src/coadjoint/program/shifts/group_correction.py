@@ -35,11 +35,8 @@ MAX_CACHED_SIZE = 4096
 
 
 class Turn(IntEnum):
-    """Closed form of exp(t X) - 1 on a component.
-
-    NILPOTENT: a finite sum. PLANE: one coordinate, or any 2 x 2. CUBIC: X^3 = lam X, two terms (Rodrigues' formula in
-    any basis), lam of either sign. PAIR: a skew 4 x 4, two commuting rotations. SKEW: any other component that
-    preserves a definite form, by its invariant planes. GENERAL: scaling and squaring of the truncated Taylor series.
+    """Closed form of exp(t X) - 1 on a component: NILPOTENT a finite sum; PLANE at most 2 x 2; CUBIC X^3 = lam X; PAIR
+    a skew 4 x 4; SKEW another one that preserves a definite form; GENERAL scaling and squaring of the Taylor series.
     """
 
     NILPOTENT = 0
@@ -51,13 +48,10 @@ class Turn(IntEnum):
 
 
 class UnshiftTables(NamedTuple):
-    """X, of `size` rows, by components, as a function of a momentum of `dim` numbers.
-
-    Component b has the coordinates begin[b] to begin[b + 1] of `coordinate`, and the entries form[b] to form[b + 1].
-    Entry f is at cell[f] (column-major), with the value sum of weight * x[column] over entry[f] to entry[f + 1].
-    `order` is the last power of a NILPOTENT component, and the number of nonzero eigenvalues of a CUBIC one. A
-    `leaning` component changes x by rounding alone, which is subtracted. metric[b], if not negative, is the position in
-    `metrics` of L^T and its inverse, for the form L L^T that a SKEW component preserves.
+    """X, of `size` rows, for a momentum of `dim` numbers: component b has the coordinates begin[b] to begin[b + 1] and
+    the entries form[b] to form[b + 1], at `cell` (column-major), sums of weight * x[column]. `order`: last power, or
+    nonzero eigenvalues; a `leaning` component changes x by rounding, which is subtracted; `metric`: position of the
+    form in `metrics`, or -1.
     """
 
     size: int
@@ -123,10 +117,7 @@ def unshift_tables(
     sign: int,
     shift: Sequence[SubtractedCasimir],
 ) -> UnshiftTables:
-    """Return the tables of X = -sign sum c rho(grad C(x)), for pairs (C, c) of homogeneous quadratic Casimirs.
-
-    `representation` rho is (n, d, d); None: the coadjoint one. Results for small representations are cached.
-    """
+    """Return the tables of X = -sign sum c rho(grad C(x)), for pairs (C, c) of homogeneous quadratic Casimirs."""
     casimirs = tuple(shift)
     if (algebra.dim**2 if representation is None else representation.size) > MAX_CACHED_SIZE:
         return _tables(algebra, representation, sign, casimirs)

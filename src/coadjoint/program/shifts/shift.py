@@ -61,13 +61,7 @@ def quadratic_casimirs(system: LiePoissonSystem) -> dict[str, QuadraticCasimir]:
 
 
 def quadratic_entries(casimir: Polynomial) -> Entries | None:
-    """Return rows, columns and values of A in C = x.A x/2; None if C is not homogeneous of degree two.
-
-    Examples
-    --------
-    >>> quadratic_entries(Polynomial({(2, 0): 3, (1, 1): 1}))
-    (array([0, 0, 1]), array([0, 1, 0]), array([6., 1., 1.]))
-    """
+    """Return rows, columns and values of A in C = x.A x/2; None if C is not homogeneous of degree two."""
     return (_cached_entries if casimir.dim <= MAX_PATTERN_SIZE else _compute_entries)(casimir)
 
 
@@ -88,11 +82,7 @@ _cached_entries = lru_cache(maxsize=256)(_compute_entries)
 
 
 def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
-    """Subtract multiples of quadratic Casimirs from the quadratic term of a Hamiltonian.
-
-    Entries that cancel up to rounding are dropped. Raises ValueError for an unknown name, or without a quadratic term
-    outside the pieces of a SplitHamiltonian.
-    """
+    """Subtract multiples of quadratic Casimirs from the quadratic term of a Hamiltonian."""
     if not shift:
         return tuple(terms)
     unknown = [name for name, _ in shift if name not in casimirs]
@@ -124,10 +114,7 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
 def candidate_shifts(
     system: LiePoissonSystem, parts: Parts, casimirs: Mapping[str, QuadraticCasimir]
 ) -> Iterable[Shift]:
-    """Yield shifts, each once, for which a coordinate, a part, or a completed square may vanish.
-
-    `parts` are those without a shift.
-    """
+    """Yield shifts, each once, for which a coordinate, one of `parts`, or a completed square may vanish."""
     forms = (term.form for term in system.hamiltonian.terms() if term.piece is None)
     quadratic = [form for form in forms if form is not None]
     if not quadratic or not casimirs:
@@ -192,10 +179,7 @@ def _dense_matrix(
 def count_parts(
     system: LiePoissonSystem, casimirs: Mapping[str, QuadraticCasimir], shifts: Sequence[Shift]
 ) -> NDArray[np.int64]:
-    """Count the parts of ``"auto"`` after each shift; 0 if they must be built to be counted.
-
-    Available if M and the Casimirs are diagonal, and the parts too many to be joined in more than one order.
-    """
+    """Count the parts of ``"auto"`` after each shift; 0 if they must be built to be counted."""
     counts = np.zeros(len(shifts), dtype=np.int64)
     terms = system.hamiltonian.terms()
     term = terms[0].form
@@ -222,10 +206,9 @@ def count_parts(
 
 
 def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:
-    """Return the c with M - c C singular, for symmetric M and definite C; there a completed square vanishes.
-
-    The real zeros of det(M - c C) are counted in integers and bracketed by bisection; each result is the float beyond
-    the zero. Empty if C is not definite, or if M is diagonal, where the diagonal gives the factors.
+    """Return the c with M - c C singular, for symmetric M and definite C; there a completed square vanishes. The real
+    zeros of det(M - c C) are counted in integers and bracketed by bisection; each result is the float beyond the zero.
+    Empty if C is not definite, or if M is diagonal, where the diagonal gives the factors.
     """
     if not np.any(matrix - np.diag(np.diag(matrix))):
         return ()
@@ -297,10 +280,7 @@ def _bareiss(rows: list[list[int]]) -> int:
 
 
 def _zeros_below(polynomial: list[int], point: float) -> int:
-    """Count the zeros below a point, for a polynomial with real zeros only.
-
-    Zeros above are sign changes of the coefficients shifted to the point (Descartes' rule, exact for real zeros).
-    """
+    """Count the zeros of a polynomial of real zeros below a point, by Descartes' rule, exact for these."""
     numerator, denominator = point.as_integer_ratio()
     degree = len(polynomial) - 1
     about = [value * denominator ** (degree - power) for power, value in enumerate(polynomial)]

@@ -14,7 +14,7 @@ from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import FlowOfForce, Forced, flow_of_force, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
-from coadjoint.program.added_part import CoefficientMap
+from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.partial_steps import PartialSteps
@@ -301,15 +301,14 @@ def forced_tables(
 ) -> DerivativeTables:
     """Return the derivatives of steps with forces by parameters, in the form of compiled ones."""
     flows, factors = inner.coefficient_count, inner.coefficient_count + len(entries)
-    coefficients: dict[str, CoefficientMap] = {}
+    coefficients: dict[str, Multiples] = {}
     rules: dict[str, str] = {}
-    empty = CoefficientMap.of_triplets(())
     for name in names:
-        of_inner, of_factors = inner.coefficients.get(name, empty), inner.factors.get(name, empty)
+        of_inner, of_factors = (of.get(name, NO_MULTIPLES) for of in (inner.coefficients, inner.factors))
         moved = [(flows + number, one.entry, 1.0) for number, one in enumerate(entries) if one.name == name]
-        pieces = [of_inner, CoefficientMap.of_triplets(moved)]
-        pieces.append(of_factors._replace(coefficient=factors + of_factors.coefficient))
-        coefficients[name] = CoefficientMap(*(np.concatenate(columns) for columns in zip(*pieces, strict=True)))
+        pieces = [of_inner, Multiples.of_triplets(moved)]
+        pieces.append(of_factors._replace(position=factors + of_factors.position))
+        coefficients[name] = concatenated(pieces)
         rule = inner.rules.get(name, EXACT)
         rules[name] = DIFFERENCES if moved and rule == EXACT else rule
     return DerivativeTables(
@@ -319,6 +318,6 @@ def forced_tables(
         backward=ForcedSteps.backward,
         coefficient_count=factors + len(inner.shift),
         coefficients=coefficients,
-        factors=dict.fromkeys(names, empty),
+        factors=dict.fromkeys(names, NO_MULTIPLES),
         rules=rules,
     )

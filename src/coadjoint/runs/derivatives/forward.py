@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-from coadjoint.program.added_part import CoefficientMap
+from coadjoint.program.multiples import Multiples
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.results.solution import Solution
@@ -134,14 +134,14 @@ class Directions:
         if self.inputs is None:
             return total
         rows = self.inputs.reshape(-1, self.inputs.shape[-1])
-        by_inputs = tables.coefficients[INPUTS].of_coefficients(rows, tables.coefficient_count)
+        by_inputs = tables.coefficients[INPUTS].of_directions(rows, tables.coefficient_count)
         return total + by_inputs.reshape(*self.inputs.shape[:-1], tables.coefficient_count)
 
-    def along(self, maps: Mapping[str, CoefficientMap], number: int) -> Floats:
+    def along(self, maps: Mapping[str, Multiples], number: int) -> Floats:
         """Return the directions (count, number), or of each member, of numbers that maps give for the parameters."""
         total = np.zeros((*self.by_system, self.count, number))
         for name, directions in self.parameters.items():
-            total += maps[name].of_coefficients(directions, number)
+            total += maps[name].of_directions(directions, number)
         return total
 
 

@@ -15,7 +15,7 @@ from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.program.added_part import CoefficientMap
+from coadjoint.program.multiples import NO_MULTIPLES
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.inputs import Inputs
 from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -39,15 +39,14 @@ def tables_with_inputs(
     if not tables.located:
         return _located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)})[0]
     try:
-        triplets = list(at(h).derivatives(tables.located))
+        by_inputs = at(h).derivatives(tables.located)
     except NotWritable as reason:
         raise TypeError(
             f'{scheme} has no derivatives by inputs for {inputs.system.name}: {reason}; take parts="auto"'
         ) from None
-    by_inputs = CoefficientMap.of_triplets(triplets)
     return tables._replace(
         coefficients={**tables.coefficients, INPUTS: by_inputs},
-        factors={**tables.factors, INPUTS: CoefficientMap.of_triplets(())},
+        factors={**tables.factors, INPUTS: NO_MULTIPLES},
         rules={**tables.rules, INPUTS: EXACT},
     )
 
@@ -126,7 +125,7 @@ class StepTangents:
         if len(inputs):
             directions = np.zeros((count, 1 + max(inputs)))
             directions[np.arange(n, count), inputs] = 1.0
-            coefficients += tables.coefficients[INPUTS].of_coefficients(directions, tables.coefficient_count)
+            coefficients += tables.coefficients[INPUTS].of_directions(directions, tables.coefficient_count)
         step = Stretch.of_step(0.0, h, self._momenta, np.zeros((1, 0, 0)))
         run = step.forward(self._tangents, np.zeros((1, count, 0, 0)), coefficients)
         self._after, self._run = run.at_points, self._prepared(run)

@@ -190,6 +190,6 @@ def _of_scheme(
     tables = stepwise_derivatives(steps_at, sizes | ({INPUTS: len(inputs.changing)} if by_inputs else {}))
     if by_inputs:
         # The entries are those of all values.
-        numbered = tables.coefficients[INPUTS]._replace(entry=inputs.changing)
+        numbered = tables.coefficients[INPUTS]._replace(number=inputs.changing)
         tables = tables._replace(coefficients={**tables.coefficients, INPUTS: numbered})
     return tables

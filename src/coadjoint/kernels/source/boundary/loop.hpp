@@ -47,21 +47,29 @@ struct Loop {
     }
 };
 
-// Take the steps k0 + 1 to k1 of some members by `advance(loop, range)`, from the start if k0 is 0; return
-// `count_failed`. If not all steps were taken, return the outcome; the results of these members are then invalid.
-template <class Tables, class Advance>
-int64_t take_steps(const Tables& tables, const Watch& watch, const MemberRange& range, const Arrays& arrays,
-                   const Schedule& schedule, int64_t k0, int64_t k1, InterruptCheck& interrupts, Advance advance) {
+// Return the result of the work of a call, or the outcome that ended it.
+template <class Work>
+int64_t outcome_of(Work work) {
     try {
-        if (k0 == 0) begin(watch, arrays, schedule, range);
-        const Loop<Tables> loop{tables, watch, schedule, arrays, interrupts, k0, k1};
-        if (k0 < k1) advance(loop, range);
-        return count_failed(watch, arrays, range, k1 == schedule.steps);
+        return work();
     } catch (const Interrupted&) {
         return INTERRUPTED;
     } catch (const std::bad_alloc&) {
         return NO_MEMORY;
     }
+}
+
+// Take the steps k0 + 1 to k1 of some members by `advance(loop, range)`, from the start if k0 is 0; return
+// `count_failed`. If not all steps were taken, return the outcome; the results of these members are then invalid.
+template <class Tables, class Advance>
+int64_t take_steps(const Tables& tables, const Watch& watch, const MemberRange& range, const Arrays& arrays,
+                   const Schedule& schedule, int64_t k0, int64_t k1, InterruptCheck& interrupts, Advance advance) {
+    return outcome_of([&] {
+        if (k0 == 0) begin(watch, arrays, schedule, range);
+        const Loop<Tables> loop{tables, watch, schedule, arrays, interrupts, k0, k1};
+        if (k0 < k1) advance(loop, range);
+        return count_failed(watch, arrays, range, k1 == schedule.steps);
+    });
 }
 
 // The loop called by a step of another scheme, inside of which interrupts of the outer call are checked.
@@ -72,11 +80,7 @@ typedef int64_t (*InnerLoop)(const void* tables, const Watch* watch, const Membe
 // size of its memory per member. If a start is not finite, no step is taken, and all members count as failed.
 #define EXPORT_LOOP(name, Tables, advance, memory_size)                                                              \
     EXPORT int64_t name##_memory_size(const Tables* tables) {                                                        \
-        try {                                                                                                        \
-            return memory_size(*tables);                                                                             \
-        } catch (const std::bad_alloc&) {                                                                            \
-            return NO_MEMORY;                                                                                        \
-        }                                                                                                            \
+        return outcome_of([&] { return memory_size(*tables); });                                                     \
     }                                                                                                                \
     EXPORT int64_t name(const Tables* tables, const Watch* watch, const int64_t* members, int64_t first,             \
                         int64_t last, int64_t stride, const Extent* extent, const Schedule* schedule,                \

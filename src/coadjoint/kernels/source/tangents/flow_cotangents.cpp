@@ -118,12 +118,10 @@ class StepsBackward {
             if (run.deviations && !run.undone) compare_with(states.at + (k - 1 - run.k0) * size);
             run.undone ? shared_steps.end() : shared_steps.end_as_measured();
         }
-        each_number(cotangents.at, size, used,
-                    [&](A& entry, int lane, int64_t position) { run.cotangents[position] = lane_of(entry, lane); });
+        each_number(cotangents.at, size, used, write_entries(run.cotangents));
         each_number(of_coefficients.at, coefficients, used,
                     [&](A& entry, int lane, int64_t position) { run.coefficients[position] += lane_of(entry, lane); });
-        each_entry(group_cotangents.at, used,
-                   [&](G& entry, int lane, int64_t position) { run.group_cotangents[position] = lane_of(entry, lane); });
+        each_entry(group_cotangents.at, used, write_entries(run.group_cotangents));
         for (int64_t lane = 0; run.deviations && lane < used; ++lane) {
             double& deviation = run.deviations[member_of(lane)];
             deviation = std::max(deviation, lane_of(largest_deviation, int(lane)));
@@ -200,13 +198,11 @@ class StepsBackward {
     int64_t member_of(int64_t lane) const { return first + std::min(lane, used - 1); }
 
     NOINLINE void read(A* to, const double* from) const {
-        each_number(to, size, Numbers<A>::lanes,
-                    [&](A& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_number(to, size, Numbers<A>::lanes, read_entries(from));
     }
 
     NOINLINE void read_group(G* to, const double* from) const {
-        each_entry(to, Numbers<A>::lanes,
-                   [&](G& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); });
+        each_entry(to, Numbers<A>::lanes, read_entries(from));
     }
 
     void store(int64_t k) {
@@ -233,30 +229,11 @@ static void run_members(const FlowCotangents& all, const C& constants, const Bac
 // Carry the cotangents of the members first to last - 1 from the last step to the first; return zero or the outcome.
 EXPORT int64_t flow_cotangents(const FlowCotangents* tables, const BackwardRun* run, int64_t first, int64_t last,
                                const int64_t* stop) {
-    InterruptCheck interrupts(stop);
-    try {
-        const bool narrow = run->size <= WIDEST;
-        while (first < last && (tables->stride || (narrow && last - first >= MIN_LANES))) {
-            const int64_t count = std::min<int64_t>(MEMBER_LANES, last - first);
-            if (tables->stride)
-                run_members<ManyMembers, ManyMembers>(*tables, LaneConstants{tables->stride, first}, *run, first, count,
-                                                      interrupts);
-            else
-                run_members<ManyMembers, ManyMembers>(*tables, SharedConstants{}, *run, first, count, interrupts);
-            first += count;
-        }
-        for (; first < last; ++first)
-            run_members<double, GroupRows>(*tables, SharedConstants{}, *run, first, 1, interrupts);
-        return 0;
-    } catch (const Interrupted&) {
-        return INTERRUPTED;
-    } catch (const std::bad_alloc&) {
-        return NO_MEMORY;
-    }
-}
-
-EXPORT int64_t flow_cotangents_coefficients(const FlowCotangents* tables) {
-    return CoefficientCotangents<double>::count(tables->base.terms);
+    return run_in_lanes<MEMBER_LANES>(
+        *tables, run->size, first, last, stop, [&](auto together, const auto& constants, auto&&... rest) {
+            typedef std::conditional_t<together(), ManyMembers, double> A;
+            run_members<A, std::conditional_t<together(), ManyMembers, GroupRows>>(*tables, constants, *run, rest...);
+        });
 }
 
 }  // namespace coadjoint

@@ -34,18 +34,12 @@ static void run_members(const FlowCotangents& all, const C& constants, const For
                     visit(to[i * rows + v / per_block], int(of_members ? lane : v % per_block),
                           ((first + lane) * run.carried + v) * length + i);
     };
-    const auto read = [](const double* from) {
-        return [from](auto& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); };
-    };
-    const auto write = [](double* to) {
-        return [to](auto& entry, int lane, int64_t position) { to[position] = lane_of(entry, lane); };
-    };
-    each_number(x.at, size, read(run.momenta));
-    each_number(x.at + size, size, read(run.errors));
-    each_component(vectors.at, size, read(run.tangents));
+    each_number(x.at, size, read_entries(run.momenta));
+    each_number(x.at + size, size, read_entries(run.errors));
+    each_component(vectors.at, size, read_entries(run.tangents));
     if (square > 0) {
-        each_number(group.at, square, read(run.groups));
-        each_component(of_group.at, square, read(run.group_tangents));
+        each_number(group.at, square, read_entries(run.groups));
+        each_component(of_group.at, square, read_entries(run.group_tangents));
     }
     const int64_t of_member = run.carried * coefficients;
     bool directed = false;
@@ -81,37 +75,22 @@ static void run_members(const FlowCotangents& all, const C& constants, const For
         tangents.sweep(tables.section[2], tables.section[3], finish, finished.at, finished.at + size, copies.at, t, run.h,
                        {square > 0 ? finished_group.at : nullptr, copies_of_group.at, of_coefficients, all.added});
         const int64_t saved = mark++ * run.members * run.carried;
-        each_component(copies.at, size, write(run.at_points + saved * size));
-        if (square > 0) each_component(copies_of_group.at, square, write(run.at_groups + saved * square));
+        each_component(copies.at, size, write_entries(run.at_points + saved * size));
+        if (square > 0) each_component(copies_of_group.at, square, write_entries(run.at_groups + saved * square));
     }
-    each_component(vectors.at, size, write(run.tangents));
-    if (square > 0) each_component(of_group.at, square, write(run.group_tangents));
+    each_component(vectors.at, size, write_entries(run.tangents));
+    if (square > 0) each_component(of_group.at, square, write_entries(run.group_tangents));
 }
 
 // Carry the tangent vectors of the members first to last - 1; return zero or the outcome.
 EXPORT int64_t flow_directions(const FlowCotangents* tables, const ForwardRun* run, int64_t first, int64_t last,
                                const int64_t* stop) {
-    InterruptCheck interrupts(stop);
-    try {
-        typedef Lanes<NATIVE> Members;  // the vectors of a member hide the latency
-        const bool narrow = run->size <= WIDEST;
-        while (first < last && (tables->stride || (narrow && last - first >= MIN_LANES))) {
-            const int64_t count = std::min<int64_t>(NATIVE, last - first);
-            if (tables->stride)
-                run_members<Members, Members>(*tables, LaneConstants{tables->stride, first}, *run, first, count,
-                                              interrupts);
-            else
-                run_members<Members, Members>(*tables, SharedConstants{}, *run, first, count, interrupts);
-            first += count;
-        }
-        for (; first < last; ++first)
-            run_members<double, TangentLanes>(*tables, SharedConstants{}, *run, first, 1, interrupts);
-        return 0;
-    } catch (const Interrupted&) {
-        return INTERRUPTED;
-    } catch (const std::bad_alloc&) {
-        return NO_MEMORY;
-    }
+    typedef Lanes<NATIVE> Members;  // the vectors of a member hide the latency
+    return run_in_lanes<NATIVE>(
+        *tables, run->size, first, last, stop, [&](auto together, const auto& constants, auto&&... rest) {
+            typedef std::conditional_t<together(), Members, double> A;
+            run_members<A, std::conditional_t<together(), Members, TangentLanes>>(*tables, constants, *run, rest...);
+        });
 }
 
 }  // namespace coadjoint

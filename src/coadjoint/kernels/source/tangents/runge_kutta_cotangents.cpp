@@ -59,21 +59,15 @@ static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& r
             for (int64_t i = 0; i < length; ++i)
                 visit(to[i * rows + v / lanes], int(v % lanes), (first + v) * length + i);
     };
-    const auto read = [](const double* from) {
-        return [from](V& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); };
-    };
-    const auto write = [](double* to) {
-        return [to](V& entry, int lane, int64_t position) { to[position] = lane_of(entry, lane); };
-    };
     const int64_t work = (2 + 4 * rows) * work_of_step(tables);
     for (int64_t member = first; member < last; ++member) {
         const int64_t own = run.apart ? member * run.carried : 0;
         const double* const of_coefficients = run.coefficients + own * count;
         const bool directed = std::any_of(of_coefficients, of_coefficients + run.carried * count,
                                           [](double direction) { return direction != 0.0; });
-        each(directions.at, count, own, read(run.coefficients));
-        each(vectors.at, n, member * run.carried, read(run.tangents));
-        if (square > 0) each(of_group.at, square, member * run.carried, read(run.group_tangents));
+        each(directions.at, count, own, read_entries(run.coefficients));
+        each(vectors.at, n, member * run.carried, read_entries(run.tangents));
+        if (square > 0) each(of_group.at, square, member * run.carried, read_entries(run.group_tangents));
         stepped.begin(run, member);
         tangents.restart();
         int64_t mark = 0;
@@ -92,11 +86,11 @@ static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& r
             shared_steps.end();
             if (mark == run.marked || run.marks[mark] != k) continue;
             const int64_t saved = (mark++ * run.members + member) * run.carried;
-            each(vectors.at, n, saved, write(run.at_points));
-            if (square > 0) each(of_group.at, square, saved, write(run.at_groups));
+            each(vectors.at, n, saved, write_entries(run.at_points));
+            if (square > 0) each(of_group.at, square, saved, write_entries(run.at_groups));
         }
-        each(vectors.at, n, member * run.carried, write(run.tangents));
-        if (square > 0) each(of_group.at, square, member * run.carried, write(run.group_tangents));
+        each(vectors.at, n, member * run.carried, write_entries(run.tangents));
+        if (square > 0) each(of_group.at, square, member * run.carried, write_entries(run.group_tangents));
     }
 }
 
@@ -161,18 +155,15 @@ static void backward_members(const RungeKuttaCotangents& all, const BackwardRun&
 
 template <class Run, class Move>
 static int64_t of_members(const RungeKuttaCotangents& all, const Run& run, int64_t first, int64_t last,
-                           const int64_t* stop, Move move) {
+                          const int64_t* stop, Move move) {
     InterruptCheck interrupts(stop);
-    try {
-        move(all, run, first, last, interrupts);
-        return 0;
-    } catch (const Interrupted&) {
-        return INTERRUPTED;
-    } catch (const std::bad_alloc&) {
-        return NO_MEMORY;
-    } catch (const NotSolved&) {
-        return UNSOLVED;
-    }
+    return outcome_of([&]() -> int64_t {
+        try {
+            return move(all, run, first, last, interrupts), 0;
+        } catch (const NotSolved&) {
+            return UNSOLVED;
+        }
+    });
 }
 
 EXPORT int64_t runge_kutta_directions(const RungeKuttaCotangents* tables, const ForwardRun* run, int64_t first,
