@@ -168,11 +168,12 @@ def _difference(first: Any, other: Any) -> str:
         return f"has dimension {other.dim} and member 0 has {first.dim}"
     if other.sign != first.sign:
         return f"has sign={other.sign:+d} and member 0 has {first.sign:+d}"
-    if first.labels != other.labels:
-        own, others = (", ".join(one.labels) or "no forces" for one in (other, first))
-        return f"has {own}, and member 0 has {others}"
-    if [force.casimirs for force in first.forces] != [force.casimirs for force in other.forces]:
-        return "has forces that keep other Casimirs than those of member 0"
+    if first.forces or other.forces:
+        if first.labels != other.labels:
+            own, others = (", ".join(one.labels) or "no forces" for one in (other, first))
+            return f"has {own}, and member 0 has {others}"
+        if [force.casimirs for force in first.forces] != [force.casimirs for force in other.forces]:
+            return "has forces that keep other Casimirs than those of member 0"
     if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
         return ""
     if first.algebra is not None and other.algebra is not first.algebra:
