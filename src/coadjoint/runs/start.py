@@ -22,7 +22,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name, with_state_axes
-from coadjoint.systems.registry import check_unit_coordinate, has_unit_coordinate
+from coadjoint.systems.registry import check_unit_coordinate, has_unit_coordinate, unit_coordinate
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
@@ -69,8 +69,10 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
         return vectors_of(x0, size)
     momenta, single = any_momenta_of(system, x0)
     if system.is_batch:
-        for number, one in enumerate(system.distinct):
-            check_unit_coordinate(one.unforced, momenta[system.owners == number])
+        units = [unit_coordinate(one.unforced) for one in system.distinct]
+        for unit in {unit for unit in units if unit is not None}:
+            members = np.array([other == unit for other in units])[system.owners]
+            check_unit_coordinate(system.distinct[units.index(unit)].unforced, momenta[members])
     else:
         check_unit_coordinate(system.unforced, momenta)
     return momenta, single

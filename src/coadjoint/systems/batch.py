@@ -14,6 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
+from coadjoint.systems.recorded_invariants import known_or_found_casimirs
 from coadjoint.systems.system import System
 from coadjoint.validation import read_list
 
@@ -161,34 +162,41 @@ def _difference(first: Any, other: Any) -> str:
         return f"has dimension {other.dim} and member 0 has {first.dim}"
     if other.sign != first.sign:
         return f"has sign={other.sign:+d} and member 0 has {first.sign:+d}"
-    if first.labels != other.labels:
-        own, others = (", ".join(one.labels) or "no forces" for one in (other, first))
-        return f"has {own}, and member 0 has {others}"
-    if [force.casimirs for force in first.forces] != [force.casimirs for force in other.forces]:
-        return "has forces that keep other Casimirs than those of member 0"
+    if first.forces or other.forces:
+        if first.labels != other.labels:
+            own, others = (", ".join(one.labels) or "no forces" for one in (other, first))
+            return f"has {own}, and member 0 has {others}"
+        if [force.casimirs for force in first.forces] != [force.casimirs for force in other.forces]:
+            return "has forces that keep other Casimirs than those of member 0"
+    if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
+        return ""
     if first.algebra is not None and other.algebra is not first.algebra:
         difference = _bracket_difference(first.algebra, other.algebra)
         if difference:
             return difference
-    # Those of the algebra are made when they are read.
-    if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
-        return ""
-    own_names, other_names = (one._casimirs or one.casimirs for one in (first, other))
+    own_names, other_names = _casimirs(first), _casimirs(other)
     if own_names.keys() != other_names.keys():
         return f"has the Casimirs {short(list(other_names))} and member 0 has {short(list(own_names))}"
     return ""
 
 
+def _casimirs(system: Any) -> Mapping[str, Any]:
+    """Return the Casimirs of a system, without naming their coordinates, which takes long for many members."""
+    found: Mapping[str, Any] | None = system._casimirs
+    return known_or_found_casimirs(system.algebra) if found is None else found
+
+
 def _bracket_difference(first: Any, other: Any) -> str:
     """Describe the first bracket component that is zero in one of two algebras and not in the other; empty if none."""
-    entries, other_entries = (
-        list(zip(*(a.triples[side].tolist() for side in range(3)), strict=True)) for a in (first, other)
-    )
-    if entries == other_entries:
+    columns, other_columns = (a.triples[:3] for a in (first, other))
+    if all(own.tobytes() == one.tobytes() for own, one in zip(columns, other_columns, strict=True)):
         return ""
-    i, j, k = min(set(entries).symmetric_difference(other_entries))
+    entries, other_entries = (
+        set(zip(*(column.tolist() for column in one), strict=True)) for one in (columns, other_columns)
+    )
+    i, j, k = min(entries.symmetric_difference(other_entries))
     e = first.basis
-    owner = "member 0" if (i, j, k) in set(entries) else "it"
+    owner = "member 0" if (i, j, k) in entries else "it"
     return f"has another algebra: only in {owner} has [{e[i]}, {e[j]}] a component along {e[k]}"
 
 

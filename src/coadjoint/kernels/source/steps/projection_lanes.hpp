@@ -10,7 +10,7 @@
 
 namespace coadjoint {
 
-// Few quadratic invariants have lanes, with coefficients of their own. For others each member is projected alone.
+// Few invariants have lanes, with coefficients of their own. For others each member is projected alone.
 template <int W, class A>
 class ProjectionLanes {
   public:
@@ -27,6 +27,7 @@ class ProjectionLanes {
         invariants.reserve(few ? size : 0);
         for (int64_t i = size; few && i-- > 0;) few = add(InvariantGradient<A>(watch, constants, i));
         if (few) return;
+        invariants.clear();
         for (int lane = 0; lane < (std::is_same_v<C, MemberConstants> ? 1 : lanes); ++lane)
             alone.push_back(std::make_unique<Projection<W, MemberConstants>>(watch, constants.of_lane(lane), n));
     }
@@ -86,12 +87,14 @@ class ProjectionLanes {
   private:
     // As `InvariantRows`: the components of the gradient have `length` entries each, from `first` on, of which the first
     // is the coordinate itself if it is `diagonal`; `curvature` bounds the second derivatives.
-    struct Quadratic {
+    struct Invariant {
         A constant, curvature;
         int64_t first, length, diagonal;
+        std::map<size_t, Stored<A>> further{};  // as `second_derivatives` there, beside `curvature`
     };
     const int64_t n, size;
-    std::vector<Quadratic> invariants;
+    std::vector<Invariant> invariants;
+    ProductRows<W, A> products;
     std::vector<Stored<A>> offsets, weights;
     std::vector<int64_t> lefts;
     std::vector<std::unique_ptr<Projection<W, MemberConstants>>> alone;  // of every member, or of all; none for few
@@ -101,18 +104,28 @@ class ProjectionLanes {
 
     Projection<W, MemberConstants>& of(int lane) { return *alone[alone.size() == 1 ? 0 : lane]; }
 
-    // Add an invariant; false if it is not quadratic.
-    bool add(const InvariantGradient<A>& gradient) {
-        if (!gradient.terms.empty() || !gradient.products.empty()) return false;
+    // Add an invariant; false if a product has too many factors, or if the members have other rows.
+    bool add(InvariantGradient<A>&& gradient) {
+        if (!gradient.terms.empty()) return false;
         bool diagonal;
         const auto block = gradient.template block<W>(0, diagonal);
         invariants.push_back({gradient.constant, A(0.0), int64_t(weights.size()), int64_t(block[0].size()), diagonal});
+        Invariant& last = invariants.back();
+        std::vector<typename ProductRows<W, A>::Sum> longer(W);
         for (int64_t c = 0; c < n; ++c) {
             offsets.push_back(gradient.offset_of(c));
             for (const auto& entry : block[c]) weights.push_back(entry.weight), lefts.push_back(entry.left);
-            invariants.back().curvature = larger(invariants.back().curvature, sum_of_sizes(block[c]));
+            last.curvature = larger(last.curvature, sum_of_sizes(block[c]));
+            if (!gradient.products.empty()) longer[c].swap(gradient.products[c]);
+            for (const auto& [factors, some] : longer[c]) {
+                A all(0.0);
+                for (const auto& [product, weight] : some) all = all + A(double(factors)) * absolute(A(weight));
+                Stored<A>& bound = last.further[factors - 1];
+                bound = larger(A(bound), all);
+            }
         }
-        return true;
+        products.add(longer, 0);
+        return products.alike;
     }
 
     // Beyond the last coordinate there are zeros, and no data of the previous member.
@@ -146,8 +159,13 @@ class ProjectionLanes {
             for (int i = j + 1; i < R; ++i)
                 for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
         }
-        A total[W];
-        for (int64_t c = 0; c < n; ++c) total[c] = A(0.0);
+        A total[W], bound[R], largest(0.0);
+        for (int64_t c = 0; c < n; ++c) total[c] = A(0.0), largest = larger(largest, absolute(x[c]));
+        for (int a = 0; a < R; ++a) {
+            bound[a] = invariants[a].curvature;
+            for (const auto& [exponent, factor] : invariants[a].further)
+                bound[a] = bound[a] + A(factor) * power(largest, uint32_t(exponent));
+        }
         for (int64_t round = 1; round <= PROJECTION_CORRECTIONS; ++round) {
             const A before = residual;
             corrections = select(running, A(double(round)), corrections);
@@ -172,7 +190,7 @@ class ProjectionLanes {
             const A product = sum([&](int64_t c) { return moved[c]; }) * sum([&](int64_t c) { return absolute(total[c]); });
             Mask found = running;
             for (int64_t a = 0; a < R; ++a)
-                found = found & (product * invariants[a].curvature <= A(0.25) * targets.at[R + a]);
+                found = found & (product * bound[a] <= A(0.25) * targets.at[R + a]);
             done = done | found, running = running & !found;
             if (!any(running)) return done;
             A now(0.0);
@@ -202,18 +220,29 @@ class ProjectionLanes {
         total = A(0.0);
         for (int i = 0; i < R; ++i) {
             A* const slope = gradients ? gradients + i * n : unused.at;
-            for (int64_t c = 0; c < n; ++c) slope[c] = slope_of(i, c, x);
-            defect[i] = targets.at[i] - (invariants[i].constant +
-                                         A(0.5) * sum([&](int64_t c) { return x[c] * (slope[c] + A(offsets[i * n + c])); }));
+            A whole[W];
+            take_slopes(i, x, slope, whole);
+            defect[i] = targets.at[i] -
+                        (invariants[i].constant + A(0.5) * sum([&](int64_t c) { return x[c] * whole[c]; }));
             every = every & rounding_alone(i, defect[i], x, targets.at[R + i], active);
             total = total + absolute(defect[i]);
         }
         return every;
     }
 
-    // As `InvariantRows::slope`, for one coordinate.
+    // As `InvariantRows::slope`, for all coordinates.
+    INLINE void take_slopes(int64_t i, const A* x, A* slope, A* whole) const {
+        for (int64_t c = 0; c < n; ++c) {
+            slope[c] = slope_of(i, c, x);
+            whole[c] = slope[c] + A(offsets[i * n + c]);
+        }
+        for (int64_t s = products.first[i]; s < products.first[i + 1]; ++s)
+            products.add_sums(products.segments[s], n, x, slope, whole);
+    }
+
+    // The same without products of several coordinates, for one coordinate.
     INLINE A slope_of(int64_t i, int64_t c, const A* x) const {
-        const Quadratic& one = invariants[i];
+        const Invariant& one = invariants[i];
         const Stored<A>* const weight = weights.data() + one.first + c * one.length;
         const int64_t* const left = lefts.data() + one.first + c * one.length;
         A total = offsets[i * n + c];
@@ -225,17 +254,20 @@ class ProjectionLanes {
 
     // As `InvariantRows::value`.
     NOINLINE A value(int64_t i, const A* x) const {
-        return invariants[i].constant +
-               A(0.5) * sum([&](int64_t c) { return fma(x[c], slope_of(i, c, x) + A(offsets[i * n + c]), A(0.0)); });
+        A slope[W], whole[W];
+        take_slopes(i, x, slope, whole);
+        return invariants[i].constant + A(0.5) * sum([&](int64_t c) { return fma(x[c], whole[c], A(0.0)); });
     }
 
     // As `InvariantRows::terms_of`.
     NOINLINE A terms_of(int64_t i, const A* x) const {
-        const Quadratic& one = invariants[i];
+        const Invariant& one = invariants[i];
         return sum([&](int64_t c) {
             A rising = absolute(A(offsets[i * n + c]));
             for (int64_t e = one.first + c * one.length; e < one.first + (c + 1) * one.length; ++e)
                 rising = fma(absolute(A(weights[e])), absolute(x[lefts[e]]), rising);
+            for (int64_t s = products.first[i]; s < products.first[i + 1]; ++s)
+                rising = rising + products.sizes_in_row(products.segments[s], int(c), x);
             return absolute(x[c]) * rising;
         });
     }
