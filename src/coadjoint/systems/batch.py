@@ -177,8 +177,7 @@ def _difference(first: Any, other: Any) -> str:
     if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
         return ""
     if first.algebra is not None and other.algebra is not first.algebra:
-        difference = _bracket_difference(first.algebra, other.algebra)
-        if difference:
+        if difference := _bracket_difference(first.algebra, other.algebra):
             return difference
     own_names, other_names = (
         known_or_found_casimirs(one.algebra) if one._casimirs is None else one._casimirs for one in (first, other)
