@@ -2,10 +2,9 @@
 
 python benchmarks/batches.py [--members M ...] [--rounds R] [--steps N] [--cases WORD ...]
 
-The systems are built already. Each time is that of the processor, for `batch`, `prepare` and the first run together,
-with all steps saved, and for a later gradient by the initial states and all parameters, if there is one. Batch and
-ensemble are measured in turns; the median of the ratios of the rounds counts. `Taylor` projects to the level sets of
-all invariants, those of degree four too.
+Processor times of `batch`, `prepare` and the first run together, from systems, and of a later gradient by the initial
+states and all parameters, if there is one. Batch and ensemble run in turns; the median of the ratios counts. `Taylor`
+projects to the level sets of all invariants.
 """
 
 from __future__ import annotations

@@ -71,8 +71,8 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     if system.is_batch:
         units = [unit_coordinate(one.unforced) for one in system.distinct]
         for unit in {unit for unit in units if unit is not None}:
-            members = np.array([other == unit for other in units])[system.owners]
-            check_unit_coordinate(system.distinct[units.index(unit)].unforced, momenta[members])
+            own = np.array([other == unit for other in units])
+            check_unit_coordinate(system.distinct[np.argmax(own)].unforced, momenta[own[system.owners]])
     else:
         check_unit_coordinate(system.unforced, momenta)
     return momenta, single

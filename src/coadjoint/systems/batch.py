@@ -171,32 +171,24 @@ def _difference(first: Any, other: Any) -> str:
     if other.algebra is first.algebra is not None and other._casimirs is first._casimirs is None:
         return ""
     if first.algebra is not None and other.algebra is not first.algebra:
-        difference = _bracket_difference(first.algebra, other.algebra)
-        if difference:
+        if difference := _bracket_difference(first.algebra, other.algebra):
             return difference
-    own_names, other_names = _casimirs(first), _casimirs(other)
+    own_names, other_names = (
+        known_or_found_casimirs(one.algebra) if one._casimirs is None else one._casimirs for one in (first, other)
+    )
     if own_names.keys() != other_names.keys():
         return f"has the Casimirs {short(list(other_names))} and member 0 has {short(list(own_names))}"
     return ""
 
 
-def _casimirs(system: Any) -> Mapping[str, Any]:
-    """Return the Casimirs of a system, without naming their coordinates, which takes long for many members."""
-    found: Mapping[str, Any] | None = system._casimirs
-    return known_or_found_casimirs(system.algebra) if found is None else found
-
-
 def _bracket_difference(first: Any, other: Any) -> str:
     """Describe the first bracket component that is zero in one of two algebras and not in the other; empty if none."""
-    columns, other_columns = (a.triples[:3] for a in (first, other))
-    if all(own.tobytes() == one.tobytes() for own, one in zip(columns, other_columns, strict=True)):
+    columns = first.triples[:3], other.triples[:3]
+    if [one.tobytes() for one in columns[0]] == [one.tobytes() for one in columns[1]]:
         return ""
-    entries, other_entries = (
-        set(zip(*(column.tolist() for column in one), strict=True)) for one in (columns, other_columns)
-    )
-    i, j, k = min(entries.symmetric_difference(other_entries))
-    e = first.basis
-    owner = "member 0" if (i, j, k) in entries else "it"
+    entries, other_entries = (set(zip(*(column.tolist() for column in one), strict=True)) for one in columns)
+    i, j, k = min(entries ^ other_entries)
+    e, owner = first.basis, "member 0" if (i, j, k) in entries else "it"
     return f"has another algebra: only in {owner} has [{e[i]}, {e[j]}] a component along {e[k]}"
 
 
