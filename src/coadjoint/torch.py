@@ -10,6 +10,7 @@ import numpy as np
 
 from coadjoint.errors import unknown_attribute
 from coadjoint.optional_packages import require_packages
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.validation import to_array
 
@@ -70,8 +71,6 @@ def function(
         inertia.grad
     """
     require_packages("co.torch.function", "torch")
-    from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
-
     run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.torch.function")
 
     def solution_of(x0: Any, *, attitude0: Any = None, **parameters: Any) -> Any:

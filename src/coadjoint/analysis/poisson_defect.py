@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.integrate import integrate
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.stepper import Stepper
 from coadjoint.short_repr import short
@@ -102,8 +103,6 @@ def poisson_defect(step: Stepper, x: npt.ArrayLike, operations: int | None = Non
     >>> poisson_defect(co.stepper(body, co.GaussLegendre(1), 0.1), [1.0, 0.2, 0.5]).poisson
     False
     """
-    from coadjoint.runs.integrate import integrate
-
     if not isinstance(step, Stepper):
         raise TypeError(f"step is {short(step)}; it must be a Stepper, from co.stepper(system, method, h)")
     momenta, single = momenta_of(step.system, x)

@@ -8,6 +8,7 @@ from typing import Any
 
 from coadjoint.errors import unknown_attribute, unknown_name
 from coadjoint.optional_packages import require_packages
+from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 
 __all__ = ["free_body", "solution"]
@@ -165,7 +166,6 @@ def solution(
     require_packages("co.jax.solution", "jax")
     from coadjoint.jax.primitives import solve
     from coadjoint.jax.xla_run import XlaRun
-    from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 
     compute: Callable[..., Any]
     if backend == "xla":

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.methods.protocol.composed import Wrapper, check_base, composition_order
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
@@ -19,7 +20,6 @@ from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.rates import has_matrix_state
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.systems.system_stacks import SystemStack
 

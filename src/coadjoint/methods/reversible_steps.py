@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_lo
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
 from coadjoint.methods.protocol.composed import Wrapper, check_base
+from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.splitting import Splitting
@@ -28,9 +29,6 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_number
-
-if TYPE_CHECKING:
-    from coadjoint.methods.protocol.cost_model import Work
 
 NO_STEP_MESSAGE = (
     "the speed of the motion fell to zero or below (a smaller stride may help), or grew until the steps no longer "

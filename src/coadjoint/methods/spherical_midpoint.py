@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.formal.formal_numbers import FormalNumber
 from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation
 from coadjoint.methods.protocol.cost_model import Work, work_of_iterations
 from coadjoint.methods.protocol.method import Representation
@@ -18,9 +19,6 @@ from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
-
-if TYPE_CHECKING:
-    from coadjoint.methods.formal.formal_numbers import FormalNumber
 
 
 @dataclass(frozen=True)

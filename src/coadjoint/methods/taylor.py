@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.projection import (
     casimirs_restored,
@@ -42,9 +43,6 @@ from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.validation import read_bool, read_integer, read_number
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
 
 MAX_ORDER = 64  # higher terms are below rounding in all steps that converge
 DEFAULT_ORDER, LEAST_ORDER = 16, 4  # without a tolerance, and the least with one

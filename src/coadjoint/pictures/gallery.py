@@ -17,6 +17,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
+from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
@@ -42,8 +43,6 @@ class Scene:
 
 def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> Solution:
     """Integrate random vorticity of the degrees 3 to 8 on the sphere, until few vortices are left."""
-    from coadjoint.systems.fluids.sphere_euler import sphere_euler
-
     fluid = sphere_euler(N)
     return integrate(
         fluid,  # type: ignore[arg-type]

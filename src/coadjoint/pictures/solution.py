@@ -13,7 +13,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Kind, Paint, kinds, read_picture
 from coadjoint.pictures.style import figure_settings
-from coadjoint.runs.results.solution import check_solution
+from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.runs.results.solution_output import extent_text
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
@@ -22,7 +22,6 @@ from coadjoint.validation import read_list, read_number
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from coadjoint.runs.results.solution import Solution
 
 MIN_WIDTH, MAX_WIDTH = 2.0, 100.0
 """Widths of figures in inches."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from coadjoint.algebra.exact.sparse_sums import Integers
@@ -11,12 +9,10 @@ from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.parts.part import COMPUTED
 from coadjoint.program.sources import monomials_in, products_of
+from coadjoint.program.table import Program
 from coadjoint.program.term_table import LINEAR
 from coadjoint.systems.coefficients import Key, Monomials, encoded
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-
-if TYPE_CHECKING:
-    from coadjoint.program.table import Program
 
 _AFTER_ALL = np.iinfo(np.int64).max
 """Greater than all codes of monomials."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.structures import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.method import Method
@@ -28,7 +29,6 @@ from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.compiled import CompiledTables
 
 Floats = NDArray[np.float64]

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import NamedArrays
+from coadjoint.runs.events import TerminalEvent
 from coadjoint.runs.loops.execution import status_name
 from coadjoint.runs.partial_steps import PartialSteps, reject_noise
+from coadjoint.runs.run import Run
 from coadjoint.runs.times import Times, accumulated_rounding
 from coadjoint.short_repr import distinct
 from coadjoint.validation import are_finite, read_numbers
-
-if TYPE_CHECKING:
-    from coadjoint.runs.events import TerminalEvent
-    from coadjoint.runs.run import Run
 
 Floats = NDArray[np.float64]
 

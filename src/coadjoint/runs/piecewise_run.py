@@ -6,13 +6,14 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import reduce
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
+from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
 from coadjoint.runs.results.solution import Solution
@@ -20,9 +21,6 @@ from coadjoint.runs.run import first_point_not_finite
 from coadjoint.runs.start import Start
 from coadjoint.runs.state import State
 from coadjoint.runs.times import Times
-
-if TYPE_CHECKING:
-    from coadjoint.runs.preparation import Preparation
 
 STATE_PREFIX = "state."
 """Prefix of the arrays of a `State` among those that are stored."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from coadjoint.runs.output_times import OutputTimes, output_times_of
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.plan import Plan, bytes_of_run
 from coadjoint.runs.results.observables import Observed, check_observe
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
     Representation,
@@ -45,9 +46,6 @@ from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_bool, read_integer
-
-if TYPE_CHECKING:
-    from coadjoint.runs.results.solution import Solution
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import (
     StateAt,
     ends_by_events,
@@ -22,9 +23,6 @@ from coadjoint.runs.results.solution_attributes import (
 from coadjoint.runs.times import Times, accumulated_rounding
 from coadjoint.short_repr import distinct, short
 from coadjoint.validation import are_finite, read_numbers
-
-if TYPE_CHECKING:
-    from coadjoint.runs.results.solution import Solution
 
 Floats = NDArray[np.float64]
 

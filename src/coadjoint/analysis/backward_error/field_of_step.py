@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import fraction
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 
 Field = list[Exact]
@@ -44,8 +45,6 @@ def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Fie
 
 def plain_ring(dim: int, symbols: Sequence[str] = ()) -> ExactPolynomials:
     """Return the ring of polynomials in n coordinates, with zero bracket."""
-    from coadjoint.algebra.lie_algebra import LieAlgebra
-
     return ExactPolynomials(LieAlgebra([], dim=dim), symbols)
 
 

@@ -127,8 +127,6 @@ def attitude_figure(method: Method, number: int, scheme: str) -> Figure:
 
 
 def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
-    from coadjoint.systems.examples.paper_examples import paper_rigid_body
-
     attitude = run.solution.attitude
     assert attitude is not None
     last = run.at(end) + 1

@@ -47,6 +47,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.progress import progress_bar, read_progress
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import combined
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
@@ -57,7 +58,6 @@ from coadjoint.validation import read_integer, read_numbers
 if TYPE_CHECKING:
     from distributed import Client
 
-    from coadjoint.runs.results.solution import Solution
 
 BUSY = {"busy": True}
 IDENTITY_ATTRIBUTES = {

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from math import prod
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,12 +47,10 @@ from coadjoint.files.datasets.variables import (
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.files.records.required_functions import function_attributes
 from coadjoint.runs.piecewise_run import PiecewiseRun
-
-if TYPE_CHECKING:
-    from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.results.solution import Solution
-    from coadjoint.runs.start import Start
-    from coadjoint.runs.times import Times
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import Start
+from coadjoint.runs.times import Times
 
 MAX_STATE_BYTES = 2**22
 """Limit on the state of a block at one time, for the default block size."""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator, Mapping
 from functools import reduce
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,12 +37,10 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import StepDoesNotDivide, Times, times_between
 from coadjoint.short_repr import distinct
 from coadjoint.validation import read_number
-
-if TYPE_CHECKING:
-    from coadjoint.runs.results.solution import Solution
 
 
 def archive_run(

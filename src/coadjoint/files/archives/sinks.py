@@ -6,7 +6,7 @@ import json
 import time
 from collections.abc import Mapping
 from math import prod
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -26,9 +26,7 @@ from coadjoint.files.archives.store import ArchiveStore, unwritten_archive
 from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import summary_variables, time_coordinate, time_variables
 from coadjoint.runs.piecewise_run import PiecewiseRun, Sink
-
-if TYPE_CHECKING:
-    from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution import Solution
 
 BLOCKS, MIN_STATE_BYTES = 64, 2**24
 """A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""

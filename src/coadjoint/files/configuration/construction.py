@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint import systems
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.brackets import parse_brackets
 from coadjoint.algebra.exact.numbers import TOO_LARGE, Constant, fits
@@ -137,7 +138,6 @@ def _hamiltonian_part(name: str, file: File) -> System:
 
 
 def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System:
-    from coadjoint import systems
     from coadjoint.files.configuration.models import unknown_key
 
     with section(name, "system"):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from coadjoint.errors import IntegrationError, in_one_line
+from coadjoint.files.configuration.configuration import Configuration
 from coadjoint.kernels.arrays import Layout
 from coadjoint.memory import available, format_bytes
 from coadjoint.methods.forced import effective_scheme
@@ -16,13 +17,10 @@ from coadjoint.methods.protocol.properties import Properties
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import read_events
 from coadjoint.runs.plan import bytes_of_run
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
-
-if TYPE_CHECKING:
-    from coadjoint.files.configuration.configuration import Configuration
-    from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.results.solution import Solution
 
 TRIAL_SECONDS = 0.2
 """Approximate duration of the last trial run, in seconds."""

@@ -34,6 +34,8 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods import registry
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
@@ -43,7 +45,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import xarray
 
-    from coadjoint.runs.results.solution import Solution
 
 REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
@@ -339,9 +340,6 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     >>> bool((rebuild(sol.to_xarray()).x == sol.x).all())
     True
     """
-    from coadjoint.runs.integrate import integrate
-    from coadjoint.runs.prepared_run import PreparedRun
-
     inputs = stored_inputs(dataset)
     element = _coadjoint_start(stacked(dataset))
     with as_value_errors(Entry(None, "the run of this dataset")):

@@ -14,6 +14,8 @@ from coadjoint.files.records.records import safe_name
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import RecordedEvents
+from coadjoint.runs.results.drift import Drift
+from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.fluids.reduced_mhd import fluid_of
@@ -62,9 +64,6 @@ def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...],
 
 if TYPE_CHECKING:
     import xarray
-
-    from coadjoint.runs.results.drift import Drift
-    from coadjoint.runs.results.solution import Solution
 
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]

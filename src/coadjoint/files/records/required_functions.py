@@ -7,7 +7,7 @@ import platform
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 from coadjoint.files.archives.archive import ArchiveError
 from coadjoint.files.records.entries import EXACT, INTEGRAL, parsed
@@ -15,15 +15,13 @@ from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import STORABLE_TYPES, invariants_record, record_of
 from coadjoint.kernels.functions.contents import contents_of
 from coadjoint.runs.events import Event, read_events
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import check_observe
+from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-
-if TYPE_CHECKING:
-    from coadjoint.runs.prepared_run import PreparedRun
-    from coadjoint.runs.results.solution import Solution
 
 FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE = "archive_given", "archive_observed"
 

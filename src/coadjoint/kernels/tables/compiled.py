@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +17,10 @@ from coadjoint.kernels.functions.compiled_functions import (
     warn_slow_compilation,
 )
 from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.program.sources import Sources
 from coadjoint.systems.energy_derivatives import FunctionDerivative
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python
-
-if TYPE_CHECKING:
-    from coadjoint.program.sources import Sources
 
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.kernels.interface import limit
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.numbers import Number, roundoff
 from coadjoint.short_repr import record_repr
@@ -338,8 +339,6 @@ def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArra
     >>> float(abs(x @ x - 1.29)) < 1e-14
     True
     """
-    from coadjoint.kernels.interface import limit
-
     most_growth = 2 ** limit("GROWTH_BITS")  # growth of the correction at which the iteration counts as divergent
     unit = roundoff(float if step.x.dtype != object else type(step.x[0]))
     if unit == 0:

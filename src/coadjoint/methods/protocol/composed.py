@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_derivatives import JoinedSteps, LinearizedStep
@@ -18,7 +19,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.cotangents import flow_cotangents, runge_kutta_cotangents, with_step
 from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.program.added_part import terms_of, with_added_part
 from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.program.places import Places
+from coadjoint.program.sources import Sources
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
-    from coadjoint.methods.protocol.flow_method import FlowMethod
-    from coadjoint.program.sources import Sources
-    from coadjoint.systems.lie_poisson import LiePoissonSystem
-    from coadjoint.systems.system import System
+from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system import System
 
 EXACT = "exact"
 ADDED_PART = "added part"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.properties import Properties, check_attitude
@@ -20,7 +21,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.formal.formal_numbers import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables
 from coadjoint.methods.protocol.method import Method
@@ -16,9 +17,6 @@ from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.multiples import NO_MULTIPLES, Multiples
 from coadjoint.systems.parameter_differences import NearbySystems, differences, nearby_systems
 from coadjoint.systems.parameters import Parameter, with_entry_moved
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
 
 Floats = NDArray[np.float64]
 

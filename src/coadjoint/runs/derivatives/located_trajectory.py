@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +17,15 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.crossings.crossings import WatchedEvents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.stretches import Stretch
+from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.loops.loops import Loops
+from coadjoint.runs.output_times import OutputTimes
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import NODES, WEIGHTS
 from coadjoint.systems.user_functions import takes_time
-
-if TYPE_CHECKING:
-    from coadjoint.runs.events import RecordedEvents
-    from coadjoint.runs.output_times import OutputTimes
 
 Floats = NDArray[np.float64]
 

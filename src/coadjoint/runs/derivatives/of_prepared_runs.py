@@ -7,7 +7,7 @@ own steps, are differentiated each by a run of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +20,10 @@ from coadjoint.runs.derivatives.forward import Tangents, check_shape, tangents_o
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
 from coadjoint.runs.derivatives.run_tables import differ_in_columns
 from coadjoint.runs.loops.loops import Loops
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, to_array
-
-if TYPE_CHECKING:
-    from coadjoint.runs.prepared_run import PreparedRun
 
 REVERSES = ("exact", "reversible")
 

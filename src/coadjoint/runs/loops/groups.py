@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import MemberBatch
+from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
 from coadjoint.kernels.tables.writable import WritableTables
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.loop import CompiledLoop
     from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.program.sources import Sources
 

@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.keyword_hints import NamedValues
+from coadjoint.runs.loops.loops import GroupCorrection
+from coadjoint.runs.results.observables import Observed
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.start import Start, start_without_groups
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.arrays import Layout, NamedArrays
-    from coadjoint.runs.loops.loops import GroupCorrection
     from coadjoint.runs.plan import Plan
-    from coadjoint.runs.results.observables import Observed
     from coadjoint.runs.run import Run
-    from coadjoint.systems.batch import Batch
-    from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

@@ -9,20 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.keyword_hints import NamedValues, suggest_keywords
+from coadjoint.keyword_hints import NamedValues, suggest_keywords, unknown_solution_attribute
+from coadjoint.runs.events import TerminalEvent
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, StateAt, unfinished_members
 from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, table_of_run
+from coadjoint.runs.start import Start
+from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.validation import read_bool
-
-if TYPE_CHECKING:
-    from coadjoint.runs.events import TerminalEvent
-    from coadjoint.runs.start import Start
-    from coadjoint.runs.times import Times
-
 
 COPIED = (*(name for name in vars(SolutionAttributes) if name[0] != "_"), "_accounts", "_worst", "_starts")
 """Fields of copies; those of `ESTIMATES` if they are known."""
@@ -111,7 +108,6 @@ class Solution(SolutionOutput):
             # If the computation of an attribute failed, raise that error.
             if hasattr(type(self), name):
                 return object.__getattribute__(self, name)
-            from coadjoint.keyword_hints import unknown_solution_attribute
 
             raise unknown_solution_attribute(name, dir(self))
 

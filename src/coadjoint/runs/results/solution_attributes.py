@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.events import RecordedEvents
 from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.methods.protocol.method import Method
-    from coadjoint.runs.events import RecordedEvents
     from coadjoint.runs.results.solution import Solution
-    from coadjoint.systems.batch import Batch
-    from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 

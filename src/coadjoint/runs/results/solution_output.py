@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.body_motion import BodyMotion
+from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.short_repr import distinct, html_table
 from coadjoint.shortcuts import shortcut
 
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from coadjoint.runs.results.solution import Solution
-    from coadjoint.runs.results.solution_attributes import Statistics
 
 MAX_CASIMIRS_SHOWN = 4
 """Number of Casimirs shown, largest drift first."""

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
-from coadjoint.systems.matrices.spherical_modes import laplacian
+from coadjoint.systems.matrices.spherical_modes import harmonics, laplacian
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse
 from coadjoint.systems.matrices.torus_modes import representatives
 
@@ -127,8 +127,6 @@ class Harmonics(ModeBasis):
         return i, i + d
 
     def _half(self, d: int, numbers: Numbers) -> Floats:
-        from coadjoint.systems.matrices.spherical_modes import harmonics
-
         return np.asarray(harmonics(self.N, d)[numbers - d])
 
 
