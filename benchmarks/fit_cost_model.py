@@ -28,7 +28,7 @@ from work_precision.problems import problems
 import coadjoint as co
 from coadjoint.choosing.accuracy import _fits_with_acceptable_roundoff, _target_error
 from coadjoint.choosing.candidates import supported_candidates
-from coadjoint.choosing.fitting import Fit, confirmed_fit, fit, fit_of_tolerance
+from coadjoint.choosing.fitting import StepFit, confirmed_fit, fit, fit_of_tolerance
 from coadjoint.choosing.pilot import Pilot, short_run
 from coadjoint.methods.numerics.short_orbit import rate_at
 from coadjoint.methods.protocol import cost_model
@@ -150,7 +150,7 @@ def drawn_systems() -> dict[str, Any]:
     return found
 
 
-def fits_of(case: Case, accuracy: float, members: int) -> Iterator[tuple[int, Fit]]:
+def fits_of(case: Case, accuracy: float, members: int) -> Iterator[tuple[int, StepFit]]:
     """Yield every candidate, with its number, and the step that it needs; none is left out for its cost."""
     momenta, schemes = ensemble(case, members), candidate_schemes(True)
     try:
@@ -180,7 +180,7 @@ def ensemble(case: Case, members: int) -> np.ndarray:
     return np.repeat(case.x0[None], members, axis=0)
 
 
-def seconds_of_step(case: Case, fitted: Fit, members: int, rounds: int) -> float:
+def seconds_of_step(case: Case, fitted: StepFit, members: int, rounds: int) -> float:
     """Return the least processor time of a step and member, over several runs, without that of the call."""
     method, momenta, h = fitted.candidate.method, ensemble(case, members), case.span / fitted.steps
 

@@ -18,17 +18,17 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 565,  # motions of all bodies and their pictures, rigid molecules, the C interface, JAX, fits
-    "Python lines": 99642,  # bodies, orders above two with forces, archives at URLs, batches on XLA, pairs on threads
-    "longest file": 512,
-    "classes": 635,  # bodies, descents with curvature, stores elsewhere, shares of pairs, members on XLA
-    "isinstance": 908,  # kinds of molecules, shapes in JAX, archives at URLs, own systems, functions in shares
-    "files in cycles, with imports inside functions and for types": 51,  # motions of bodies
-    "modules behind integrate": 130,  # torques on the state, of which forces on satellites are made
-    "C++ lines": 20365,  # the C interface; orders above two with forces; gradients that warn; pairs on threads
-    "test lines": 69488,  # bodies, molecules, the C interface, JAX, forces of higher order and in batches, URLs
+    "Python files": 526,  # motions of all bodies and their pictures, rigid molecules, the C interface, JAX, fits
+    "Python lines": 94171,  # bodies, orders above two with forces, archives at URLs, batches on XLA, pairs on threads
+    "longest file": 500,
+    "classes": 633,  # bodies, descents with curvature, stores elsewhere, shares of pairs, members on XLA
+    "isinstance": 847,  # kinds of molecules, shapes in JAX, archives at URLs, own systems, functions in shares
+    "files in cycles, with imports inside functions and for types": 40,  # motions of bodies
+    "modules behind integrate": 129,  # torques on the state, of which forces on satellites are made
+    "C++ lines": 20448,  # the C interface; orders above two with forces; pairs on threads; batches of projected series in lanes
+    "test lines": 69540,  # bodies, molecules, the C interface, JAX, forces of higher order and in batches, URLs
     "test files that import internals": 74,
-    "public names": 346,  # rigid_molecules, export_table and co.jax.free_body
+    "public names": 344,  # rigid_molecules, export_table and co.jax.free_body
 }
 
 

@@ -22,7 +22,7 @@ Brackets = dict[tuple[int, int], dict[int, float]]
 
 def parse_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
     """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}``."""
-    names = _Names(basis)
+    names = _NameTokenizer(basis)
     result: Brackets = {}
     for line in lines:
         pair = names.parse_pair(line)
@@ -54,7 +54,7 @@ def names_in(lines: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-class _Names:
+class _NameTokenizer:
     """Tokenizer of basis names, by length: its time does not grow with the number of names."""
 
     _OPENED, _BETWEEN, _CLOSED = (re.compile(p) for p in (r"\s*\[\s*", r"\s*,\s*", r"\s*\]\s*=\s*"))
@@ -104,7 +104,7 @@ class _Names:
         return None
 
 
-def _parse_sum(line: str, position: int, names: _Names, basis: Sequence[str]) -> dict[int, float]:
+def _parse_sum(line: str, position: int, names: _NameTokenizer, basis: Sequence[str]) -> dict[int, float]:
     if line[position : position + MAX_QUOTED].strip() == "0" and line[position:].strip() == "0":
         return {}
     result: dict[int, float] = {}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.signals import Sampled, sampled
+from coadjoint.analysis.signals import SampledSignal, sampled
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.validation import read_positive
@@ -133,7 +133,7 @@ def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> A
     return Autocorrelation(lag_times, _shaped(values, series), *(_shaped(column, series) for column in columns))
 
 
-def _shaped(values: NDArray[Any], series: Sampled) -> Any:
+def _shaped(values: NDArray[Any], series: SampledSignal) -> Any:
     """Return values without the axis of channels if the signal has none."""
     if series.channels:
         return values

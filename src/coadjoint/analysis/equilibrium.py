@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.orbit import Orbit, ScaledSystem, Tangents, second_variation, tangents_of, units_of
+from coadjoint.analysis.orbit import Orbit, ScaledSystem, TangentSpace, second_variation, tangents_of, units_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
@@ -332,7 +332,7 @@ def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
     return np.asarray(vectors @ components)
 
 
-def _is_definite(system: Any, orbit: Orbit, x: Floats, tangents: Tangents) -> bool:
+def _is_definite(system: Any, orbit: Orbit, x: Floats, tangents: TangentSpace) -> bool:
     """Return whether the second variation of H plus multiples of the critical integrals is definite."""
     variations = [second_variation(system, x, system.hamiltonian, tangents)]
     for integral in system.integrals.values():

@@ -17,7 +17,7 @@ from coadjoint.analysis.weak_form import (
     RANK,
     STRIDES,
     Floats,
-    Samples,
+    TrajectorySamples,
     complement_of_casimirs,
     equations_of,
     exponents_of,
@@ -177,7 +177,7 @@ def identify(
     >>> found.run_error < 1e-6
     True
     """
-    data = Samples.of(algebra, t, x, read_sign(sign))
+    data = TrajectorySamples.of(algebra, t, x, read_sign(sign))
     exponents = exponents_of(algebra.dim, read_integer(degree, "degree", 1))
     longest = (data.x.shape[1] - 1) // 2
     if radius is not None:
@@ -218,7 +218,7 @@ class _Estimate(NamedTuple):
         return own > others or (own == others and np.trace(self.covariance) < np.trace(other.covariance))
 
 
-def _estimate(data: Samples, exponents: NDArray[np.int64], complement: Floats, r: int) -> _Estimate | None:
+def _estimate(data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, r: int) -> _Estimate | None:
     """Solve the equations, weighted by the covariance of their errors at the solution, by iteration."""
     equations = [in_basis(group, complement) for group in equations_of(data, exponents, r)]
     count = sum(group.b.size for group in equations)
@@ -247,7 +247,9 @@ def _estimate(data: Samples, exponents: NDArray[np.int64], complement: Floats, r
     return _Estimate(y, V, rest, covariance, noise * math.sqrt(variance), r)
 
 
-def _result(data: Samples, exponents: NDArray[np.int64], complement: Floats, best: _Estimate) -> Identification:
+def _result(
+    data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, best: _Estimate
+) -> Identification:
     """Return the result in the units of the data, with a run of the system."""
     # H(x) = scale h(x / scale) moves the scaled states as h does: x' = J(x) grad H.
     units = data.scale ** (1.0 - exponents.sum(axis=1))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.phase_drift import ANGLES, MIN_SAMPLES, drift_of_series
 from coadjoint.analysis.reference_motion import check_same_times, motion_of
-from coadjoint.analysis.signals import Sampled, sampled
+from coadjoint.analysis.signals import SampledSignal, sampled
 from coadjoint.analysis.spectral_lines import hann
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import Solution, check_solution
@@ -108,7 +108,7 @@ def demodulated(
     return np.array([weight @ slow[first : first + len(weight)] for first in starts])
 
 
-def _reference_signal(solution: Solution, run: Sampled, reference: Any, signal: Any) -> NDArray[Any]:
+def _reference_signal(solution: Solution, run: SampledSignal, reference: Any, signal: Any) -> NDArray[Any]:
     """Return the signal of the reference motion at the same times, for each member."""
     if isinstance(reference, Solution):
         other = sampled(reference, signal, 2)

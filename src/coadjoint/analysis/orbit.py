@@ -103,7 +103,7 @@ def units_of(system: Any, x: Floats) -> Floats:
     return groups.units(groups.norms(x))
 
 
-class Tangents(NamedTuple):
+class TangentSpace(NamedTuple):
     """The tangent space of an orbit: P = sign J(x), an orthonormal basis (n, r), and its blocks on direct summands."""
 
     P: Floats
@@ -120,7 +120,7 @@ class Tangents(NamedTuple):
         return result
 
 
-def tangents_of(system: Any, x: Floats) -> Tangents:
+def tangents_of(system: Any, x: Floats) -> TangentSpace:
     """Return the tangent space of the orbit of x, from singular value decompositions of J(x) on direct summands."""
     P = system.sign * np.asarray(system.structure_matrix(x), dtype=np.float64)
     found = [(rows, *np.linalg.svd(P[np.ix_(rows, rows)])[:2]) for rows, _ in summands(system.algebra.triples, len(P))]
@@ -131,10 +131,10 @@ def tangents_of(system: Any, x: Floats) -> Tangents:
         columns = slice(first, first := first + left.shape[1])
         basis[rows, columns] = left
         blocks.append((rows, columns))
-    return Tangents(P, basis, blocks)
+    return TangentSpace(P, basis, blocks)
 
 
-def second_variation(system: Any, x: Floats, function: Any, tangents: Tangents) -> Floats:
+def second_variation(system: Any, x: Floats, function: Any, tangents: TangentSpace) -> Floats:
     """Return the second derivatives of F(exp(D_v) x) by v, at v = 0, in the basis of the tangent space."""
     P, U, blocks = tangents
     u = np.asarray(function.gradient(x, 0.0), dtype=np.float64)

@@ -17,7 +17,7 @@ from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import check_finite, read_finite, read_integer, read_numbers, to_array
 
 
-class Sampled(NamedTuple):
+class SampledSignal(NamedTuple):
     """A signal at equidistant times, with values (members, k, channels).
 
     `members` and `channels` state whether the argument had these axes.
@@ -29,7 +29,7 @@ class Sampled(NamedTuple):
     channels: bool
 
 
-def sampled(given: Any, signal: Any = None, min_count: int = 2) -> Sampled:
+def sampled(given: Any, signal: Any = None, min_count: int = 2) -> SampledSignal:
     """Return the signal of a run, or samples, at equidistant times; at least `min_count` of them.
 
     For the kinds of signals see `frequencies`. Raise ValueError for uneven times, too few samples, or values that are
@@ -64,7 +64,7 @@ def sampled(given: Any, signal: Any = None, min_count: int = 2) -> Sampled:
         values = values[:, None]
     if 0 in values.shape:
         raise ValueError(f"signal has the shape {values.shape}; it must have at least one member and one channel")
-    return Sampled(t[:count], np.swapaxes(values[:count], 0, 1), several, channels)
+    return SampledSignal(t[:count], np.swapaxes(values[:count], 0, 1), several, channels)
 
 
 def _signal_of_run(run: Solution, signal: Any) -> NDArray[Any]:

@@ -90,7 +90,7 @@ class Worst(NamedTuple):
     total: float
 
 
-class Step(NamedTuple):
+class StepErrors(NamedTuple):
     """Errors of a step by its length, changes in it, and differences by rounding, (..., members, groups)."""
 
     errors: Floats
@@ -134,25 +134,25 @@ class _Measured:
         runs: tuple[Preparation, ...] = (self.prepared, self.alone)
         states = [states for _, states, _ in points]
         if any(one.hamiltonian.timed or one.forces for one in prepared.system.distinct):
-            step = Step(*map(np.stack, zip(*(self._step(runs, x, t) for t, x, _ in points), strict=True)))
+            step = StepErrors(*map(np.stack, zip(*(self._step(runs, x, t) for t, x, _ in points), strict=True)))
         else:
             # The members at all points side by side.
             if system.is_batch:
                 repeated = np.tile(np.arange(len(members)), len(points))
                 runs = tuple(run.sampled(repeated) for run in dict.fromkeys(runs))
             step = self._step(runs, np.concatenate(states), points[0][0])
-            step = Step(*(part.reshape(len(points), -1, self.groups.count) for part in step))
+            step = StepErrors(*(part.reshape(len(points), -1, self.groups.count) for part in step))
         norms = self.groups.norms(states[0][None] if len(points) == 1 else np.stack(states))
         held = np.stack([held for _, _, held in points])
         if not held.all():
-            step, norms = Step(*(np.where(held[..., None], part, 0.0) for part in step)), norms * held[..., None]
+            step, norms = StepErrors(*(np.where(held[..., None], part, 0.0) for part in step)), norms * held[..., None]
         self.step, self.starts, self.sizes = step, norms[0], norms.max(axis=0)
         self.rounding = step.rounding.max(axis=0)
         self.weights = self._weights()
 
     def _step(
         self, runs: tuple[Preparation, ...], states: Floats, t: float, known_rounding: Floats | None = None
-    ) -> Step:
+    ) -> StepErrors:
         """Measure a step from states, zero if it cannot be repeated; rounding by the last run unless it is known."""
         h, groups, prepared = self.h, self.groups, runs[0]
         middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
@@ -178,7 +178,7 @@ class _Measured:
         errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
         failed = ~np.isfinite(errors + changes).all(axis=1)
         errors[failed], changes[failed] = 0.0, 0.0
-        return Step(errors, changes, rounding)
+        return StepErrors(errors, changes, rounding)
 
     @property
     def lossy(self) -> bool:

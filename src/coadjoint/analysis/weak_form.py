@@ -37,7 +37,7 @@ EQUAL_STEPS = 1e-6
 """Relative difference of steps that count as equal."""
 
 
-class Samples(NamedTuple):
+class TrajectorySamples(NamedTuple):
     """Trajectories (members, k, n) at increasing times, scaled to the mean square 1, and what was given."""
 
     algebra: LieAlgebra
@@ -48,7 +48,7 @@ class Samples(NamedTuple):
     given: tuple[Floats, Floats]
 
     @classmethod
-    def of(cls, algebra: Any, t: Any, x: Any, sign: int) -> Samples:
+    def of(cls, algebra: Any, t: Any, x: Any, sign: int) -> TrajectorySamples:
         """Validate the samples."""
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is {short(algebra)}; give a LieAlgebra, such as co.algebras.so(3)")
@@ -128,7 +128,7 @@ def complement_of_casimirs(algebra: LieAlgebra, exponents: NDArray[np.int64]) ->
     return np.asarray(rows[:rank].T)
 
 
-class Equations(NamedTuple):
+class WeakEquations(NamedTuple):
     """Equations of a group of test functions: matrix (w, n, p), right-hand side (w, n), and what their errors need."""
 
     A: Floats
@@ -138,7 +138,7 @@ class Equations(NamedTuple):
     slope: Floats
 
 
-def equations_of(data: Samples, exponents: NDArray[np.int64], r: int) -> Iterator[Equations]:
+def equations_of(data: TrajectorySamples, exponents: NDArray[np.int64], r: int) -> Iterator[WeakEquations]:
     """Yield the equations in groups that share no samples with weights."""
     s = np.arange(-r, r + 1) / r
     bump, slope = (1 - s**2) ** POWER, -2 * POWER * s * (1 - s**2) ** (POWER - 1) / (r * data.step)
@@ -152,15 +152,17 @@ def equations_of(data: Samples, exponents: NDArray[np.int64], r: int) -> Iterato
             for w, start in enumerate(starts):
                 psi[w, start : start + 2 * r + 1], of_slope[w, start : start + 2 * r + 1] = bump, slope
             fields = data.sign * moved(data.algebra, x, gradients_of(exponents, x))
-            yield Equations(np.tensordot(psi, fields, 1), -of_slope @ x, x, psi, of_slope)
+            yield WeakEquations(np.tensordot(psi, fields, 1), -of_slope @ x, x, psi, of_slope)
 
 
-def in_basis(group: Equations, complement: Floats) -> Equations:
+def in_basis(group: WeakEquations, complement: Floats) -> WeakEquations:
     """Return equations for the coefficients in a basis."""
     return group._replace(A=group.A @ complement)
 
 
-def whitened_equations(data: Samples, group: Equations, H: Polynomial | None, noise: Floats) -> tuple[Floats, Floats]:
+def whitened_equations(
+    data: TrajectorySamples, group: WeakEquations, H: Polynomial | None, noise: Floats
+) -> tuple[Floats, Floats]:
     """Return matrix and right-hand side, divided by a root of the covariance of errors, of the latter without H."""
     # Samples x + e change the equations by sum_t (psi dF/dx + psi') e, with the field F of H.
     w, n = group.b.shape
@@ -175,7 +177,7 @@ def whitened_equations(data: Samples, group: Equations, H: Polynomial | None, no
     return solved[:, :-1], solved[:, -1]
 
 
-def field_derivatives(data: Samples, H: Polynomial, x: Floats) -> Floats:
+def field_derivatives(data: TrajectorySamples, H: Polynomial, x: Floats) -> Floats:
     """Return dF/dx (k, n, n) of F = sign J(x) grad H(x) at states (k, n)."""
     hessian = np.stack([H.derivative(j).gradient(x) for j in range(x.shape[1])], axis=1)
     gradient, out = H.gradient(x), moved(data.algebra, x, hessian)

@@ -26,7 +26,7 @@ import numpy as np
 from coadjoint.choosing.candidates import Candidate, supported_candidates, with_measured_work
 from coadjoint.choosing.fitting import (
     ROUNDING_SHARE,
-    Fit,
+    StepFit,
     confirmed_fit,
     extrapolated_fit,
     first_tolerance_trial,
@@ -56,7 +56,7 @@ TRIAL_COST_FACTOR = 1.5
 # Smallest target of the error, which is used as a divisor.
 MIN_GOAL = 2.0**-1000
 
-FirstTrials = list[tuple[Candidate, Fit | None]]
+FirstTrials = list[tuple[Candidate, StepFit | None]]
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def _fits_of_constant_steps(
     candidates: Sequence[Candidate],
     required: float,
     first_trials: FirstTrials,
-) -> list[Fit]:
+) -> list[StepFit]:
     """Fit the schemes with constant steps that may be the best."""
     goal_of = partial(_target_error, required=required)
     extrapolated = [extrapolated_fit(trial, goal_of(each)) for each, trial in first_trials if trial is not None]
@@ -267,7 +267,7 @@ def _fits_of_constant_steps(
     # The first trial is not exact.
     variable_step_cost = math.inf if cheapest is None else TRIAL_COST_FACTOR * cheapest.cost
     predictor, least = StepPredictor(goal_of, cheapest), least_roundoff(pilot)
-    pending, fits = [each for each in candidates if not each.method.own_steps], list[Fit]()
+    pending, fits = [each for each in candidates if not each.method.own_steps], list[StepFit]()
     while pending:
         candidate = pending.pop(0)
         # Fits with too much rounding do not exclude other schemes, but limit the cost of their trials.
@@ -287,9 +287,11 @@ def _fits_of_constant_steps(
     return fits
 
 
-def _fits_of_own_steps(pilot: Pilot, required: float, first_trials: FirstTrials, fits: Sequence[Fit]) -> list[Fit]:
+def _fits_of_own_steps(
+    pilot: Pilot, required: float, first_trials: FirstTrials, fits: Sequence[StepFit]
+) -> list[StepFit]:
     """Fit the tolerances of the schemes that choose their own steps; `fits` are those of constant steps."""
-    found = list[Fit]()
+    found = list[StepFit]()
     for candidate, trial in first_trials:
         limit = _lowest_cost([*fits, *found], required)
         result = fit_of_tolerance(pilot, candidate, _target_error(candidate, required), limit, trial)
@@ -298,14 +300,14 @@ def _fits_of_own_steps(pilot: Pilot, required: float, first_trials: FirstTrials,
     return found
 
 
-def _lowest_cost(fits: Sequence[Fit], required: float) -> float:
+def _lowest_cost(fits: Sequence[StepFit], required: float) -> float:
     """Return the least cost among fits with acceptable rounding."""
     return min((each.cost for each in fits if _with_acceptable_roundoff(each, required) is not None), default=math.inf)
 
 
 def _fits_with_acceptable_roundoff(
-    pilot: Pilot, candidates: Sequence[Candidate], required: float, fits: Sequence[Fit]
-) -> list[Fit]:
+    pilot: Pilot, candidates: Sequence[Candidate], required: float, fits: Sequence[StepFit]
+) -> list[StepFit]:
     """Return the fits with acceptable rounding; raise ValueError if there are none."""
     time = abs(pilot.span)
     if not fits:
@@ -320,10 +322,10 @@ def _fits_with_acceptable_roundoff(
 
 
 def _confirmed_cheapest(
-    pilot: Pilot, candidates: Sequence[Candidate], accurate: Sequence[Fit], required: float
-) -> list[Fit]:
+    pilot: Pilot, candidates: Sequence[Candidate], accurate: Sequence[StepFit], required: float
+) -> list[StepFit]:
     """Sort by cost with the first one confirmed, which may increase its cost; raise ValueError if none is."""
-    pending, confirmed_fits, failed = sorted(accurate, key=lambda each: each.cost), list[Fit](), list[Fit]()
+    pending, confirmed_fits, failed = sorted(accurate, key=lambda each: each.cost), list[StepFit](), list[StepFit]()
     while pending and (not confirmed_fits or pending[0].cost < min(each.cost for each in confirmed_fits)):
         first = pending.pop(0)
         found = confirmed_fit(first, _target_error(first.candidate, required), required)
@@ -334,7 +336,7 @@ def _confirmed_cheapest(
     return [confirmed_fits[0], *sorted([*confirmed_fits[1:], *pending], key=lambda each: each.cost)]
 
 
-def _with_acceptable_roundoff(fitted: Fit, required: float) -> Fit | None:
+def _with_acceptable_roundoff(fitted: StepFit, required: float) -> StepFit | None:
     """Return a fit with acceptable rounding, by compensated summation if needed and allowed; else None."""
     if fitted.roundoff <= ROUNDING_SHARE * required:
         return fitted
@@ -345,7 +347,7 @@ def _with_acceptable_roundoff(fitted: Fit, required: float) -> Fit | None:
     return adjusted if adjusted.roundoff <= ROUNDING_SHARE * required else None
 
 
-def _choice_of_fit(fitted: Fit, required: float) -> Choice:
+def _choice_of_fit(fitted: StepFit, required: float) -> Choice:
     span = abs(fitted.pilot.span)
     error = fitted.error + fitted.roundoff
     return Choice(fitted.candidate.method, span / fitted.steps, required, error, fitted.roundoff, fitted.cost)

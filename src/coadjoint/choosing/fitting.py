@@ -68,7 +68,7 @@ FLOW_PATH_RATIO = 4.0
 
 
 @dataclass(frozen=True)
-class Fit:
+class StepFit:
     """A scheme with the number of its steps in the span, and the truncation error expected at the end."""
 
     pilot: Pilot
@@ -110,7 +110,7 @@ def _expected_rounding(pilot: Pilot, candidate: Candidate, steps: int, windows: 
 
 def fit(
     pilot: Pilot, candidate: Candidate, goal: float, limit: float, predicted_steps: float | None = None
-) -> Fit | None:
+) -> StepFit | None:
     """Fit the steps for a truncation error `goal` at the end; None if none is found up to about the cost `limit`."""
     order = candidate.method.order
     cost_limit = (1.0 + ABANDON_COST_EXCESS / order) * limit
@@ -165,7 +165,7 @@ def _least_cost(pilot: Pilot, candidate: Candidate, trial: Trial) -> float:
     return trial.steps * pilot.windows * candidate.cost(single) * candidate.share
 
 
-def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> Fit:
+def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, noise: float) -> StepFit:
     """Extrapolate by the order from a trial to the goal; trial errors count as at least noise / 256."""
     end = max(trial.error, noise / 256) * candidate.growth(pilot, trial)
     per_window = trial.steps * (end / goal) ** (1.0 / candidate.method.order) if end < math.inf else math.inf
@@ -173,10 +173,10 @@ def _extrapolate(pilot: Pilot, candidate: Candidate, goal: float, trial: Trial, 
     count = min(max(1.0, pilot.windows * per_window), 2.0**52)
     steps = math.ceil(count * (1.0 - 1e-12))
     error = end * (trial.steps * pilot.windows / steps) ** candidate.method.order if end < math.inf else math.inf
-    return Fit(pilot, candidate, steps, error, trial)
+    return StepFit(pilot, candidate, steps, error, trial)
 
 
-def confirmed_fit(fitted: Fit, goal: float, required: float) -> Fit:
+def confirmed_fit(fitted: StepFit, goal: float, required: float) -> StepFit:
     """Run a fit over the window once more, and correct its step until the error at the end serves `required`."""
     # An error that may be rounding is measured too, since large steps amplify rounding beyond its estimate.
     pilot, order = fitted.pilot, fitted.candidate.method.order
@@ -212,12 +212,12 @@ def confirmed_fit(fitted: Fit, goal: float, required: float) -> Fit:
     return replace(fitted, error=max(end * required / limit, math.nextafter(required, math.inf)))
 
 
-def first_tolerance_trial(pilot: Pilot, candidate: Candidate, goal: float) -> Fit | None:
+def first_tolerance_trial(pilot: Pilot, candidate: Candidate, goal: float) -> StepFit | None:
     """Return the fit by one trial of a scheme with variable steps; None if it fails."""
     return _tolerance_trial(pilot, candidate, _first_tolerance(pilot, goal))
 
 
-def extrapolated_fit(fitted: Fit, goal: float) -> Fit:
+def extrapolated_fit(fitted: StepFit, goal: float) -> StepFit:
     """Extrapolate a fit to another error at the end, by the order."""
     if not 0.0 < fitted.error < math.inf:
         return fitted
@@ -226,8 +226,8 @@ def extrapolated_fit(fitted: Fit, goal: float) -> Fit:
 
 
 def fit_of_tolerance(
-    pilot: Pilot, candidate: Candidate, goal: float, limit: float, first: Fit | None = None
-) -> Fit | None:
+    pilot: Pilot, candidate: Candidate, goal: float, limit: float, first: StepFit | None = None
+) -> StepFit | None:
     """Fit the tolerance of variable steps to an error `goal` at the end; None if none is below the cost `limit`."""
     # The error is roughly proportional to the tolerance, so few trials suffice.
     tolerance, best = _first_tolerance(pilot, goal), None
@@ -259,7 +259,7 @@ def _first_tolerance(pilot: Pilot, goal: float) -> float:
     return goal * INITIAL_TOLERANCE_RATIO / math.sqrt(max(1.0, pilot.sensitivity.whole))
 
 
-def _tolerance_trial(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fit | None:
+def _tolerance_trial(pilot: Pilot, candidate: Candidate, tolerance: float) -> StepFit | None:
     """Return the fit by a trial with one tolerance, or None; a rounding-like error is at most the sum of tolerances."""
     adjusted = candidate.reaching(tolerance)
     trial = pilot.trial(adjusted.method)
@@ -268,7 +268,7 @@ def _tolerance_trial(pilot: Pilot, candidate: Candidate, tolerance: float) -> Fi
     noise = MEASURABLE_RATIO * max(pilot.noise, roundoff(pilot, trial.steps, 0, True, 1.0))
     error = trial.error if trial.error > noise else min(trial.error, trial.steps * tolerance)
     end = error * adjusted.growth(pilot, trial)
-    return Fit(pilot, adjusted, max(1, math.ceil(trial.steps * pilot.windows)), end, trial)
+    return StepFit(pilot, adjusted, max(1, math.ceil(trial.steps * pilot.windows)), end, trial)
 
 
 def least_roundoff(pilot: Pilot) -> float:

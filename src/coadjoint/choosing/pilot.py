@@ -78,7 +78,7 @@ MAX_ENTRIES = 256
 MAX_SYSTEMS = 16
 
 
-class Growth(NamedTuple):
+class PilotErrors(NamedTuple):
     """The largest errors of the second halves of a quarter, a half and the whole of a window."""
 
     quarter: float
@@ -107,7 +107,7 @@ class Trial(NamedTuple):
     """A run over the window: steps, errors, iterations and evaluations per step and member, use of Newton's method."""
 
     steps: int
-    growth: Growth
+    growth: PilotErrors
     iterations: float
     evaluations: float
     newton: bool = False
@@ -177,14 +177,14 @@ class Pilot:
             per_step = evaluations / (steps * members)
         return Trial(steps, self.growth_of(run.saved["x"]), iterations / (steps * members), per_step, newton)
 
-    def growth_of(self, states: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> Growth:
+    def growth_of(self, states: NDArray[np.float64], motion: NDArray[np.float64] | None = None) -> PilotErrors:
         """Compare states at evenly spaced points of the window with the reference, or with another motion."""
         count = len(states) - 1
         reference = self.reference if motion is None else motion
         differences = np.linalg.norm(states - reference[:: self.points // count], axis=2) / self.size
         worst = np.max(differences, axis=1)
         parts = (worst[count * k // 8 + 1 : count * k // 4 + 1] for k in (1, 2, 4))
-        return Growth(*(float(np.max(part, initial=0.0)) for part in parts))
+        return PilotErrors(*(float(np.max(part, initial=0.0)) for part in parts))
 
     def _natural_step(self) -> float:
         """Return the largest step, among halves of the span, at which the reference is accurate from the start."""
@@ -267,7 +267,7 @@ class Pilot:
                 change = np.maximum(spread, np.minimum(difference, MAX_ROUNDING_RATIO * spread))
         return max(UNIT_ROUNDOFF, float(np.max(change / self.size)))
 
-    def _sensitivity(self, coarse: NDArray[np.float64]) -> Growth:
+    def _sensitivity(self, coarse: NDArray[np.float64]) -> PilotErrors:
         """Return the relative growth of a small change of the initial state, with the steps of the coarse reference."""
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
         direction *= PERTURBATION * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
@@ -275,8 +275,8 @@ class Pilot:
         grown = None if np.any(run.state["status"]) else self.growth_of(run.saved["x"], coarse)
         if grown is None or grown.whole > MAX_PERTURBATION_GROWTH:
             # Growth saturates at the size of the motion, so exponential growth is assumed.
-            return Growth(math.sqrt(PERTURBATION), 1.0, 1.0 / PERTURBATION)
-        return Growth(*(value / PERTURBATION for value in grown))
+            return PilotErrors(math.sqrt(PERTURBATION), 1.0, 1.0 / PERTURBATION)
+        return PilotErrors(*(value / PERTURBATION for value in grown))
 
     def _speed(self) -> float:
         """Return the largest speed relative to the size, over the window."""

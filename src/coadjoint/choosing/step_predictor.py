@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass, replace
 
 from coadjoint.choosing.candidates import Candidate
-from coadjoint.choosing.fitting import MEANINGLESS_ERROR, Fit
-from coadjoint.choosing.pilot import REFERENCE, Growth, Trial
+from coadjoint.choosing.fitting import MEANINGLESS_ERROR, StepFit
+from coadjoint.choosing.pilot import REFERENCE, PilotErrors, Trial
 from coadjoint.methods.protocol.method import Method
 
 # Divisors that make a cost predicted from related schemes a lower bound: for series, predicted from the nearest order,
@@ -30,7 +30,7 @@ MIN_ERROR = 2.0**-1000  # relative error in place of zero, of which no logarithm
 class SeriesErrorModel:
     """Error model c (h / r)^p of series, fitted to two: ``log N = log(T / r) + (log c - log goal) / p``."""
 
-    def __init__(self, first: Fit, second: Fit) -> None:
+    def __init__(self, first: StepFit, second: StepFit) -> None:
         p, q = first.candidate.method.order, second.candidate.method.order
         at_p, at_q = (
             math.log(fit.steps) + math.log(max(fit.error, MIN_ERROR)) / p for fit, p in ((first, p), (second, q))
@@ -47,12 +47,12 @@ class SeriesErrorModel:
 class StepPredictor:
     """Cost model of the remaining schemes with constant steps, from the fits so far."""
 
-    def __init__(self, goal_of: Callable[[Candidate], float], first_trial: Fit | None) -> None:
+    def __init__(self, goal_of: Callable[[Candidate], float], first_trial: StepFit | None) -> None:
         self._goal_of, self._first_trial = goal_of, first_trial
-        self._fits: list[Fit] = []
+        self._fits: list[StepFit] = []
         self._error_model: SeriesErrorModel | None = None
 
-    def add_fit(self, fit: Fit) -> bool:
+    def add_fit(self, fit: StepFit) -> bool:
         """Add a fit, also an abandoned one; return whether predictions have just become available."""
         if fit.end >= MEANINGLESS_ERROR:
             return False
@@ -104,18 +104,18 @@ class StepPredictor:
             *(each for each in candidates if not _is_series(each.method)),
         ]
 
-    def _related_fits(self, candidate: Candidate) -> list[Fit]:
+    def _related_fits(self, candidate: Candidate) -> list[StepFit]:
         """Return the fits of related schemes, nearest order first."""
         method = candidate.method
         related = [each for each in self._fits if not each.trial.newton and _related(each.candidate.method, method)]
         return sorted(related, key=lambda each: abs(each.candidate.method.order - method.order))
 
-    def _steps(self, error_model: SeriesErrorModel, candidate: Candidate, related: Fit) -> float:
+    def _steps(self, error_model: SeriesErrorModel, candidate: Candidate, related: StepFit) -> float:
         """Predict the steps of a scheme from those of a related one, scaled by the model."""
         related_steps = error_model.steps(related.candidate.method.order, self._goal_of(related.candidate))
         return related.steps * error_model.steps(candidate.method.order, self._goal_of(candidate)) / related_steps
 
-    def _related_cost(self, error_model: SeriesErrorModel, candidate: Candidate, related: Fit) -> float:
+    def _related_cost(self, error_model: SeriesErrorModel, candidate: Candidate, related: StepFit) -> float:
         """Predict the cost of a scheme from a related one; reduced if that was extrapolated far."""
         stages = related.trial.evaluations / max(related.trial.iterations, 1.0)
         stages *= candidate.method.order / related.candidate.method.order
@@ -124,11 +124,11 @@ class StepPredictor:
 
 
 def _step_cost(candidate: Candidate, iterations: float, stages: float) -> float:
-    trial = Trial(1, Growth(0.0, 0.0, 0.0), iterations, iterations * stages)
+    trial = Trial(1, PilotErrors(0.0, 0.0, 0.0), iterations, iterations * stages)
     return candidate.cost(trial) * candidate.share
 
 
-def series_error_model(fits: Sequence[Fit]) -> SeriesErrorModel | None:
+def series_error_model(fits: Sequence[StepFit]) -> SeriesErrorModel | None:
     """Return the model by the first two series with sufficiently different orders; None if there are none."""
     series = [each for each in fits if _is_series(each.candidate.method)]
     for second, first in ((a, b) for k, a in enumerate(series) for b in series[:k]):

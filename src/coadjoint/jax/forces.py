@@ -14,7 +14,7 @@ from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
 from coadjoint.jax.numpy_arrays import on_jax
-from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, Field
+from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField
 from coadjoint.jax.table_steps import product
 from coadjoint.methods.forced import Forced, substeps_of
 from coadjoint.systems.forces.base import Noise
@@ -24,14 +24,14 @@ Flow = Callable[[Any, Any, Any, Any, Any], Any]
 """The flow of a force: of constants, state, time, duration and member."""
 
 
-class ForcedSteps:
+class StepsBetweenForces:
     """Steps of another scheme between half flows of forces, at fractions of the step, as of `methods.Forced`."""
 
-    def __init__(self, inner: Any, system: Any, field: Field, scheme: Forced) -> None:
+    def __init__(self, inner: Any, system: Any, field: StageField, scheme: Forced) -> None:
         self.inner, self.fractions = inner, scheme.fractions
         plain = system.unforced
         self.flows: list[Flow] = [
-            force.describe_to(ForceFlows(plain, field, f"a function of {label}", scheme.order), plain)
+            force.describe_to(ForceReaders(plain, field, f"a function of {label}", scheme.order), plain)
             for label, force in system.labelled_forces
         ]
 
@@ -69,10 +69,10 @@ class ForcedSteps:
     whole = step
 
 
-class ForceFlows:
+class ForceReaders:
     """A reader of a force that makes its flow in schemes of an order; `what` names its functions in messages."""
 
-    def __init__(self, system: Any, field: Field, what: str, order: int) -> None:
+    def __init__(self, system: Any, field: StageField, what: str, order: int) -> None:
         self.system, self.field, self.what, self.order = system, field, what, order
 
     def damping(self, rate: Any, toward: Any) -> Flow:

@@ -52,7 +52,7 @@ def sparse(rows: Any, columns: Any, values: Any, shape: tuple[int, int]) -> Spar
     return Sparse(jnp.zeros((shape[0], width)).at[rows, place].add(values), padded)
 
 
-class Field:
+class StageField:
     """The field of a Hamiltonian of polynomials and functions, and exponentials of the algebra."""
 
     # `monomials` have coefficients, the energy in the arguments of the methods.
@@ -123,7 +123,7 @@ def gradient_of(term: FunctionTerm) -> Any:
 class StageSteps:
     """Steps of an implicit Runge-Kutta method; the constants are the coefficients of the energy."""
 
-    def __init__(self, field: Field, tableau: Coefficients) -> None:
+    def __init__(self, field: StageField, tableau: Coefficients) -> None:
         self.field, self.tableau = field, tableau
 
     def constants(self, energy: Any) -> Any:

@@ -18,7 +18,7 @@ from jax.scipy.linalg import expm
 
 from coadjoint.jax.body_angles import BodyAngles
 from coadjoint.jax.stage_steps import Sparse, gradient_of, sparse
-from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, Kind
+from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, BlockKind
 from coadjoint.program.shifts.group_correction import UnshiftTables
 
 Table = Mapping[str, Any]
@@ -138,7 +138,7 @@ class Angles(NamedTuple):
         return tau * theta
 
 
-class Part:
+class TablePart:
     """A part of the table: its angles, and layers of its blocks."""
 
     def __init__(self, table: Table, functions: Mapping[int, Any], part: int, side: int | None) -> None:
@@ -178,7 +178,7 @@ class TableSteps:
         self.table, self.side = table, side
         self.generators = [_generator(one) for one in unshift]
         self.after_shift = _after_shift(table)
-        self.parts = [Part(table, functions, p, side) for p in range(len(table["share"]) - 1)]
+        self.parts = [TablePart(table, functions, p, side) for p in range(len(table["share"]) - 1)]
         sections = [range(*table["section"][k : k + 2].tolist()) for k in range(3)]
         self.first_rows, self.step_rows, self.finish_rows = sections
 
@@ -334,7 +334,7 @@ def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[La
         layers.setdefault(own, []).append(b)
     found: list[Layer | SeriesBlock] = []
     for _, blocks in sorted(layers.items()):
-        series = [b for b in blocks if table["kind"][b] == Kind.SERIES and table["norm"][b]]
+        series = [b for b in blocks if table["kind"][b] == BlockKind.SERIES and table["norm"][b]]
         closed = [b for b in blocks if b not in series]
         if closed:
             found.append(_layer(table, closed, n, count))
@@ -355,8 +355,8 @@ def _layer(table: Table, blocks: Sequence[int], n: int, count: int) -> Layer:
         inside, entries, kind = _coordinates(table, b), _entries(table, b), table["kind"][b]
         angle[inside] = table["angle"][entries][0]
         mean[inside], square[inside] = table["mean"][b], table["lambda"][b]
-        nilpotent[inside] = kind != Kind.SCALE and table["lambda"][b] == 0.0
-        powers = RULES[Kind(kind)].degree
+        nilpotent[inside] = kind != BlockKind.SCALE and table["lambda"][b] == 0.0
+        powers = RULES[BlockKind(kind)].degree
         degree[inside] = table["degree"][b] if powers is None else powers
         own = {(int(i), int(i)): -float(table["mean"][b]) for i in inside if table["mean"][b]}
         places = zip(table["row"][entries].tolist(), table["column"][entries].tolist(), strict=True)

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.forces import ForcedSteps
+from coadjoint.jax.forces import StepsBetweenForces
 from coadjoint.jax.primitives import doubles
-from coadjoint.jax.stage_steps import Field, StageSteps
+from coadjoint.jax.stage_steps import StageField, StageSteps
 from coadjoint.jax.table_steps import DEPENDENT, TableSteps
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
@@ -43,7 +43,7 @@ class Described(NamedTuple):
 
     steps: Any
     table: Mapping[str, Any]
-    field: Field
+    field: StageField
 
 
 class XlaRun:
@@ -60,7 +60,7 @@ class XlaRun:
         elif self._system.forces:
             forced = cast(Forced, prepared.scheme)
             steps, self._table, field = _described(self._system.unforced, forced.inner, group)
-            self._steps = ForcedSteps(steps, self._system, field, forced)
+            self._steps = StepsBetweenForces(steps, self._system, field, forced)
         else:
             self._steps, self._table, _ = _described(self._system.unforced, method, group)
         self._linear = self._number_linear_terms()
@@ -314,7 +314,7 @@ def _described(system: Any, method: Any, group: Any) -> Described:
     if not system.has_structure_constants:
         raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
     table: Mapping[str, Any] = {"fixed": [], **energy_and_parameters(system)}
-    field = Field(system, table["energy"]["monomials"])
+    field = StageField(system, table["energy"]["monomials"])
     if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
         if group is not None:
             raise TypeError(f'{CALLER} computes attitudes by splittings only, not by {method}; take backend="compiled"')

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from coadjoint.algebra.invariants.invariant import ANGLE, COSH, HOLD, LOGARITHM, QUOTIENT, SINH, SINH_SQUARED
 from coadjoint.kernels.library import kernels
-from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, Kind
+from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, BlockKind
 from coadjoint.program.shifts.group_correction import Turn
 from coadjoint.program.term_table import FUNCTION, LINEAR, POLYNOMIAL
 
@@ -31,7 +31,7 @@ class Array(NamedTuple):
     axes: tuple[str, ...]
 
 
-class Description(NamedTuple):
+class LibraryInterface(NamedTuple):
     """The interface by name: fields (type, field) of `tables`, `arrays` "saved" and "state", `codes` and "Limit"."""
 
     tables: Mapping[str, Fields]
@@ -40,7 +40,7 @@ class Description(NamedTuple):
 
 
 PYTHON_CODES: Mapping[str, Mapping[str, int]] = {
-    "Kind": {kind.name: int(kind) for kind in Kind},
+    "Kind": {kind.name: int(kind) for kind in BlockKind},
     "TermKind": {"LINEAR": LINEAR, "POLYNOMIAL": POLYNOMIAL, "FUNCTION": FUNCTION},
     "Role": {
         "HOLD": HOLD,
@@ -98,7 +98,7 @@ TYPES = ("numbers", "integers")
 """Types of the arrays of a run: float64 and int64."""
 
 
-def parse_description(text: str) -> Description:
+def parse_description(text: str) -> LibraryInterface:
     """Parse a description: a line for each table, kind of arrays and list of codes, with its entries."""
     parsed: dict[str, dict[str, Any]] = {"table": {}, "arrays": {}, "codes": {}}
     for line in text.splitlines():
@@ -111,10 +111,10 @@ def parse_description(text: str) -> Description:
             parsed[section][name] = {label: Array(kind, tuple(axes[::2])) for kind, label, *axes in entries}
         else:
             parsed[section][name] = {label: int(value) for label, value in entries}
-    return Description(parsed["table"], parsed["arrays"], parsed["codes"])
+    return LibraryInterface(parsed["table"], parsed["arrays"], parsed["codes"])
 
 
-def check(description: Description) -> None:
+def check(description: LibraryInterface) -> None:
     """Raise ImportError, with the first difference and the remedy, unless the kernels match this package."""
     codes, arrays = description.codes, description.arrays
     for list_name, values in PYTHON_CODES.items():
@@ -170,7 +170,7 @@ def interface_text() -> str:
 
 
 @cache
-def kernel_interface() -> Description:
+def kernel_interface() -> LibraryInterface:
     """Return the description of the loaded kernels, checked once; ImportError if missing or of another version."""
     try:
         description = parse_description(interface_text())

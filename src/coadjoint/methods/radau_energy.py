@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.gauss_legendre import read_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
-from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation, linear_solve
+from coadjoint.methods.numerics.solvers import Coefficients, StageProblem, begin, iterate_to_stagnation, linear_solve
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
 from coadjoint.program.numbers import Number
@@ -116,7 +116,7 @@ class RadauEnergy(CompiledStepMethod):
         derivatives = np.linalg.solve(matrix, rhs)
         return step.x + step.coefficients.out @ slopes, derivatives[(s - 1) * n : s * n]
 
-    def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any], NDArray[Any]]:
+    def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[StageProblem, NDArray[Any], NDArray[Any]]:
         """Return the step, its slopes L_j = h b_j f(X_j) + nu_j X_j, shape (s, n), and the multipliers nu_j."""
         self.properties(system)
         step = begin(self._tableau, system, x, t, h)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.formal.formal_numbers import FormalNumber
-from coadjoint.methods.numerics.solvers import Coefficients, Step, begin, iterate_to_stagnation
+from coadjoint.methods.numerics.solvers import Coefficients, StageProblem, begin, iterate_to_stagnation
 from coadjoint.methods.protocol.cost_model import Work, work_of_iterations
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -95,7 +95,7 @@ class SphericalMidpoint(CompiledStepMethod):
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         raise TypeError("a step of SphericalMidpoint has square roots, and is no series in exact numbers")
 
-    def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[Step, NDArray[Any]]:
+    def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[StageProblem, NDArray[Any]]:
         """Return the step and its slope L = h f(y)."""
         self.properties(system)
         spins = spins_of(system)

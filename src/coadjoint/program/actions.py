@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.block_table import MIN_REPEATED, BlockTable, block_table, joined_tables, repeated_block_table
-from coadjoint.program.blocks import RULES, Kind
+from coadjoint.program.blocks import RULES, BlockKind
 from coadjoint.program.generators import BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.part import Parts
@@ -91,7 +91,7 @@ def _sharing_labels(blocks: BlockTable) -> Integers:
     label = np.zeros(len(blocks.kind), dtype=np.int64)
     with_entries = blocks.entries > 0
     label[with_entries] = np.flatnonzero(with_entries)
-    for kind in (Kind.SCALE, Kind.ROTATE, Kind.PLANE):
+    for kind in (BlockKind.SCALE, BlockKind.ROTATE, BlockKind.PLANE):
         members = np.flatnonzero(blocks.kind == kind)
         for column in range(RULES[kind].header):
             values, inverse = np.unique(blocks.constants[blocks.constant_begin[members] + column], return_inverse=True)
@@ -114,7 +114,7 @@ def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) 
     kind, count = kind[order], count[order]
     begins_run = run_starts(part, group_level, kind, count)
     begins_run[1:] |= angle[1:] != angle[:-1] + 1
-    begins_run |= (kind == Kind.CUBIC) | (kind == Kind.SERIES)
+    begins_run |= (kind == BlockKind.CUBIC) | (kind == BlockKind.SERIES)
     selection = member[expand(begins, begins + count)[1]]
     in_order = bool(np.all(selection[1:] > selection[:-1]))
     return _Groups(part, angle, starts_of(count), begins_run), blocks if in_order else blocks.take(selection)
@@ -135,7 +135,7 @@ def _arrange_runs(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) 
     leader = groups.block[first]
     kind = blocks.kind
     # The blocks of a group share the constants of its first block, except for shears.
-    stored = (kind == Kind.SHEAR) | (kind == Kind.CUBIC) | (kind == Kind.SERIES)
+    stored = (kind == BlockKind.SHEAR) | (kind == BlockKind.CUBIC) | (kind == BlockKind.SERIES)
     stored[groups.block[:-1]] = True
     length = np.where(stored, np.diff(blocks.constant_begin), 0)
     constants = (
@@ -189,12 +189,12 @@ def _empty_action(size: int, parts: int, number: Number) -> Action:
 
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Return the blocks of a run at its angle number q, as (coordinates, matrix); all but shears share one matrix."""
-    kind, repeat = Kind(action.kind[run]), int(action.repeat[run])
+    kind, repeat = BlockKind(action.kind[run]), int(action.repeat[run])
     width, index, constant = int(action.width[run]), int(action.position[run]), int(action.constant[run])
     constants, rule = action.constants, RULES[kind]
     first = index + q * repeat * width
     coordinates = action.indices[first : first + repeat * width].astype(np.int64).reshape(repeat, width)
-    own = repeat if kind == Kind.SHEAR else 1
+    own = repeat if kind == BlockKind.SHEAR else 1
     matrices = np.full((own, width, width), 0 * constants[constant], dtype=constants.dtype)
     for b, matrix in enumerate(matrices):
         if rule.matrix is not None:
@@ -239,7 +239,7 @@ def copied_action(algebra: LieAlgebra, parts: Parts) -> Action | None:
     if not tables:
         return None
     blocks = joined_tables(tables)
-    if not np.array_equal(blocks.angle, np.arange(summand.dim)) or np.any(blocks.kind != Kind.ROTATE):
+    if not np.array_equal(blocks.angle, np.arange(summand.dim)) or np.any(blocks.kind != BlockKind.ROTATE):
         return None
     inner = forms.coordinate % np.uint32(summand.dim)
     indices = blocks.indices.reshape(summand.dim, 2).astype(np.uint32)[inner]
@@ -258,7 +258,7 @@ def copied_action(algebra: LieAlgebra, parts: Parts) -> Action | None:
     return Action(
         size=algebra.dim,
         run=np.concatenate([[0], np.cumsum(used)]).astype(np.uint32),
-        kind=np.full(runs, Kind.ROTATE, dtype=np.uint8),
+        kind=np.full(runs, BlockKind.ROTATE, dtype=np.uint8),
         angles=sizes[used].astype(np.uint32),
         repeat=ones,
         angle=zeros,

@@ -19,7 +19,7 @@ from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.multiples import Multiples
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
-from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
+from coadjoint.program.sweeps import JoinRules, ProgramRows, Swept, rows_of
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.energy_derivatives import EnergyDerivative, FunctionDerivative
@@ -32,7 +32,7 @@ class AddedPart(NamedTuple):
     of both.
     """
 
-    rows: Rows
+    rows: ProgramRows
     terms: Terms
     functions: tuple[FunctionDerivative, ...]
     shares: int
@@ -101,7 +101,7 @@ def _position(program: Program, G: EnergyDerivative) -> int:
     return max(0, min(of_part[0] + 1, last))
 
 
-def _rows(program: Program, method: Swept, position: int) -> Rows:
+def _rows(program: Program, method: Swept, position: int) -> ProgramRows:
     """Return the rows with the added part at a position."""
     count = len(program.parts)
     rules = JoinRules.from_parts(program.parts, program.frequency)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
-from coadjoint.program.blocks import RULES, Block, Kind, larger_block, wide_series
+from coadjoint.program.blocks import RULES, Block, BlockKind, larger_block, wide_series
 from coadjoint.program.generators import BasisMatrices, Components, Generators, components_of
 from coadjoint.program.numbers import roundoff
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
@@ -130,11 +130,11 @@ def _shear_blocks(sets: Components) -> BlockTable:
     ends = np.arange(len(sets.value) + 1)
     low = sets.low[:-1][sets.owner]
     index = np.stack([sets.member[low + sets.row], sets.member[low + sets.column]], axis=1).ravel()
-    return _build_table(sets.angle[sets.owner], Kind.SHEAR, 2, 0, 2 * ends, index, ends, sets.value)
+    return _build_table(sets.angle[sets.owner], BlockKind.SHEAR, 2, 0, 2 * ends, index, ends, sets.value)
 
 
 def _scale_blocks(sets: Components) -> BlockTable:
-    return _build_table(sets.angle, Kind.SCALE, 1, 0, sets.low, sets.member, sets.first, sets.value)
+    return _build_table(sets.angle, BlockKind.SCALE, 1, 0, sets.low, sets.member, sets.first, sets.value)
 
 
 def _plane_blocks(sets: Components) -> BlockTable:
@@ -150,7 +150,7 @@ def _plane_blocks(sets: Components) -> BlockTable:
     constants[is_rotation, 0] = abs(c[is_rotation])
     used = np.ones(constants.shape, dtype=bool)
     used[is_rotation, 1:] = False
-    kinds = np.where(is_rotation, Kind.ROTATE, Kind.PLANE)
+    kinds = np.where(is_rotation, BlockKind.ROTATE, BlockKind.PLANE)
     return _build_table(
         sets.angle, kinds, 2, 0, sets.low, members.ravel(), starts_of(np.where(is_rotation, 1, 4)), constants[used]
     )
@@ -173,7 +173,9 @@ def _series_blocks(sets: Components, depth: Integers) -> BlockTable:
     constants = np.empty(constant_begin[-1], dtype=sets.value.dtype)
     constants[constant_begin[:-1]] = 0 * sets.value[sets.first[:-1]]
     constants[np.arange(len(sets.value)) + sets.owner + 1] = sets.value
-    return _build_table(sets.angle, np.full(size, Kind.SERIES), width, depth, begin, index, constant_begin, constants)
+    return _build_table(
+        sets.angle, np.full(size, BlockKind.SERIES), width, depth, begin, index, constant_begin, constants
+    )
 
 
 def _cyclic_blocks(sets: Components, u: Any) -> BlockTable:
@@ -195,7 +197,7 @@ def _cyclic_blocks(sets: Components, u: Any) -> BlockTable:
                 model = larger_block(width[s], local, u)
             model_numbers[key] = len(models)
             models.append(model)
-            is_series = model.kind == Kind.SERIES  # its entries, possibly very many, are those of D
+            is_series = model.kind == BlockKind.SERIES  # its entries, possibly very many, are those of D
             tails.append(_sparse_tail(width[s], row, column) if is_series else _sparse_tail_of(model))
             model_constants.append(
                 np.append(np.array(model.constants, dtype=value.dtype), value)
@@ -243,7 +245,7 @@ def blocks_of(entries: Mapping[tuple[int, int], Any], u: Any) -> list[Block]:
 
 
 def _block(table: BlockTable, b: int) -> Block:
-    kind, width, count = Kind(int(table.kind[b])), int(table.width[b]), int(table.entries[b])
+    kind, width, count = BlockKind(int(table.kind[b])), int(table.width[b]), int(table.entries[b])
     index = table.indices[table.begin[b] : table.begin[b + 1]].tolist()
     constants = table.constants[table.constant_begin[b] : table.constant_begin[b + 1]].tolist()
     if not count:

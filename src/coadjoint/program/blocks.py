@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 
-class Kind(IntEnum):
+class BlockKind(IntEnum):
     """Closed form of exp(theta D) - 1 on a block, as in `RULES`: ROTATE (0, -w; w, 0); PLANE any other 2 x 2 matrix;
     SHEAR D^2 = 0, no coordinate both source and target; CUBIC D^3 = lam D; SERIES a sum, in substeps unless D is
     nilpotent.
@@ -52,19 +52,19 @@ def _half(D: NDArray[Any]) -> Any:
 # Number of constants of a CUBIC block before the values of its entries.
 CUBIC_HEADER = 6
 
-RULES: Mapping[Kind, Rule] = {
-    Kind.SCALE: Rule(1, lambda d: [[d]], lambda D, _: D[0, 0], _zero, 0),
-    Kind.ROTATE: Rule(1, lambda w: [[0 * w, -w], [w, 0 * w]], _zero, lambda D, _: -(D[1, 0] ** 2), 2),
-    Kind.PLANE: Rule(
+RULES: Mapping[BlockKind, Rule] = {
+    BlockKind.SCALE: Rule(1, lambda d: [[d]], lambda D, _: D[0, 0], _zero, 0),
+    BlockKind.ROTATE: Rule(1, lambda w: [[0 * w, -w], [w, 0 * w]], _zero, lambda D, _: -(D[1, 0] ** 2), 2),
+    BlockKind.PLANE: Rule(
         4,
         lambda mean, half, upper, lower: [[mean + half, upper], [lower, mean - half]],
         lambda D, _: (D[0, 0] + D[1, 1]) / 2,
         lambda D, _: _half(D) * _half(D) + D[0, 1] * D[1, 0],
         2,
     ),
-    Kind.SHEAR: Rule(1, lambda d: [[0 * d, d], [0 * d, 0 * d]], _zero, _zero, 1),
-    Kind.CUBIC: Rule(CUBIC_HEADER, None, _zero, lambda _, lam: lam, 2),
-    Kind.SERIES: Rule(1, None, _zero, _zero, None),
+    BlockKind.SHEAR: Rule(1, lambda d: [[0 * d, d], [0 * d, 0 * d]], _zero, _zero, 1),
+    BlockKind.CUBIC: Rule(CUBIC_HEADER, None, _zero, lambda _, lam: lam, 2),
+    BlockKind.SERIES: Rule(1, None, _zero, _zero, None),
 }
 """The closed forms in Python; C++ has them once more, by kind, in `flows/blocks.hpp` and `flows/sparse_blocks.hpp`."""
 
@@ -89,7 +89,7 @@ class Block(NamedTuple):
     SERIES: the 1-norm.
     """
 
-    kind: Kind
+    kind: BlockKind
     coordinates: tuple[int, ...]
     constants: tuple[Any, ...]
     entries: tuple[tuple[Any, ...], ...] = ()
@@ -110,12 +110,12 @@ def larger_block(size: int, local: tuple[tuple[int, int, Any], ...], u: Any) -> 
         power, bound = power @ matrix, bound @ abs(matrix)
         # A product of k matrices has an error of k n roundings of what is added up.
         if _vanishes(power, 8 * size * depth * u * bound):
-            return Block(Kind.SERIES, coordinates, (0 * local[0][2],), local, depth - 1)
+            return Block(BlockKind.SERIES, coordinates, (0 * local[0][2],), local, depth - 1)
     lam = _cubic_factor(matrix, power)
     if lam != 0 and _vanishes(power - lam * matrix, 8 * size * 3 * u * (bound + abs(lam) * abs(matrix))):
         return _cubic(coordinates, matrix)
     norm = max(np.cumsum(abs(matrix), axis=0)[-1].tolist())
-    return Block(Kind.SERIES, coordinates, (norm,), local, TAYLOR_DEGREE)
+    return Block(BlockKind.SERIES, coordinates, (norm,), local, TAYLOR_DEGREE)
 
 
 def wide_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[Any]) -> Block | None:
@@ -123,7 +123,7 @@ def wide_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: ND
     if size <= MAX_SQUARED_SIZE or values.dtype != np.float64 or not _surely_series(size, rows, columns, values):
         return None
     norm = float(np.max(np.bincount(columns, weights=np.abs(values), minlength=size)))
-    return Block(Kind.SERIES, tuple(range(size)), (norm,), degree=TAYLOR_DEGREE)
+    return Block(BlockKind.SERIES, tuple(range(size)), (norm,), degree=TAYLOR_DEGREE)
 
 
 def _surely_series(size: int, rows: NDArray[Any], columns: NDArray[Any], values: NDArray[np.float64]) -> bool:
@@ -168,7 +168,7 @@ def _cubic(coordinates: tuple[int, ...], matrix: NDArray[Any]) -> Block:
     )
     positions = np.argwhere((matrix != 0) | (square != 0)).tolist()
     entries = tuple((i, j, matrix[i, j], *_with_error(square[i, j], in_floats)) for i, j in positions)
-    return Block(Kind.CUBIC, coordinates, constants, entries)
+    return Block(BlockKind.CUBIC, coordinates, constants, entries)
 
 
 def _exact_square(matrix: NDArray[np.float64]) -> tuple[NDArray[Any], Fraction]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import Kind
+from coadjoint.program.blocks import BlockKind
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.part import BodyShare, Part
 from coadjoint.program.parts.split import separated_functions
@@ -21,7 +21,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MAX_SHOWN = 6  # generators of a part in a line
 # Multiplications (with additions) per block.
-MULTIPLICATIONS_PER_KIND = {Kind.SCALE: 1, Kind.ROTATE: 4, Kind.PLANE: 6, Kind.SHEAR: 2}
+MULTIPLICATIONS_PER_KIND = {BlockKind.SCALE: 1, BlockKind.ROTATE: 4, BlockKind.PLANE: 6, BlockKind.SHEAR: 2}
 # Multiplications in the flow of a free body over a short time.
 BODY_WORK = 600
 # Multiplications in the flow of a bond, which has no blocks.
@@ -113,7 +113,7 @@ def _describe_part(names: Sequence[str], program: Program, number: int, part: Pa
     blocks: Counter[str] = Counter()
     action = program.state
     for run in range(action.run[number], action.run[number + 1]):
-        blocks[Kind(int(action.kind[run])).name] += int(action.angles[run]) * int(action.repeat[run])
+        blocks[BlockKind(int(action.kind[run])).name] += int(action.angles[run]) * int(action.repeat[run])
     acting, shares = action_work(action, number), share_work(program, number)
     bodies = bodies_of(program, number)
     if bodies:
@@ -141,23 +141,25 @@ def action_work(action: Action, number: int) -> tuple[int, int]:
     """Return the multiplications and elementary function calls of the action of one part on one vector."""
     multiplications, functions = 0, 0
     for run in range(action.run[number], action.run[number + 1]):
-        kind = Kind(int(action.kind[run]))
+        kind = BlockKind(int(action.kind[run]))
         angles = int(action.angles[run])
         multiplications += angles * int(action.repeat[run]) * _block_work(action, run, kind)
-        functions += 0 if kind in (Kind.SHEAR, Kind.SERIES) else angles
+        functions += 0 if kind in (BlockKind.SHEAR, BlockKind.SERIES) else angles
     return multiplications, functions
 
 
 def count_series_blocks(action: Action, number: int) -> int:
     """Count the SERIES blocks of one part."""
     runs = range(action.run[number], action.run[number + 1])
-    return sum(int(action.angles[run]) * int(action.repeat[run]) for run in runs if action.kind[run] == Kind.SERIES)
+    return sum(
+        int(action.angles[run]) * int(action.repeat[run]) for run in runs if action.kind[run] == BlockKind.SERIES
+    )
 
 
-def _block_work(action: Action, run: int, kind: Kind) -> int:
+def _block_work(action: Action, run: int, kind: BlockKind) -> int:
     if kind in MULTIPLICATIONS_PER_KIND:
         return MULTIPLICATIONS_PER_KIND[kind]
-    return int(action.entries[run]) * (2 if kind == Kind.CUBIC else int(action.degree[run]))
+    return int(action.entries[run]) * (2 if kind == BlockKind.CUBIC else int(action.degree[run]))
 
 
 def share_work(program: Program, number: int) -> tuple[int, int]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action, run_blocks, run_entries
-from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, RULES, Kind
+from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, RULES, BlockKind
 from coadjoint.program.numbers import array_of, elementary, roundoff
 from coadjoint.program.rational_rotations import rational_angle, rational_angle_series
 from coadjoint.program.table import Program
@@ -186,7 +186,7 @@ class Interpreter:
             for q in range(action.angles[run]):
                 angle = theta[int(action.angle[run]) + q]
                 blocks = run_blocks(action, run, q)
-                if action.kind[run] <= Kind.ROTATE:  # all blocks at once, number by number
+                if action.kind[run] <= BlockKind.ROTATE:  # all blocks at once, number by number
                     together = np.stack([coordinates for coordinates, _ in blocks], axis=1)
                     local = vectors[together]
                     vectors[together] = local + self._increment(action, run, angle, blocks[0][1], local)
@@ -205,13 +205,13 @@ class Interpreter:
 
     def _increment(self, action: Action, run: int, angle: Any, block: NDArray[Any], local: NDArray[Any]) -> Any:
         """Return (exp(angle B) - 1) on one block; arrays are first factors, since mpmath prints second ones."""
-        f, rule, first = self.functions, RULES[Kind(action.kind[run])], action.constants[action.constant[run]]
+        f, rule, first = self.functions, RULES[BlockKind(action.kind[run])], action.constants[action.constant[run]]
         if rule.degree is None:
             return self._series(angle, first, int(action.degree[run]), block, local)
         mean, square = rule.mean(block, first), rule.square(block, first)
         s, c = self._entire_pair(angle**2 * square)
         moved = np.tensordot(block, local, axes=1) - local * mean
-        if action.kind[run] == Kind.CUBIC:
+        if action.kind[run] == BlockKind.CUBIC:
             return moved * (angle * s) + (block @ moved) * (c / square)
         scale = f.exp(angle * mean)
         # If both are large, expm1(mean) = -1 + ... has lost digits, which a product with cosh would amplify.
@@ -277,7 +277,7 @@ class FlowState(NamedTuple):
 
 def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow: FlowState) -> None:
     """Apply the flow of free bodies over `tau` in place, by its time series, for angles that are not large."""
-    body = _Bodies(interpreter, part)
+    body = _MovingBodies(interpreter, part)
     count = interpreter.substeps(lambda: abs(tau) * body.speed(state_of_flow.x) / PIECE)
     for _ in range(count):
         terms = [state_of_flow]
@@ -307,7 +307,7 @@ class _Entries(NamedTuple):
         return result
 
 
-class _Bodies:
+class _MovingBodies:
     """Generators and angular velocities of one part."""
 
     def __init__(self, interpreter: Interpreter, part: int) -> None:

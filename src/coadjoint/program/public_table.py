@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.actions import Action, run_blocks
-from coadjoint.program.blocks import RULES, Kind
+from coadjoint.program.blocks import RULES, BlockKind
 from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.places import Places
@@ -20,7 +20,7 @@ from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.coefficients import Key, coefficients_of
-from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
+from coadjoint.systems.energy_derivatives import DerivativeMonomial, EnergyDerivative
 from coadjoint.systems.parameters import parameters_of
 
 VERSION = 3
@@ -82,7 +82,7 @@ def _blocks(name: str, action: Action, program: Program) -> dict[str, Any]:
                     lengths.append(len(cells))
                     kinds.append(int(action.kind[run]))
                     degrees.append(int(action.degree[run]))
-                    first, rule = action.constants[int(action.constant[run])], RULES[Kind(action.kind[run])]
+                    first, rule = action.constants[int(action.constant[run])], RULES[BlockKind(action.kind[run])]
                     norm = first if rule.degree is None else 0 * first
                     constants.append((rule.mean(D, first), rule.square(D, first), norm))
         count.append(len(kinds))
@@ -149,7 +149,7 @@ def _provenance(program: Program) -> dict[str, Any]:
             rest[number[key]] -= factor * c
     arrays = [program.terms.offset, program.terms.weight, program.terms.coefficient]
     constants, starts = np.concatenate(arrays), starts_of(np.array([*map(len, arrays)]))
-    places, each = Places(program), [Monomial(key, k, 1.0) for k, key in enumerate(keys)]
+    places, each = Places(program), [DerivativeMonomial(key, k, 1.0) for k, key in enumerate(keys)]
     found, shifts, missing = places.of(EnergyDerivative.of_monomials(len(keys), each))
     of_bodies = _weights_of_bodies(program, {keys[k]: k for k in missing.tolist()})
     follows = np.ones(len(keys), dtype=bool)

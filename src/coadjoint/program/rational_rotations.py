@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import Kind
+from coadjoint.program.blocks import BlockKind
 from coadjoint.program.numbers import Number, array_of, is_exact, roundoff
 from coadjoint.program.parts.part import Parts, PolynomialShare
 from coadjoint.program.sparse_rows import Rows, SparseRows, starts_of
@@ -56,10 +56,10 @@ def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = F
     part = np.repeat(np.arange(len(parts)), np.diff(action.run))[run]
     angle, kind = parts.angle[part] + action.angle[run] + q, action.kind[run]
     first_constant = action.constant[run].astype(np.int64)
-    is_rotation = kind == Kind.ROTATE
+    is_rotation = kind == BlockKind.ROTATE
     first = action.constants[first_constant + np.where(is_rotation, q, 0)]
-    cubic = (kind == Kind.CUBIC) & np.asarray(first < 0, dtype=bool)
-    nilpotent = (kind == Kind.SHEAR) | ((kind == Kind.SERIES) & np.asarray(first == 0, dtype=bool))
+    cubic = (kind == BlockKind.CUBIC) & np.asarray(first < 0, dtype=bool)
+    nilpotent = (kind == BlockKind.SHEAR) | ((kind == BlockKind.SERIES) & np.asarray(first == 0, dtype=bool))
     frequency = np.where(is_rotation, first**2 if squared else first, 0 * first)
     frequency[cubic] = -first[cubic] if squared else action.constants[first_constant[cubic] + 1]
     known, acting = np.ones(len(parts.offset), dtype=bool), np.zeros(len(parts.offset), dtype=bool)

@@ -17,7 +17,7 @@ from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts
 from coadjoint.program.sparse_rows import sparse_row, starts_of
 from coadjoint.systems.vanishing_products import (
     MAX_MONOMIALS,
-    Monomial,
+    GradientTerm,
     Product,
     Products,
     cancelling,
@@ -131,12 +131,12 @@ def _omitted_in_part(
 
 def _of_polynomials(
     parts: Parts, shares: Iterable[int], candidates: Iterable[Product], inputs: Collection[int]
-) -> list[tuple[int, int, Product, tuple[int, int, list[Monomial], Any]]]:
+) -> list[tuple[int, int, Product, tuple[int, int, list[GradientTerm], Any]]]:
     """Return products with angles of polynomials: share, angle, and the monomials of the product; none if too many."""
     by_column: dict[int, list[Product]] = {}
     for each in candidates:
         by_column.setdefault(each.column, []).append(each)
-    listed: list[tuple[int, int, Product, tuple[int, int, list[Monomial], Any]]] = []
+    listed: list[tuple[int, int, Product, tuple[int, int, list[GradientTerm], Any]]] = []
     for s in shares:
         share = parts.nonlinear_shares.get(s)
         if isinstance(share, FunctionShare | BodyShare):
@@ -181,9 +181,9 @@ def joined_if_cancelling(algebra: LieAlgebra, commutation: Commutation, parts: P
     return parts if np.array_equal(label, np.arange(len(parts))) else parts.joined(label)
 
 
-def _linear_monomials(parts: Parts, angle: int, given: bool) -> list[Monomial]:
+def _linear_monomials(parts: Parts, angle: int, given: bool) -> list[GradientTerm]:
     coordinates, values = sparse_row(parts.weights, angle)
-    monomials = [Monomial(None, (k,), value) for k, value in zip(coordinates, values, strict=True)]
+    monomials = [GradientTerm(None, (k,), value) for k, value in zip(coordinates, values, strict=True)]
     if given or parts.offset[angle] != 0:
-        monomials.append(Monomial(("input", angle) if given else None, (), 1 if given else parts.offset[angle]))
+        monomials.append(GradientTerm(("input", angle) if given else None, (), 1 if given else parts.offset[angle]))
     return monomials

@@ -76,7 +76,7 @@ class Sources(NamedTuple):
         return Sources(multiples, sums, {name: numbers[one] for name, one in self.computed.items()})
 
 
-class Coefficients(NamedTuple):
+class CoefficientNumbers(NamedTuple):
     """The numbers of the coefficients of an energy: the first of each term, and those of degree one with their values.
 
     `coordinate` has the coordinate of each of these.
@@ -88,7 +88,7 @@ class Coefficients(NamedTuple):
     value: Floats
 
     @classmethod
-    def of(cls, terms: Sequence[Term]) -> Coefficients:
+    def of(cls, terms: Sequence[Term]) -> CoefficientNumbers:
         """Return the numbers of the coefficients of these terms."""
         starts = np.cumsum([0, *counts_of(terms)]).tolist()
         coordinates, numbers, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
@@ -122,7 +122,7 @@ class Coefficients(NamedTuple):
         """Return the coefficients of degree one of these coordinates."""
         return self.number[np.isin(self.coordinate, chosen)]
 
-    def present(self) -> Coefficients:
+    def present(self) -> CoefficientNumbers:
         """Return the numbers without coefficients of degree one that are zero."""
         kept = self.value != 0.0
         return self._replace(coordinate=self.coordinate[kept], number=self.number[kept], value=self.value[kept])
@@ -132,7 +132,7 @@ def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: 
     """Return the sources of a table whose term k is a copy of source[k] among `terms`, if that is not negative.
     `coordinate` has that of each row. If a coordinate has several rows in a term, the linear coefficient is in one.
     """
-    energy = Coefficients.of(terms)
+    energy = CoefficientNumbers.of(terms)
     sizes: Any = np.diff(table.row.astype(np.int64))
     owner = np.repeat(np.where(table.kind == LINEAR, source, INDEPENDENT), sizes)
     offset, weight, coefficient = (list[Multiples]() for _ in range(3))
@@ -168,7 +168,7 @@ def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sourc
     computed = source == COMPUTED
     if not np.any(computed):
         return found
-    energy = Coefficients.of(terms).present()
+    energy = CoefficientNumbers.of(terms).present()
     linear = np.zeros(1 + int(max(forms.coordinate.max(initial=0), energy.coordinate.max(initial=0))))
     np.add.at(linear, energy.coordinate, energy.value)
     plain = ~computed

@@ -55,7 +55,7 @@ class Swept(Protocol):
         """Return the sweeps of the processor P of a step P K P^-1, whose `sweeps` are the kernel K."""
 
 
-class Rows(NamedTuple):
+class ProgramRows(NamedTuple):
     """Rows of a program: row r applies part[r] over coefficient[r] * h, at the time t + moment[r] * h. Section s has
     the rows section[s] to section[s + 1]: the first step, every other step, and the finish, which completes a state for
     output.
@@ -116,7 +116,7 @@ class JoinRules(NamedTuple):
         return Flows(flows.part, coefficient, flows.moment, turn).take(keep)
 
 
-def rows_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> Rows:
+def rows_of(method: Swept, joining: JoinRules, sign: int, number: Number) -> ProgramRows:
     """Return the rows of a method, with consecutive flows of one part joined, also across steps."""
     sweeps, processor = tuple(method.sweeps(number)), tuple(method.processor(number))
     if len(joining.timed) <= MAX_PATTERN_SIZE:
@@ -132,13 +132,13 @@ def _cached_rows(
     sign: int,
     number: Number,
     precision: int | None,
-) -> Rows:
+) -> ProgramRows:
     return _rows(sweeps, processor, joining.source, sign, number)
 
 
 def _rows(
     sweeps: Sequence[Sweep], processor_sweeps: Sequence[Sweep], joining: JoinRules, sign: int, number: Number
-) -> Rows:
+) -> ProgramRows:
     kernel = joining.joined(_flows(sweeps, len(joining.timed), number))
     processor = joining.joined(_flows(processor_sweeps, len(joining.timed), number))
     inverse_processor = processor.take(slice(None, None, -1))
@@ -156,7 +156,7 @@ def _rows(
     start, finish = joining.joined(start), joining.joined(finish)
     rows = start.followed_by(step).followed_by(finish)
     ends = np.cumsum([0, len(start.part), len(step.part), len(finish.part)])
-    return Rows(rows.part.astype(np.uint32), sign * rows.coefficient, rows.moment, ends.astype(np.uint32))
+    return ProgramRows(rows.part.astype(np.uint32), sign * rows.coefficient, rows.moment, ends.astype(np.uint32))
 
 
 def _flows(sweeps: Sequence[Sweep], parts: int, number: Number) -> Flows:

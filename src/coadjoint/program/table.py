@@ -23,9 +23,9 @@ from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
-from coadjoint.program.sources import Coefficients, Sources, sources_of_parts
+from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
-from coadjoint.program.sweeps import JoinRules, Rows, Swept, rows_of
+from coadjoint.program.sweeps import JoinRules, ProgramRows, Swept, rows_of
 from coadjoint.program.term_table import Terms, TermTable
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
@@ -60,7 +60,7 @@ class Program:
     """
 
     system: LiePoissonSystem
-    rows: Rows
+    rows: ProgramRows
     parts: Parts
     terms: Terms
     share: NDArray[np.uint32]
@@ -183,7 +183,7 @@ def recorded_sources(program: Program, terms: Terms) -> Callable[[], Sources]:
         system, parts, shift = fixed
         of_energy = system.hamiltonian.terms()
         shifted = shifted_terms(of_energy, quadratic_casimirs(system), shift)
-        energy, split_energy = Coefficients.of(of_energy), Coefficients.of(shifted)
+        energy, split_energy = CoefficientNumbers.of(of_energy), CoefficientNumbers.of(shifted)
         numbers = np.arange(split_energy.size)
         edges = zip(of_energy, shifted, energy.starts, pairwise(split_energy.starts), strict=False)
         for own, other, start, (first, last) in edges:

@@ -225,10 +225,10 @@ class Inputs:
 
     def writable(self, loop: CompiledLoop, watch: CompiledTables) -> WritableTables:
         """Return the tables, of `generic` values, for any others; `NotWritable` if inputs are no constants."""
-        from coadjoint.program.sources import Coefficients
+        from coadjoint.program.sources import CoefficientNumbers
 
         values = self.generic
-        energy = Coefficients.of(self.system_at(values).hamiltonian.terms())
+        energy = CoefficientNumbers.of(self.system_at(values).hamiltonian.terms())
         indices, tangled = dict[int, int](), list[int]()
         present = energy.present()
         for k in self.in_energy.tolist():

@@ -65,7 +65,7 @@ class Monomials(NamedTuple):
         return Monomials(self.codes[chosen[:count]], tuple(key for key, one in others if one))
 
 
-class Coefficients(NamedTuple):
+class EnergyCoefficients(NamedTuple):
     """Coefficients `values` of monomials, complex where an energy is differentiated."""
 
     monomials: Monomials
@@ -86,7 +86,7 @@ class Coefficients(NamedTuple):
         order = np.argsort(codes, kind="stable")
         return cls(Monomials(codes[order]), values[order])
 
-    def equal(self, other: Coefficients) -> bool:
+    def equal(self, other: EnergyCoefficients) -> bool:
         """Test whether the monomials and their coefficients are equal."""
         return (
             np.array_equal(self.monomials.codes, other.monomials.codes)
@@ -94,13 +94,13 @@ class Coefficients(NamedTuple):
             and np.array_equal(self.values, other.values)
         )
 
-    def without_zeros(self) -> Coefficients:
+    def without_zeros(self) -> EnergyCoefficients:
         """Return the coefficients that are not zero, with their monomials."""
         return self.where(self.values != 0.0)
 
-    def where(self, chosen: NDArray[np.bool_]) -> Coefficients:
+    def where(self, chosen: NDArray[np.bool_]) -> EnergyCoefficients:
         """Return the chosen monomials with their coefficients."""
-        return Coefficients(self.monomials.where(chosen), self.values[chosen])
+        return EnergyCoefficients(self.monomials.where(chosen), self.values[chosen])
 
     def by_key(self) -> dict[Key, float]:
         """Return the coefficients by the coordinates of their monomials."""
@@ -117,7 +117,7 @@ def decoded(codes: Integers) -> tuple[Integers, Integers]:
     return (codes >> CODE_BITS) - 1, (codes & (2**CODE_BITS - 1)) - 1
 
 
-def coefficients_of(system: Any) -> Coefficients:
+def coefficients_of(system: Any) -> EnergyCoefficients:
     """Return the coefficients of the monomials of H; functions of the user have none."""
     codes, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
     others: dict[Key, float] = {}
@@ -141,7 +141,7 @@ def coefficients_of(system: Any) -> Coefficients:
             codes.append(low[0])
             values.append(np.asarray(low[1], dtype=np.float64))
             others |= {key: others.get(key, 0.0) + value for key, value in high.items()}
-    return Coefficients.summed(np.concatenate(codes), np.concatenate(values), others)
+    return EnergyCoefficients.summed(np.concatenate(codes), np.concatenate(values), others)
 
 
 def coordinates_of(exponents: tuple[int, ...]) -> Key:
@@ -157,22 +157,22 @@ def _by_degree(monomials: Mapping[tuple[int, ...], Any]) -> tuple[tuple[Integers
     return (encoded(first, second), list(low.values())), {key: one for key, one in keys.items() if len(key) > 2}
 
 
-def coefficients_in(energy: Any) -> Coefficients:
+def coefficients_in(energy: Any) -> EnergyCoefficients:
     """Return the coefficients of an energy, of any numbers, in one of the forms that `ready_made` accepts."""
-    if isinstance(energy, Coefficients):
+    if isinstance(energy, EnergyCoefficients):
         return energy
     if isinstance(energy, Mapping):
         (codes, low), others = _by_degree(energy)
-        return Coefficients.summed(codes, np.array(low), others)
+        return EnergyCoefficients.summed(codes, np.array(low), others)
     return _of_quadratic(*energy)
 
 
-def _of_quadratic(M: Any, linear: Any = (), constant: Any = 0.0) -> Coefficients:
+def _of_quadratic(M: Any, linear: Any = (), constant: Any = 0.0) -> EnergyCoefficients:
     M, linear = np.asarray(M), np.asarray(linear)
     rows, columns = (np.flatnonzero(M),) * 2 if M.ndim == 1 else np.nonzero(np.triu(M))
     entries, i = M[rows] if M.ndim == 1 else M[rows, columns], np.flatnonzero(linear)
     none = np.full(1, -1)
-    return Coefficients.of_distinct(
+    return EnergyCoefficients.of_distinct(
         np.concatenate([encoded(none, none), encoded(np.full(len(i), -1), i), encoded(rows, columns)]),
         np.concatenate([[constant], linear[i], np.where(rows == columns, 0.5 * entries, entries)]),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.coefficients import Coefficients, Key, Monomials, decoded
+from coadjoint.systems.coefficients import EnergyCoefficients, Key, Monomials, decoded
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.parameter_differences import sizes_of_entries
@@ -19,7 +19,7 @@ Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 
-class Monomial(NamedTuple):
+class DerivativeMonomial(NamedTuple):
     """A factor times a product of coordinates, each as often as its power, in the derivative by an entry."""
 
     coordinates: tuple[int, ...]
@@ -49,11 +49,11 @@ class EnergyDerivative(NamedTuple):
     quadratic: Integers
     quadratic_entry: Integers
     quadratic_factor: Floats
-    others: tuple[Monomial, ...] = ()
+    others: tuple[DerivativeMonomial, ...] = ()
     functions: tuple[FunctionDerivative, ...] = ()
 
     @classmethod
-    def of_monomials(cls, size: int, monomials: Sequence[Monomial] = ()) -> EnergyDerivative:
+    def of_monomials(cls, size: int, monomials: Sequence[DerivativeMonomial] = ()) -> EnergyDerivative:
         """Sort monomials by degree."""
         first, second = ([one for one in monomials if len(one.coordinates) == degree] for degree in (1, 2))
         return cls(
@@ -68,18 +68,18 @@ class EnergyDerivative(NamedTuple):
         )
 
     @classmethod
-    def of_coefficients(cls, size: int, pieces: Sequence[tuple[Integers, Coefficients]]) -> EnergyDerivative:
+    def of_coefficients(cls, size: int, pieces: Sequence[tuple[Integers, EnergyCoefficients]]) -> EnergyDerivative:
         """Sort the derivatives of coefficients, with the entry of each, by degree and entry; zeros are dropped."""
         empty = cls.of_monomials(size)
         codes, entry, factor = [empty.linear], [empty.linear], [empty.linear_factor]
-        others: list[Monomial] = []
+        others: list[DerivativeMonomial] = []
         for entries, (monomials, factors) in pieces:
             count = len(monomials.codes)
             codes.append(monomials.codes)
             entry.append(entries[:count])
             factor.append(factors[:count])
             rest = zip(monomials.others, entries[count:].tolist(), factors[count:].tolist(), strict=True)
-            others += [Monomial(*one) for one in rest if one[2]]
+            others += [DerivativeMonomial(*one) for one in rest if one[2]]
         first, second = decoded(np.concatenate(codes))
         all_entries, all_factors = np.concatenate(entry), np.concatenate(factor)
 
@@ -89,7 +89,7 @@ class EnergyDerivative(NamedTuple):
 
         constant, linear, quadratic = chosen(second < 0), chosen((first < 0) & (second >= 0)), chosen(first >= 0)
         constants = zip(all_entries[constant].tolist(), all_factors[constant].tolist(), strict=True)
-        others += [Monomial((), *one) for one in constants]
+        others += [DerivativeMonomial((), *one) for one in constants]
         return cls(
             size,
             second[linear],
@@ -218,31 +218,31 @@ SEED = 1993
 
 
 def derivative_by_steps(
-    coefficients_at: Callable[[NDArray[np.complex128]], Coefficients], value: Floats, symmetric: bool
+    coefficients_at: Callable[[NDArray[np.complex128]], EnergyCoefficients], value: Floats, symmetric: bool
 ) -> EnergyDerivative:
     """Return the derivative of an energy by the entries of a parameter, exact to round-off, from complex steps."""
     # Of a symmetric matrix, half of a change is that of the mirror image.
     steps = _steps(value)
 
-    def changes(directions: Floats) -> Coefficients:
+    def changes(directions: Floats) -> EnergyCoefficients:
         """Return the imaginary parts of the coefficients."""
         along = 0.5 * (directions + directions.T) if symmetric else directions
         monomials, values = coefficients_at(value + 1j * along)
-        return Coefficients(monomials, values.imag).where(values.imag != 0.0)
+        return EnergyCoefficients(monomials, values.imag).where(values.imag != 0.0)
 
     if value.size > MANY_ENTRIES and not symmetric:
         together = _changes_together(changes, steps)
         if together is not None:
             entries, (monomials, values) = together
             return EnergyDerivative.of_coefficients(
-                value.size, [(entries, Coefficients(monomials, values / steps.ravel()[entries]))]
+                value.size, [(entries, EnergyCoefficients(monomials, values / steps.ravel()[entries]))]
             )
     pieces, direction = [], np.zeros(value.shape)
     for entry, index in enumerate(np.ndindex(value.shape)):
         direction[index] = steps[index]
         monomials, values = changes(direction)
         direction[index] = 0.0
-        pieces.append((np.full(len(values), entry), Coefficients(monomials, values / steps[index])))
+        pieces.append((np.full(len(values), entry), EnergyCoefficients(monomials, values / steps[index])))
     return EnergyDerivative.of_coefficients(value.size, pieces)
 
 
@@ -283,7 +283,9 @@ def _steps(value: Floats) -> Floats:
     return np.ldexp(1.0, np.maximum(exponents + STEP_EXPONENT, LEAST_EXPONENT))
 
 
-def _changes_together(changes: Callable[[Floats], Coefficients], steps: Floats) -> tuple[Integers, Coefficients] | None:
+def _changes_together(
+    changes: Callable[[Floats], EnergyCoefficients], steps: Floats
+) -> tuple[Integers, EnergyCoefficients] | None:
     """Return the entry on which each coefficient depends, and its change; None if some depend on several entries."""
     # The coefficients that change with all entries change as much with half of them, or not at all: those with one
     # binary digit of their numbers. Random changes confirm the entries that are found.

@@ -12,9 +12,14 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
-from coadjoint.systems.coefficients import Coefficients, coefficients_in, coefficients_of, coordinates_of
+from coadjoint.systems.coefficients import EnergyCoefficients, coefficients_in, coefficients_of, coordinates_of
 from coadjoint.systems.coordinates import in_coordinates_of
-from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial, derivative_by_steps, functions_by_steps
+from coadjoint.systems.energy_derivatives import (
+    DerivativeMonomial,
+    EnergyDerivative,
+    derivative_by_steps,
+    functions_by_steps,
+)
 from coadjoint.systems.force_parameters import force_numbers, force_parameters, real_numbers, with_force_values
 from coadjoint.systems.hamiltonians.hamiltonian import (
     FunctionOfConstants,
@@ -91,7 +96,9 @@ def _of_hamiltonian(system: Any) -> dict[str, Parameter]:
         return _of_quadratic(H, system.dim)
     if isinstance(H, PolynomialHamiltonian):
         monomials = list(H.polynomial.monomials.items())
-        derivative = [Monomial(coordinates_of(exponents), k, 1.0) for k, (exponents, _) in enumerate(monomials)]
+        derivative = [
+            DerivativeMonomial(coordinates_of(exponents), k, 1.0) for k, (exponents, _) in enumerate(monomials)
+        ]
         value = np.array([float(coefficient) for _, coefficient in monomials])
         return {"coefficients": _linear(value, lambda: EnergyDerivative.of_monomials(len(derivative), derivative))}
     return {}
@@ -209,7 +216,7 @@ def _of_declared(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> dict
     """Return the parameters of a declared energy at arguments of its builder."""
     numbers = {name: np.asarray(arguments[name], dtype=np.float64) for name in declared.parameters}
 
-    def coefficients_at(name: str, value: NDArray[np.complex128]) -> Coefficients:
+    def coefficients_at(name: str, value: NDArray[np.complex128]) -> EnergyCoefficients:
         return coefficients_in(_energy(declared, {**arguments, **numbers, name: value}))
 
     def parameter(name: str, value: Floats) -> Parameter:

@@ -54,7 +54,7 @@ class Products(NamedTuple):
         return Product(int(self.row[q]), int(self.state[q]), int(self.column[q]), self.constant[q])
 
 
-class Monomial(NamedTuple):
+class GradientTerm(NamedTuple):
     """A monomial of a component of a gradient: a coefficient times the product of coordinates and of a factor."""
 
     # The factor is a function that occurs in several components, such as the derivative of a function of a polynomial.
@@ -91,7 +91,7 @@ def _products(algebra: LieAlgebra, chosen: NDArray[np.bool_]) -> Products:
     return Products(*(column[chosen] for column in columns))
 
 
-def cancelling(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> list[int]:
+def cancelling(products: Sequence[tuple[int, int, Iterable[GradientTerm], Any]]) -> list[int]:
     """Return for each product the number of the set that cancels identically in x, -1 if it does not cancel."""
     # Each product is (row, state, monomials of its component of the gradient, constant). Products of a row that share a
     # monomial are linked, and cancel together if all of their monomials do.
@@ -108,15 +108,19 @@ def cancelling(products: Sequence[tuple[int, int, Iterable[Monomial], Any]]) -> 
     return [number if sizes[number] > 1 and number not in remaining else -1 for number in label]
 
 
-def derivatives_of(polynomial: Polynomial, coordinates: Sequence[int], factor: Any = None) -> dict[int, list[Monomial]]:
+def derivatives_of(
+    polynomial: Polynomial, coordinates: Sequence[int], factor: Any = None
+) -> dict[int, list[GradientTerm]]:
     """Return the monomials of the gradient of a polynomial in coordinates of a system, times a factor."""
-    found: dict[int, list[Monomial]] = {}
+    found: dict[int, list[GradientTerm]] = {}
     for exponents, coefficient in polynomial.monomials.items():
         for k, power in enumerate(exponents):
             if power:
                 lower = [*exponents[:k], power - 1, *exponents[k + 1 :]]
                 factors = tuple(coordinates[a] for a, e in enumerate(lower) for _ in range(e))
-                found.setdefault(k, []).append(Monomial(factor, factors, Fraction(exact_number(coefficient)) * power))
+                found.setdefault(k, []).append(
+                    GradientTerm(factor, factors, Fraction(exact_number(coefficient)) * power)
+                )
     return found
 
 
@@ -240,7 +244,7 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
     # Entries of the gradient in each product, and whether their products are omitted.
     sources: dict[int, dict[tuple[int, int], bool]] = {q: {} for q in listed}
     candidates: list[tuple[int, tuple[int, int]]] = []
-    found: list[tuple[int, int, list[Monomial], Any]] = []
+    found: list[tuple[int, int, list[GradientTerm], Any]] = []
     for number, term in enumerate(collected.terms):
         if isinstance(term, FunctionTerm):
             one = divided_gradient(term, listed)
@@ -305,17 +309,17 @@ class _Collected:
 
 def _gradient_monomials(
     term: QuadraticTerm | PolynomialTerm, columns: Collection[int]
-) -> dict[int, list[Monomial]] | None:
+) -> dict[int, list[GradientTerm]] | None:
     """Return the monomials of components of the gradient of a polynomial; None if there are too many."""
     if isinstance(term, PolynomialTerm):
         if len(term.polynomial.monomials) * term.polynomial.dim > MAX_MONOMIALS:
             return None
         return derivatives_of(term.polynomial, range(term.polynomial.dim))
-    found: dict[int, list[Monomial]] = {}
+    found: dict[int, list[GradientTerm]] = {}
     for k in columns:
         row = slice(int(term.indptr[k]), int(term.indptr[k + 1]))
         pairs = zip(term.indices[row].tolist(), term.values[row].tolist(), strict=True)
-        found[k] = [Monomial(None, (i,), value) for i, value in pairs]
+        found[k] = [GradientTerm(None, (i,), value) for i, value in pairs]
         if term.linear[k]:
-            found[k].append(Monomial(None, (), float(term.linear[k])))
+            found[k].append(GradientTerm(None, (), float(term.linear[k])))
     return found

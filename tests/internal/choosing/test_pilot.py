@@ -13,7 +13,7 @@ from coadjoint.choosing import pilot as pilots
 from coadjoint.choosing.accuracy import rounded_up
 from coadjoint.choosing.candidates import supported_candidates, with_measured_work
 from coadjoint.choosing.fitting import roundoff
-from coadjoint.choosing.pilot import Growth, Pilot, Trial, sample_of
+from coadjoint.choosing.pilot import Pilot, PilotErrors, Trial, sample_of
 from coadjoint.kernels.interface import limit
 from coadjoint.methods.protocol.cost_model import CALL_COST, MIN_LANE_MEMBERS, iteration_work, newton_work
 
@@ -176,7 +176,7 @@ def test_rounding_bound_of_plain_and_compensated_sums(order, compensated):
 @pytest.mark.parametrize("windows", [1.0, 10.0])
 def test_rounded_coefficients_accumulate_like_a_random_walk(windows):
     """As many flows in all, in longer compositions: three roundings along the path, times the root of their number."""
-    pilot = SimpleNamespace(noise=0.0, speed=2.0, window=5.0, sensitivity=Growth(1.0, 1.0, 1.0))
+    pilot = SimpleNamespace(noise=0.0, speed=2.0, window=5.0, sensitivity=PilotErrors(1.0, 1.0, 1.0))
 
     def units(flows, compensated, steps=36_000):
         return roundoff(pilot, steps // max(flows, 1), flows, compensated, windows) * 2.0**53
@@ -219,10 +219,10 @@ def test_growth_is_extrapolated():
         ((1.0, 0.0, 35.0), (3.0,), 3.0),
         ((0.0, 5.0, 80.0), (3.0,), 3.0),
     ):
-        assert Growth(*growth).factor(*given) == pytest.approx(factor)
-        assert Growth(*(2.0**-60 * value for value in growth)).factor(*given) == pytest.approx(factor)
-    assert Growth(1.0, 6.0, 36.0).factor(3.0, 2.0) == Growth(1.0, 6.0, 36.0).factor(3.0)
-    assert Growth(0.0, 1.0, 40.0).factor(3.0) > 9.0
+        assert PilotErrors(*growth).factor(*given) == pytest.approx(factor)
+        assert PilotErrors(*(2.0**-60 * value for value in growth)).factor(*given) == pytest.approx(factor)
+    assert PilotErrors(1.0, 6.0, 36.0).factor(3.0, 2.0) == PilotErrors(1.0, 6.0, 36.0).factor(3.0)
+    assert PilotErrors(0.0, 1.0, 40.0).factor(3.0) > 9.0
 
 
 def test_cost_weights_match_measured_times():
@@ -236,7 +236,7 @@ def test_cost_weights_match_measured_times():
     assert iteration_work(BODY, 8.0, None) < iteration_work(BODY, 8.0, "coadjoint")
     assert iteration_work(BODY, 9.0, None) > 1.5 * iteration_work(BODY, 8.0, None)
     (gauss,) = supported_candidates(BODY, [co.GaussLegendre(4)], X0, False, strict=True)
-    once = Trial(10, Growth(0.0, 0.0, 0.0), 3.0, 12.0)
+    once = Trial(10, PilotErrors(0.0, 0.0, 0.0), 3.0, 12.0)
     assert gauss.cost(once._replace(newton=True)) - gauss.cost(once) == pytest.approx(newton_work(3, 4.0))
     assert newton_work(3, 4.0) > 0.0
     # The same energy as functions: one call for each flow, of which order 2 has five, and each evaluation of the field.

@@ -9,9 +9,9 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import accuracy, fitting
 from coadjoint.choosing import pilot as pilots
-from coadjoint.choosing.fitting import ROUNDING_MARGIN, Fit, confirmed_fit, roundoff
+from coadjoint.choosing.fitting import ROUNDING_MARGIN, StepFit, confirmed_fit, roundoff
 from coadjoint.choosing.fitting import fit as fit_steps
-from coadjoint.choosing.pilot import Growth, Trial
+from coadjoint.choosing.pilot import PilotErrors, Trial
 from coadjoint.choosing.step_predictor import (
     MAX_ADVANTAGE,
     NEAREST_DIVISOR,
@@ -29,7 +29,7 @@ class FixedErrors(SimpleNamespace):
     """A pilot run of a scheme whose errors are `error(steps)`."""
 
     noise, natural_step, span = NOISE, 0.01, 1.0
-    sensitivity = Growth(1.0, 1.0, 1.0)
+    sensitivity = PilotErrors(1.0, 1.0, 1.0)
     speed = window = 1.0
 
     @property
@@ -42,14 +42,14 @@ class FixedErrors(SimpleNamespace):
     def trial(self, method, steps):
         self.tried.append(steps)
         error = self.error(steps)
-        return None if error is None else Trial(steps, Growth(error, error, error), 1.0, 8.0)
+        return None if error is None else Trial(steps, PilotErrors(error, error, error), 1.0, 8.0)
 
 
 def found_of(error, steps, windows=1.0, **changed):
     pilot = FixedErrors(error=error, windows=windows, tried=[])
     candidate = {"method": co.Taylor(16), "cost": lambda trial: 1.0, "share": 1.0, "flows": 0, "summed_exactly": True}
     candidate = SimpleNamespace(**{**candidate, "growth": lambda p, t: windows, **changed})
-    return Fit(pilot, candidate, steps, 0.0, Trial(steps, Growth(0.0, 0.0, 0.0), 1.0, 8.0))
+    return StepFit(pilot, candidate, steps, 0.0, Trial(steps, PilotErrors(0.0, 0.0, 0.0), 1.0, 8.0))
 
 
 def fitted(error, order, goal, limit=math.inf, windows=1.0, share=1.0):
@@ -171,8 +171,8 @@ def test_slowly_converging_stages_get_more_steps():
 def test_rounding_of_variable_steps_includes_the_trial(method, seen, windows):
     """The excess of its error over that of the tolerance, if that is above the modelled rounding."""
     fit = found_of(None, 40, windows, method=method)
-    trial = fit.trial._replace(growth=Growth(0.1 * seen, 0.5 * seen, seen))
-    found = Fit(fit.pilot, fit.candidate, 40, 0.25 * seen * windows, trial)
+    trial = fit.trial._replace(growth=PilotErrors(0.1 * seen, 0.5 * seen, seen))
+    found = StepFit(fit.pilot, fit.candidate, 40, 0.25 * seen * windows, trial)
     model = roundoff(fit.pilot, 40, 0, True, windows, ROUNDING_MARGIN)
     assert found.end == pytest.approx(seen * windows)
     assert found.roundoff == pytest.approx(max(0.75 * seen * windows, model) if method.own_steps else model)
@@ -189,7 +189,7 @@ class Candidate(SimpleNamespace):
 
 
 def fit_of(order, steps, error, method=None, iterations=1.0, newton=False, extrapolated=1.0):
-    trial = Trial(int(steps), Growth(error, error, error), iterations, iterations * order / 2, newton)
+    trial = Trial(int(steps), PilotErrors(error, error, error), iterations, iterations * order / 2, newton)
     return SimpleNamespace(
         candidate=Candidate(method=method or co.Taylor(order)),
         steps=steps, error=error, end=error, trial=trial, extrapolated=extrapolated,

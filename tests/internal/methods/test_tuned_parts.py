@@ -10,7 +10,7 @@ import coadjoint as co
 from coadjoint.methods.numerics.short_orbit import rate_at, short_orbit
 from coadjoint.methods.numerics.tuned_parts import PartOrderErrors
 from coadjoint.program.modified_energy.modified_series import leading_term
-from coadjoint.program.modified_energy.second_order import NestedBrackets, Samples
+from coadjoint.program.modified_energy.second_order import DerivativeSamples, NestedBrackets
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.split import split
 from long import long_beyond
@@ -48,7 +48,7 @@ def test_brackets_with_weights_are_the_second_order_term(name):
     system = systems()[name]
     parts = decompose(system, "auto").parts if name != "body" else split(system, "coordinates")
     points = np.random.default_rng(1).standard_normal((4, system.dim))
-    brackets, samples = NestedBrackets(system.algebra, parts), Samples(system.algebra, [parts], points)
+    brackets, samples = NestedBrackets(system.algebra, parts), DerivativeSamples(system.algebra, [parts], points)
     values = brackets.values(points)
     for order in list(permutations(range(len(parts))))[:24]:
         term = samples.second_order_terms([order])[0, 0]

@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.program.block_table import blocks_of
-from coadjoint.program.blocks import Kind
+from coadjoint.program.blocks import BlockKind
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from commuting_actions import acting
@@ -34,7 +34,7 @@ def reading_of(algebra, *coordinates):
 
 
 def kinds_of(read):
-    return {Kind(k) for k in read.program.state.kind}
+    return {BlockKind(k) for k in read.program.state.kind}
 
 
 def entries(matrix):
@@ -61,26 +61,26 @@ GENERAL = np.array([[0.0, 1.0, 0.0, 0.5], [-1.0, 0.2, 0.0, 0.0], [0.3, 0.0, -0.1
 CANCELLING = np.array([[-2.0, 1.0, 0.5], [1.0, -2.0, 0.5], [1.0, 1.0, -1.0]])  # the sum of every column is zero
 SHEARED = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [0.0, 0.0, 0.0]])
 MATRICES = {
-    "scale": (np.diag([1.0, -0.5, 1.0]), {Kind.SCALE}),
-    "rotation": (np.array([[0.0, -1.5], [1.5, 0.0]]), {Kind.ROTATE}),
-    "two rotations": (np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), {Kind.ROTATE}),
-    "shear": (SHEARED, {Kind.SHEAR}),
-    "chain": (CHAIN, {Kind.SERIES}),
-    "Jordan 3": (np.eye(3) + np.diag([1.0, 1.0], 1), {Kind.SERIES}),
-    "general": (GENERAL, {Kind.SERIES}),
-    "cancelling columns": (CANCELLING, {Kind.SERIES}),
-    "mixed": (np.diag([1.0, 0, 0, 0, 0, 0]) + np.diag([0.0, 0, 1.0, 0, 0], 1), {Kind.SCALE, Kind.SHEAR}),
-    **{name: (np.array(D), {Kind.PLANE}) for name, D in PLANES.items()},
+    "scale": (np.diag([1.0, -0.5, 1.0]), {BlockKind.SCALE}),
+    "rotation": (np.array([[0.0, -1.5], [1.5, 0.0]]), {BlockKind.ROTATE}),
+    "two rotations": (np.kron(np.diag([1.0, 2.0]), [[0.0, 1.0], [-1.0, 0.0]]), {BlockKind.ROTATE}),
+    "shear": (SHEARED, {BlockKind.SHEAR}),
+    "chain": (CHAIN, {BlockKind.SERIES}),
+    "Jordan 3": (np.eye(3) + np.diag([1.0, 1.0], 1), {BlockKind.SERIES}),
+    "general": (GENERAL, {BlockKind.SERIES}),
+    "cancelling columns": (CANCELLING, {BlockKind.SERIES}),
+    "mixed": (np.diag([1.0, 0, 0, 0, 0, 0]) + np.diag([0.0, 0, 1.0, 0, 0], 1), {BlockKind.SCALE, BlockKind.SHEAR}),
+    **{name: (np.array(D), {BlockKind.PLANE}) for name, D in PLANES.items()},
 }
 ALGEBRAS = {
-    "so(3)": (co.algebras.so(3), {Kind.ROTATE}),
-    "so(4)": (co.algebras.so(4), {Kind.ROTATE}),
-    "so(5)": (co.algebras.so(5), {Kind.ROTATE}),
-    "Heisenberg": (co.algebras.heisenberg(2), {Kind.SHEAR}),
-    "A3,7": (co.algebras.get("A3,7", a=1.75), {Kind.PLANE, Kind.SHEAR}),
-    "e(3)": (co.algebras.e(3), {Kind.ROTATE, Kind.SHEAR}),
-    "sl(2)": (co.algebras.sl(2), {Kind.SCALE, Kind.SERIES}),
-    "so(3) other basis": (co.algebras.change_of_basis(co.algebras.so(3), whole_matrix(3, 7)), {Kind.CUBIC}),
+    "so(3)": (co.algebras.so(3), {BlockKind.ROTATE}),
+    "so(4)": (co.algebras.so(4), {BlockKind.ROTATE}),
+    "so(5)": (co.algebras.so(5), {BlockKind.ROTATE}),
+    "Heisenberg": (co.algebras.heisenberg(2), {BlockKind.SHEAR}),
+    "A3,7": (co.algebras.get("A3,7", a=1.75), {BlockKind.PLANE, BlockKind.SHEAR}),
+    "e(3)": (co.algebras.e(3), {BlockKind.ROTATE, BlockKind.SHEAR}),
+    "sl(2)": (co.algebras.sl(2), {BlockKind.SCALE, BlockKind.SERIES}),
+    "so(3) other basis": (co.algebras.change_of_basis(co.algebras.so(3), whole_matrix(3, 7)), {BlockKind.CUBIC}),
     "sl(2) other basis": (co.algebras.change_of_basis(co.algebras.sl(2), whole_matrix(3, 2)), None),
     "e(3) other basis": (co.algebras.change_of_basis(co.algebras.e(3), whole_matrix(6, 8)), None),
 }
@@ -105,7 +105,7 @@ def test_rotations_of_either_sense_share_a_run(name):
     system = co.LiePoissonSystem(algebra, co.Quadratic(np.arange(1.0, algebra.dim + 1)))
     state = build_program(system, co.Splitting(parts="coordinates")).state
     assert len(state.kind) == algebra.dim
-    turning = state.kind == Kind.ROTATE
+    turning = state.kind == BlockKind.ROTATE
     assert np.all(state.constants[state.constant[turning]] == 1.0)
     senses = set()
     for place, repeat in zip(state.position[turning].tolist(), state.repeat[turning].tolist(), strict=True):
@@ -123,7 +123,7 @@ def test_generators_of_semisimple_algebras_in_other_bases_are_cubic():
         for _ in range(20):
             D = changed.coadjoint(rng.standard_normal(3))
             (block,) = blocks_of(entries(D), U)
-            assert block.kind == Kind.CUBIC
+            assert block.kind == BlockKind.CUBIC
             lam = np.trace(D @ D) / 2  # eigenvalues 0, +w, -w
             assert abs(block.constants[0] - lam) <= 64 * U * np.linalg.norm(D) ** 2
             seen.add(np.sign(block.constants[0]))
@@ -136,7 +136,7 @@ def test_nilpotent_elements_in_other_bases_are_finite_sums():
     changed = co.algebras.change_of_basis(co.algebras.sl(2), T)
     form = np.linalg.inv(T).T[:, 0] * 0.1  # the element e1/10, with entries that are rounded
     (block,) = blocks_of(entries(changed.coadjoint(form)), U)
-    assert (block.kind, block.degree, block.constants[0]) == (Kind.SERIES, 2, 0.0)
+    assert (block.kind, block.degree, block.constants[0]) == (BlockKind.SERIES, 2, 0.0)
 
 
 def test_blocks_cover_every_entry_once_and_share_no_coordinate():
@@ -144,7 +144,7 @@ def test_blocks_cover_every_entry_once_and_share_no_coordinate():
     for _ in range(50):
         D = rng.standard_normal((7, 7)) * (rng.uniform(size=(7, 7)) < 0.15)
         blocks = blocks_of(entries(D), U)
-        coordinates = [set(b.coordinates) for b in blocks if b.kind != Kind.SHEAR]
+        coordinates = [set(b.coordinates) for b in blocks if b.kind != BlockKind.SHEAR]
         assert sum(map(len, coordinates)) == len(set().union(*coordinates))
         touched = {k for i, j in entries(D) for k in (i, j)}
         assert touched == {k for b in blocks for k in b.coordinates}
@@ -193,10 +193,10 @@ def plane(mean, half, upper, lower):
 
 
 NEARLY_ALIKE = {
-    Kind.PLANE: [plane(*constants) for constants in np.array([0.5, 0.25, 1.0, -2.0]) + 0.125 * np.eye(5, 4, -1)],
-    Kind.ROTATE: [plane(0.0, 0.0, -w, w) for w in (1.0, 1.0 + 2.0**-52, -1.0, 2.0, 1.0)],
-    Kind.SCALE: [np.diag([a, b]) for a, b in ((1.0, 2.0), (1.0 + 2.0**-52, -1.0), (2.0, -2.0), (1.0, 1.0))],
-    Kind.SHEAR: [plane(0.0, 0.0, value, 0.0) for value in (1.0, -1.0, 2.0, 1.0)],
+    BlockKind.PLANE: [plane(*constants) for constants in np.array([0.5, 0.25, 1.0, -2.0]) + 0.125 * np.eye(5, 4, -1)],
+    BlockKind.ROTATE: [plane(0.0, 0.0, -w, w) for w in (1.0, 1.0 + 2.0**-52, -1.0, 2.0, 1.0)],
+    BlockKind.SCALE: [np.diag([a, b]) for a, b in ((1.0, 2.0), (1.0 + 2.0**-52, -1.0), (2.0, -2.0), (1.0, 1.0))],
+    BlockKind.SHEAR: [plane(0.0, 0.0, value, 0.0) for value in (1.0, -1.0, 2.0, 1.0)],
 }
 
 
@@ -247,7 +247,7 @@ def test_exponential_of_cubic_blocks_in_random_bases(base, theta):
         form = rng.standard_normal(3)
         D = algebra.coadjoint(form)
         (block,) = blocks_of(entries(D), U)
-        assert block.kind == Kind.CUBIC
+        assert block.kind == BlockKind.CUBIC
         x = rng.uniform(-1, 1, 3)
         assert error_of(reading_of(acting(D), 3), D, x, theta) <= cubic_bound(D, theta) * np.linalg.norm(x)
 

@@ -15,7 +15,7 @@ from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from coadjoint.program.parts.split import split
 from coadjoint.program.places import Places
-from coadjoint.systems.energy_derivatives import EnergyDerivative, Monomial
+from coadjoint.systems.energy_derivatives import DerivativeMonomial, EnergyDerivative
 from coadjoint.systems.parameters import parameters_of
 from refusals import refused
 
@@ -197,7 +197,8 @@ def test_monomials_are_found_at_once_as_each_alone(name):
         for parameter in parameters_of(system).values():
             G = parameter.energy()
             monomials = [
-                Monomial(*one) for one in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=True)
+                DerivativeMonomial(*one)
+                for one in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=True)
             ]
             alone = [places.of(EnergyDerivative.of_monomials(G.size, [one])) for one in monomials]
             *found, missing = places.of(G)

@@ -135,3 +135,15 @@ def test_internal_names_are_found(text):
 )
 def test_public_names_are_not_found(text):
     assert list(inside(text)) == []
+
+
+def test_each_class_name_has_one_meaning():
+    """Modules of the package define no two classes of one name."""
+    names = [
+        node.name
+        for path in tracked(ROOT)
+        if path.suffix == ".py" and path.is_relative_to(ROOT / "src")
+        for node in ast.parse(path.read_text("utf-8")).body
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert sorted({name for name in names if names.count(name) > 1}) == []

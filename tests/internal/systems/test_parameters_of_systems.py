@@ -6,7 +6,7 @@ import scipy.sparse
 
 import coadjoint as co
 from coadjoint.systems import registry
-from coadjoint.systems.coefficients import Coefficients
+from coadjoint.systems.coefficients import EnergyCoefficients
 from coadjoint.systems.energy_derivatives import derivative_by_steps
 from coadjoint.systems.parameters import parameter_of, parameters_at, parameters_of, with_parameters
 from refusals import refused
@@ -273,7 +273,7 @@ def test_refused_values_are_named():
 
 
 def of(codes, values, others=None):
-    return Coefficients.summed(np.asarray(codes, dtype=np.int64), np.asarray(values), others or {})
+    return EnergyCoefficients.summed(np.asarray(codes, dtype=np.int64), np.asarray(values), others or {})
 
 
 SHARED = [

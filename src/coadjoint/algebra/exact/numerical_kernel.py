@@ -10,7 +10,7 @@ import numpy as np
 
 from coadjoint.algebra.exact.ranks import rank_from_gap
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, groups
-from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, blocks, check_block
+from coadjoint.algebra.invariants.casimir_equations import CasimirEquations, Vector, blocks, check_block
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 MIN_PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
@@ -48,7 +48,7 @@ def _snap_to_integers(row: Floats, error: float) -> Floats:
     return np.where(np.abs(row - nearest) <= error * np.maximum(1.0, np.abs(nearest)), nearest, row)
 
 
-def _block_kernel(linear_equations: Equations) -> list[Vector]:
+def _block_kernel(linear_equations: CasimirEquations) -> list[Vector]:
     """Return the kernel of one block in reduced row echelon form, cleaned and checked against the equations."""
     order, starts = groups(linear_equations.along, linear_equations.target)
     row = np.repeat(np.arange(starts.size), np.diff(np.append(starts, order.size)))
@@ -84,7 +84,7 @@ def _block_kernel(linear_equations: Equations) -> list[Vector]:
     return vectors
 
 
-def kernel(linear_equations: Equations, largest: int) -> list[Vector]:
+def kernel(linear_equations: CasimirEquations, largest: int) -> list[Vector]:
     """Return the solutions of floating-point equations in reduced row echelon form, {unknown: float}.
 
     With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are

@@ -12,7 +12,7 @@ import numpy as np
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.ranks import random_prime, residues
 from coadjoint.algebra.exact.sparse_sums import groups
-from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, blocks, check_block
+from coadjoint.algebra.invariants.casimir_equations import CasimirEquations, Vector, blocks, check_block
 from coadjoint.long_operations import note_progress
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def _row_echelon_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]
     return tuple(next(index for index, value in enumerate(row) if value) for row in echelon), echelon
 
 
-def _kernel_modulo(linear_equations: Equations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
+def _kernel_modulo(linear_equations: CasimirEquations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
     """Return the kernel modulo a prime in reduced row echelon form, intersected derivation by derivation."""
     from flint import nmod_mat
 
@@ -70,7 +70,7 @@ def fraction_modulo(residue: int, modulus: int) -> Fraction | None:
     return Fraction(current[0], current[1])
 
 
-def annihilated(linear_equations: Equations, vector: Vector) -> bool:
+def annihilated(linear_equations: CasimirEquations, vector: Vector) -> bool:
     """Return whether a rational vector fulfils the equations exactly."""
     common = math.lcm(*(Fraction(value).denominator for value in vector.values()))
     dense = np.zeros(linear_equations.unknowns, dtype=object)
@@ -82,7 +82,7 @@ def annihilated(linear_equations: Equations, vector: Vector) -> bool:
     return not (order.size and np.any(np.add.reduceat(terms[order], starts) != 0))
 
 
-def _block_kernel(linear_equations: Equations, rng: np.random.Generator) -> list[Vector]:
+def _block_kernel(linear_equations: CasimirEquations, rng: np.random.Generator) -> list[Vector]:
     """Return the kernel of one block in reduced row echelon form."""
     # Modulo a prime the kernel is at least as large as over Q, so once that many reconstructed vectors fulfil the
     # equations exactly they span it. A prime with a larger kernel or later pivots is dropped.
@@ -117,7 +117,7 @@ def _block_kernel(linear_equations: Equations, rng: np.random.Generator) -> list
             return vectors
 
 
-def kernel(linear_equations: Equations, largest: int) -> list[Vector]:
+def kernel(linear_equations: CasimirEquations, largest: int) -> list[Vector]:
     """Return the solutions of integer equations in reduced row echelon form, {unknown: Fraction}, by leading unknown.
 
     Every vector is verified against all equations in exact arithmetic. ValueError for a block above `largest` unknowns.

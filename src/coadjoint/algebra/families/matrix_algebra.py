@@ -25,7 +25,7 @@ TRACE_TOLERANCE = 8 * UNIT_ROUNDOFF
 Matrix = npt.NDArray[Any]
 
 
-class Kind(NamedTuple):
+class MatrixFamily(NamedTuple):
     """A family of matrix Lie algebras: A with ``adjoint(A) = -A``, of trace zero if `traceless`.
 
     `form` is "diagonal" (signs on the diagonal), "symplectic", or "" for all matrices; `conjugate`: the adjoint
@@ -61,16 +61,16 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "u": Kind(True, "diagonal", True, False, "skew-Hermitian"),
-    "su": Kind(True, "diagonal", True, True, "skew-Hermitian, of trace zero"),
-    "so": Kind(False, "diagonal", False, False, "real and skew"),
-    "gl": Kind(False, "", False, False, "real"),
-    "sl": Kind(False, "", False, True, "real, of trace zero"),
-    "sp": Kind(False, "symplectic", False, False, "real, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
-    "gl(C)": Kind(True, "", False, False, "complex"),
-    "sl(C)": Kind(True, "", False, True, "complex, of trace zero"),
-    "so(C)": Kind(True, "diagonal", False, False, "complex, with W^T = -W"),
-    "sp(C)": Kind(True, "symplectic", False, False, "complex, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
+    "u": MatrixFamily(True, "diagonal", True, False, "skew-Hermitian"),
+    "su": MatrixFamily(True, "diagonal", True, True, "skew-Hermitian, of trace zero"),
+    "so": MatrixFamily(False, "diagonal", False, False, "real and skew"),
+    "gl": MatrixFamily(False, "", False, False, "real"),
+    "sl": MatrixFamily(False, "", False, True, "real, of trace zero"),
+    "sp": MatrixFamily(False, "symplectic", False, False, "real, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
+    "gl(C)": MatrixFamily(True, "", False, False, "complex"),
+    "sl(C)": MatrixFamily(True, "", False, True, "complex, of trace zero"),
+    "so(C)": MatrixFamily(True, "diagonal", False, False, "complex, with W^T = -W"),
+    "sp(C)": MatrixFamily(True, "symplectic", False, False, "complex, with W^T J + J W = 0, J = [[0, 1], [-1, 0]]"),
 }
 INDEFINITE_KINDS = ("u", "su", "so")
 """Kinds that exist for forms of any signature."""
@@ -79,7 +79,7 @@ INDEFINITE_KINDS = ("u", "su", "so")
 class Adjoint:
     """The adjoint by a form, ``J^-1 A^T J``, conjugated if `kind.conjugate`; the last `q` signs are negative."""
 
-    def __init__(self, kind: Kind, N: int, q: int) -> None:
+    def __init__(self, kind: MatrixFamily, N: int, q: int) -> None:
         self.conjugate, order, signs = kind.conjugate, np.arange(N), np.ones(N)
         if kind.form == "symplectic":
             order, signs[N // 2 :] = np.roll(order, N // 2), -1.0
@@ -205,7 +205,7 @@ class MatrixAlgebra:
         return self.N, self.N
 
     @property
-    def parts(self) -> Iterator[tuple[slice, MatrixAlgebra, Kind]]:
+    def parts(self) -> Iterator[tuple[slice, MatrixAlgebra, MatrixFamily]]:
         """The diagonal blocks as (slice, algebra, kind); a single one unless the algebra is a sum."""
         first = 0
         for block in self.blocks or (self,):

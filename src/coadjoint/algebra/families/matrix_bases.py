@@ -20,7 +20,7 @@ Entry = tuple[int, int, int, float]
 Form = list[tuple[int, int, int | Fraction]]
 
 
-class Sparse:
+class SparseMatrices:
     """Entries (number, row, column, value) of a list of sparse matrices, as arrays, matrix after matrix."""
 
     def __init__(self, entries: Iterable[Entry]) -> None:
@@ -30,7 +30,7 @@ class Sparse:
         self.value: Floats = table[:, 3].copy()
 
 
-def commutator_constants(basis: Sparse, coordinates: Sparse, size: int) -> Triples:
+def commutator_constants(basis: SparseMatrices, coordinates: SparseMatrices, size: int) -> Triples:
     """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for a < b, unique and nonzero, of a sparse `basis`."""
     # Coordinate k of a matrix M is the sum of w_k[r, c] M[r, c], with w_k from `coordinates`. Exact if entries and
     # weights are small multiples of a power of two.
@@ -73,7 +73,7 @@ def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
     return Triples(i[representatives], j[representatives], k[representatives], total[nonzero])
 
 
-def matrices(basis: Sparse, count: int, size: int) -> Floats | None:
+def matrices(basis: SparseMatrices, count: int, size: int) -> Floats | None:
     """Return the matrices as an array (count, size, size), or None above 128 MB."""
     if count * size**2 > MAX_REPRESENTATION_NUMBERS:
         return None
@@ -112,14 +112,14 @@ def matrix_algebra(
     >>> matrix_algebra("affine", affine, affine, 2, {})
     LieAlgebra('affine', dim=2: [e1, e2] = e2)
     """
-    sparse = Sparse(basis)
+    sparse = SparseMatrices(basis)
     dim = int(sparse.number.max()) + 1
     casimirs = {}
     if casimirs_fit(sum(map(len, forms.values())), dim):
         casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
         casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
     # Matrix commutators satisfy all identities, and the matrices are a representation: no check is needed.
-    constants = commutator_constants(sparse, Sparse(coordinates), size)
+    constants = commutator_constants(sparse, SparseMatrices(coordinates), size)
     return LieAlgebra._from_valid(constants, dim, read_basis(None, dim), name, matrices(sparse, dim, size), casimirs)
 
 

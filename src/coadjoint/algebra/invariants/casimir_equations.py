@@ -17,7 +17,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 Vector = dict[int, Any]  # unknown -> coefficient, sorted; the first coefficient is 1
 
 
-class Equations(NamedTuple):
+class CasimirEquations(NamedTuple):
     """Sparse linear equations for the coefficients v of a polynomial that every derivation e_i annihilates."""
 
     # In the derivative along e_i, i = along[m], monomial target[m] has the term values[m] v[columns[m]].
@@ -57,7 +57,7 @@ def monomial_positions(basis: Integers, dim: int) -> Integers:
     return result
 
 
-def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int) -> Equations:
+def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int) -> CasimirEquations:
     """Assemble J(x) grad C(x) = 0, sum_jk c_ij^k x_k dC/dx_j = 0 for all i, monomial by monomial.
 
     Indices are those of `triples` (i < j), constants `values` (integer objects or floats), `basis` (N, degree) from
@@ -99,10 +99,10 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
     nonzero = np.asarray(np.abs(value) > tolerance, dtype=bool)
     row, column = np.divmod(position[order[starts]][nonzero], count)
     along, target = np.divmod(row, count)
-    return Equations(count, along, target, column, value[nonzero])
+    return CasimirEquations(count, along, target, column, value[nonzero])
 
 
-def blocks(linear_equations: Equations) -> Iterator[tuple[Integers, Equations]]:
+def blocks(linear_equations: CasimirEquations) -> Iterator[tuple[Integers, CasimirEquations]]:
     """Yield the independent blocks: their sorted unknowns, and their equations renumbered from 0.
 
     Unknowns that one equation sets to zero are eliminated repeatedly; the remaining equations split into connected
@@ -139,10 +139,13 @@ def blocks(linear_equations: Equations) -> Iterator[tuple[Integers, Equations]]:
             block_rows = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
             along, target = np.divmod(names[rows[block_rows]], linear_equations.unknowns)
             target = np.unique(target, return_inverse=True)[1].astype(np.int64)
-            yield members, Equations(members.size, along, target, local_index[columns[block_rows]], values[block_rows])
+            yield (
+                members,
+                CasimirEquations(members.size, along, target, local_index[columns[block_rows]], values[block_rows]),
+            )
 
 
-def check_block(part: Equations, largest: int) -> None:
+def check_block(part: CasimirEquations, largest: int) -> None:
     """Raise a ValueError for a block too large to be solved as a dense matrix."""
     if part.unknowns > largest:
         raise ValueError(

@@ -16,7 +16,13 @@ from coadjoint.algebra.exact import numerical_kernel, rational_kernel
 from coadjoint.algebra.exact.components import summands
 from coadjoint.algebra.exact.ranks import clear_denominators, generic_rank, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.algebra.invariants.casimir_equations import Equations, Vector, equations, monomial_count, monomials
+from coadjoint.algebra.invariants.casimir_equations import (
+    CasimirEquations,
+    Vector,
+    equations,
+    monomial_count,
+    monomials,
+)
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.validation import read_integer
@@ -31,7 +37,7 @@ class _Arithmetic(NamedTuple):
     """Kernel and pivot routines of one summand: exact or floating-point."""
 
     constants: NDArray[Any]
-    kernel: Callable[[Equations, int], list[Vector]]
+    kernel: Callable[[CasimirEquations, int], list[Vector]]
     pivots: Callable[[Sequence[Sequence[Any]], int], list[int]]
     max_unknowns: int
 

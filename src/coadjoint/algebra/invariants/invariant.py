@@ -108,7 +108,7 @@ class Forms(NamedTuple):
     coordinate: NDArray[np.int64]
 
 
-class Term(NamedTuple):
+class InvariantTerm(NamedTuple):
     """A term: weight * first/second (QUOTIENT), weight * log|second|, or weight * atan2(first, second) (ANGLE)."""
 
     kind: int
@@ -122,7 +122,7 @@ class LogarithmicSum:
     """A function sum of w p/q + sum of w log|p| + sum of w atan2(p, q) with polynomials p, q and numbers w, not 0."""
 
     dim: int
-    terms: tuple[Term, ...]
+    terms: tuple[InvariantTerm, ...]
 
     def __str__(self) -> str:
         return " + ".join(_format_term(term) for term in self.terms).replace("+ -", "- ") or "0"
@@ -130,17 +130,17 @@ class LogarithmicSum:
     @classmethod
     def quotient(cls, numerator: Polynomial, denominator: Polynomial) -> LogarithmicSum:
         """Return numerator/denominator."""
-        return cls(numerator.dim, (Term(QUOTIENT, 1, numerator, denominator),) if numerator.monomials else ())
+        return cls(numerator.dim, (InvariantTerm(QUOTIENT, 1, numerator, denominator),) if numerator.monomials else ())
 
     @classmethod
     def logarithm(cls, p: Polynomial) -> LogarithmicSum:
         """Return log|p|."""
-        return cls(p.dim, (Term(LOGARITHM, 1, p, p),))
+        return cls(p.dim, (InvariantTerm(LOGARITHM, 1, p, p),))
 
     @classmethod
     def angle(cls, sine: Polynomial, cosine: Polynomial) -> LogarithmicSum:
         """Return atan2(sine, cosine): an angle, defined up to multiples of 2 pi."""
-        return cls(sine.dim, (Term(ANGLE, 1, sine, cosine),))
+        return cls(sine.dim, (InvariantTerm(ANGLE, 1, sine, cosine),))
 
     def __add__(self, other: LogarithmicSum | Polynomial) -> LogarithmicSum:
         if isinstance(other, Polynomial):
@@ -234,7 +234,7 @@ class LogarithmicSum:
         )
 
 
-def _format_term(term: Term) -> str:
+def _format_term(term: InvariantTerm) -> str:
     """Format one term."""
     weight = "" if term.weight == 1 else "-" if term.weight == -1 else f"{term.weight} "
     if term.kind == QUOTIENT:

@@ -77,7 +77,7 @@ class StoredState(NamedTuple):
     about: dict[str, Any]
 
 
-class Block(NamedTuple):
+class MemberBlock(NamedTuple):
     """The members `first` to `last` - 1 of an ensemble."""
 
     number: int
@@ -95,9 +95,9 @@ class Block(NamedTuple):
         return f"block-{self.number:06d}.lock"
 
 
-def blocks_of(members: int, size: int) -> list[Block]:
+def blocks_of(members: int, size: int) -> list[MemberBlock]:
     """Return all blocks of an ensemble."""
-    return [Block(k, first, min(first + size, members)) for k, first in enumerate(range(0, members, size))]
+    return [MemberBlock(k, first, min(first + size, members)) for k, first in enumerate(range(0, members, size))]
 
 
 class Archive:
@@ -127,7 +127,7 @@ class Archive:
         return BLOCK_SIZE_ATTRIBUTE in self.attributes
 
     @property
-    def blocks(self) -> list[Block]:
+    def blocks(self) -> list[MemberBlock]:
         """The blocks of members that are run together."""
         members = self.members
         return blocks_of(members, int(self.attributes.get(BLOCK_SIZE_ATTRIBUTE, members)))
@@ -251,7 +251,7 @@ def total_progress(heads: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def read_marker(
-    folder: Folder, block: Block, only_head: bool = False
+    folder: Folder, block: MemberBlock, only_head: bool = False
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
     """Return the progress of a block, and the numbers from which it resumes; None if missing or damaged."""
     try:
@@ -270,7 +270,7 @@ def read_marker(
         return None
 
 
-def read_head(folder: Folder, block: Block) -> dict[str, Any]:
+def read_head(folder: Folder, block: MemberBlock) -> dict[str, Any]:
     """Return the progress of a block; empty if it has not begun, or its marker is damaged."""
     return (read_marker(folder, block, only_head=True) or ({}, {}))[0]
 

@@ -24,8 +24,8 @@ from coadjoint.files.archives.archive import (
     Archive,
     ArchiveError,
     ArchiveMoved,
-    Block,
     Location,
+    MemberBlock,
     read_location,
     read_root,
     total_progress,
@@ -151,7 +151,7 @@ class ArchivedSolution(StoredSolution):
         return worst[0] if self.failed is None else worst
 
     @cached_property
-    def blocks(self) -> Sequence[Block]:  # type: ignore[override]
+    def blocks(self) -> Sequence[MemberBlock]:  # type: ignore[override]
         return self._archive.blocks
 
     @cached_property

@@ -13,7 +13,7 @@ from typing import Any
 from distributed import Client, Nanny, Scheduler, SpecCluster, Worker, wait
 from distributed.security import Security
 
-from coadjoint.files.archives.archive import ArchiveError, Block
+from coadjoint.files.archives.archive import ArchiveError, MemberBlock
 from coadjoint.files.archives.ensemble import BUSY, run_block
 from coadjoint.files.archives.new_archive import PlannedRun
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
@@ -36,7 +36,7 @@ def on_processes(workers: int, *arguments: Any) -> None:
 def on_client(
     client: Any,
     store: ArchiveStore,
-    remaining: list[Block],
+    remaining: list[MemberBlock],
     planned: PlannedRun,
     threads: int | None,
     progress: bool,
@@ -67,8 +67,8 @@ def on_client(
 
 
 def _run_round(
-    client: Any, store: ArchiveStore, remaining: list[Block], planned: PlannedRun, threads: int, bar: Any
-) -> tuple[list[Block], BaseException | None]:
+    client: Any, store: ArchiveStore, remaining: list[MemberBlock], planned: PlannedRun, threads: int, bar: Any
+) -> tuple[list[MemberBlock], BaseException | None]:
     """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
     archive, token, prepared = str(store.path), secrets.token_hex(4), planned.prepared
     shared_tables = not prepared.system.is_batch
@@ -80,13 +80,13 @@ def _run_round(
             raise
         return remaining, lost
 
-    def submitted(block: Block, attempt: int) -> Any:
+    def submitted(block: MemberBlock, attempt: int) -> Any:
         prepared_run = shared_run if shared_tables else prepared.among(block.first, block.last)
         key = f"coadjoint-{token}-{block.number}-{attempt}"
         return client.submit(run_block, archive, block, prepared_run, shared_tables, threads, key=key, pure=False)
 
     tasks = {submitted(block, 0): block for block in remaining}
-    unfinished: list[Block] = []
+    unfinished: list[MemberBlock] = []
     failure: BaseException | None = None
     attempts, last_response = 0, time.monotonic()
     try:

@@ -25,7 +25,7 @@ from coadjoint.files.archives.archive import (
     FIRST_STEP,
     HIDDEN_FOLDER,
     ArchiveError,
-    Block,
+    MemberBlock,
     is_computed,
     open_folder,
     read_archive_path,
@@ -313,7 +313,7 @@ def _run_unfinished(
     return raise_if_failed(open_archive(path, prepared.system))
 
 
-def _run_serially(store: ArchiveStore, remaining: list[Block], prepared: PreparedRun, progress: bool) -> None:
+def _run_serially(store: ArchiveStore, remaining: list[MemberBlock], prepared: PreparedRun, progress: bool) -> None:
     """Run blocks in this process, one after the other."""
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
         for block in remaining:
@@ -333,7 +333,7 @@ def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
 
 
 def run_block(
-    archive: str, block: Block, prepared: PreparedRun, all_members: bool, threads: int | None
+    archive: str, block: MemberBlock, prepared: PreparedRun, all_members: bool, threads: int | None
 ) -> dict[str, Any]:
     """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if locked."""
     path, host = Path(archive), platform.node()
@@ -378,7 +378,7 @@ def run_block(
         store.close()
 
 
-def _start_of(store: ArchiveStore, name: str, block: Block) -> Any:
+def _start_of(store: ArchiveStore, name: str, block: MemberBlock) -> Any:
     """Return the initial values of the members of a block, or None if the archive has no such array."""
     if name not in store.arrays:
         return None
@@ -419,7 +419,7 @@ def _is_stored(store: ArchiveStore, name: str, values: Any) -> bool:
     )
 
 
-def unfinished_blocks(store: ArchiveStore) -> list[Block]:
+def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:
     """Return the unfinished blocks; those of which committed chunks are lost begin again."""
     blocks, lost = store.blocks, set[int]()
     for name, indices in store.lost_chunks(store.folder):

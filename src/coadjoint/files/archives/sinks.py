@@ -19,7 +19,7 @@ from coadjoint.files.archives.archive import (
     STATUS,
     STEPS,
     ArchiveError,
-    Block,
+    MemberBlock,
     StoredState,
 )
 from coadjoint.files.archives.store import ArchiveStore, unwritten_archive
@@ -93,7 +93,7 @@ class ArchiveSink(Sink):
 class BlockSink(Sink):
     """The chunks and the marker of a block, which take the pieces of its run; `head` is the head of the marker."""
 
-    def __init__(self, store: ArchiveStore, block: Block, head: dict[str, Any]) -> None:
+    def __init__(self, store: ArchiveStore, block: MemberBlock, head: dict[str, Any]) -> None:
         self.store, self.block, self.head = store, block, head
         self._seconds = float(head.get("seconds", 0.0))
 

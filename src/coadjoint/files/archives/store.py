@@ -42,7 +42,7 @@ from coadjoint.files.archives.archive import (
     VERSION_ATTRIBUTE,
     Archive,
     ArchiveError,
-    Block,
+    MemberBlock,
     StoredState,
     chunk_file,
     open_folder,
@@ -207,7 +207,7 @@ class ArchiveStore(Archive):
         self._touched.add(HIDDEN_FOLDER)
         return StoredState(file, hashlib.sha256(raw).hexdigest(), dict(about))
 
-    def write_marker(self, block: Block, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
+    def write_marker(self, block: MemberBlock, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
         """Commit a block by its marker, atomically: a line of JSON with checksums, then the numbers."""
         self.folder.sync_to_disk(self._touched)
         raw = serialize_numbers(stored)

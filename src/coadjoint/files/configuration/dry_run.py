@@ -30,7 +30,7 @@ LABEL_WIDTH = 14  # characters of the first column
 
 
 @dataclass(frozen=True)
-class Plan:
+class DryRun:
     """Description and cost of the run of a configuration file: sizes in bytes; seconds from `tried` steps."""
 
     configuration: Configuration
@@ -128,7 +128,7 @@ def format_duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def plan(configuration: Configuration) -> Plan:
+def plan(configuration: Configuration) -> DryRun:
     """Describe the run of a configuration, and estimate its cost from a trial of the first steps."""
     if configuration.archive is None and configuration.workers is None:
         configuration.check_memory()
@@ -152,7 +152,7 @@ def plan(configuration: Configuration) -> Plan:
         written = _written(configuration, prepared, times)
     except IntegrationError as error:
         failed = str(error)
-    return Plan(
+    return DryRun(
         configuration,
         start.momenta.shape[1],
         len(start.momenta),

@@ -25,7 +25,7 @@ from coadjoint.files.configuration.construction import (
 )
 from coadjoint.files.configuration.models import File, OutputTable, SweepOnly, all_errors
 from coadjoint.files.configuration.parsing import ValidTables, parse_toml, read_utf8, valid_tables
-from coadjoint.files.configuration.sweeps import Sweep, read_sweep, swept_states, swept_system
+from coadjoint.files.configuration.sweeps import SettingsSweep, read_sweep, swept_states, swept_system
 from coadjoint.files.records.reconstruction import event_of_file
 from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.suggested_scheme import default_scheme
@@ -66,9 +66,11 @@ def load(path: str | Path) -> Configuration:
     return _configuration(name, text, *_parse_tables(name, parse_toml(name, text), errors), errors)
 
 
-def _parse_tables(name: str, raw: Mapping[str, Any], errors: ErrorCollector) -> tuple[ValidTables, Sweep | None]:
+def _parse_tables(
+    name: str, raw: Mapping[str, Any], errors: ErrorCollector
+) -> tuple[ValidTables, SettingsSweep | None]:
     """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
-    sweep: Sweep | None = None
+    sweep: SettingsSweep | None = None
     if "sweep" in raw:
         raw_with_sweep, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
         with errors.collect():
@@ -80,7 +82,7 @@ def _parse_tables(name: str, raw: Mapping[str, Any], errors: ErrorCollector) -> 
     return tables, sweep
 
 
-def _system(name: str, file: File, sweep: Sweep | None) -> Any:
+def _system(name: str, file: File, sweep: SettingsSweep | None) -> Any:
     return system_of_file(name, file) if sweep is None else swept_system(sweep, file, partial(_checked, name, File))
 
 
@@ -126,7 +128,7 @@ def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
 
 
 def _configuration(
-    name: str, text: str, tables: ValidTables, sweep: Sweep | None, errors: ErrorCollector
+    name: str, text: str, tables: ValidTables, sweep: SettingsSweep | None, errors: ErrorCollector
 ) -> Configuration:
     file = tables.file
     if file is None:

@@ -51,7 +51,7 @@ MAX_TERMS = 400
 
 
 @dataclass(frozen=True)
-class Axis:
+class SettingsAxis:
     """Keys that are set together: key -> settings, all of one length."""
 
     settings: Mapping[str, Any]
@@ -59,12 +59,12 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SettingsSweep:
     """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest."""
 
     name: str
     raw: Mapping[str, Any]
-    axes: tuple[Axis, ...]
+    axes: tuple[SettingsAxis, ...]
     orbits: frozenset[str] = frozenset()
 
     @property
@@ -112,7 +112,7 @@ class Sweep:
         return values
 
 
-def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
+def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> SettingsSweep:
     """Return the sweep of a file from its validated table, with random settings drawn and files read."""
     axes: dict[str, dict[str, Any]] = {}
     errors = ErrorCollector(name)
@@ -132,12 +132,12 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Sweep:
             settings = settings_of(key, table, sweep, value, Path(name).parent)
             axes.setdefault(settings_group(key, table), {})[key] = settings
     errors.raise_collected()
-    sweep_axes = tuple(Axis(settings, len(next(iter(settings.values())))) for settings in axes.values())
+    sweep_axes = tuple(SettingsAxis(settings, len(next(iter(settings.values())))) for settings in axes.values())
     members = math.prod(axis.length for axis in sweep_axes)
     with section(name, "sweep.over"):
         check_available_memory(BYTES_PER_MEMBER * len(sweep.over) * members, f"a sweep of {short(members)} members")
     orbits = frozenset(key for key, table in sweep.over.items() if table.kind == "orbit")
-    return Sweep(name, raw, sweep_axes, orbits)
+    return SettingsSweep(name, raw, sweep_axes, orbits)
 
 
 def parse_key(text: str) -> KeyPath:
@@ -210,7 +210,7 @@ def _check_key_exists(table: Any, key: str | int) -> None:
 BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a margin
 
 
-def swept_system(sweep: Sweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
+def swept_system(sweep: SettingsSweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
     """Return the common system of all members, or a `Batch` if the sweep changes it; `file` is the first one."""
     axes = sweep.axes_of(_is_system_key)
     if not axes:
@@ -226,7 +226,7 @@ def _is_system_key(path: KeyPath) -> bool:
     return path[0] != "initial"
 
 
-def swept_states(sweep: Sweep, file: File, system: Any, check_tables: Callable[[dict[str, Any]], File]) -> Any:
+def swept_states(sweep: SettingsSweep, file: File, system: Any, check_tables: Callable[[dict[str, Any]], File]) -> Any:
     """Return the initial states of the members, (members, ...), as `integrate` takes them."""
     name = sweep.name
     systems = [system.of_member(m) for m in range(sweep.members)]

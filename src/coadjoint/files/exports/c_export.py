@@ -17,7 +17,7 @@ from coadjoint.files.exports.c_statements import (
     FREE_BODY,
     VECTORS,
     WIDTH,
-    Inputs,
+    DeclaredInputs,
     Value,
     block,
     function,
@@ -36,7 +36,7 @@ from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.forced import Forced
-from coadjoint.program.blocks import Kind
+from coadjoint.program.blocks import BlockKind
 from coadjoint.program.term_table import FUNCTION, Terms
 from coadjoint.runs.inputs import InputLoops
 from coadjoint.runs.loops.loops import loops_of_system
@@ -136,7 +136,7 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
             "that begins with a letter, other than coadjoint"
         )
     loop, numbers = loop_of_run(prepared)
-    inputs = Inputs(", const double *u", ", u") if prepared.inputs is not None else Inputs()
+    inputs = DeclaredInputs(", const double *u", ", u") if prepared.inputs is not None else DeclaredInputs()
     exported = _exported(prepared, loop, numbers, inputs, tangent, bool(prepared.system.forces))
     lines = exported.lines
     lines += function("step", f"double *x{inputs.declared}, double h", exported.step)
@@ -243,7 +243,7 @@ def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, s
 
 
 def _exported(
-    prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool, forced: bool
+    prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool, forced: bool
 ) -> Exported:
     exporters: dict[Any, Callable[..., Exported]] = {FlowTables: _splitting, RungeKuttaTables: _stages}
     export = exporters.get(type(loop.tables))
@@ -268,7 +268,7 @@ def _check_attitude(prepared: PreparedRun, loop: CompiledLoop) -> None:
         why = f"{prepared.method} is no splitting"
     elif loop.shift:
         why = "Casimirs were subtracted from the energy, so that the parts turn it by other angles than the state"
-    elif tables.bent.any() or (tables.group.kind % limit("RATIONAL") == Kind.SERIES).any():
+    elif tables.bent.any() or (tables.group.kind % limit("RATIONAL") == BlockKind.SERIES).any():
         why = "its blocks are series, or its rotations are not rational as those of the state are"
     else:
         return
@@ -293,7 +293,9 @@ def check_terms(prepared: PreparedRun, terms: Terms) -> None:
         )
 
 
-def _splitting(prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
+def _splitting(
+    prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool
+) -> Exported:
     terms = tables.terms
     check_terms(prepared, terms)
     numbers.check_constant(tables, [f"terms.{field}" for field in FIELDS], str(prepared.method))
@@ -345,7 +347,7 @@ def _attitude_functions(parts: PartsInC, zeros: Sequence[str]) -> list[str]:
 
 
 def _stages(
-    prepared: PreparedRun, tables: RungeKuttaTables, numbers: _Numbers, inputs: Inputs, tangent: bool
+    prepared: PreparedRun, tables: RungeKuttaTables, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool
 ) -> Exported:
     solver = {value: key for key, value in codes("Solver").items()}[tables.solver]
     if solver not in ("EXPLICIT", "ITERATED"):
@@ -366,7 +368,9 @@ def _stages(
     return Exported(lines, [*error, *step], steps, change)
 
 
-def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: Inputs, tangent: bool) -> Exported:
+def _forced(
+    prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool
+) -> Exported:
     """Half flows of the forces, a step of the scheme, and half flows in reversed order, at fractions of the step."""
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
     forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]

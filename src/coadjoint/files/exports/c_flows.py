@@ -10,7 +10,7 @@ import numpy as np
 from coadjoint.files.exports.c_statements import (
     FEW,
     VECTORS,
-    Inputs,
+    DeclaredInputs,
     Value,
     block,
     function,
@@ -22,7 +22,7 @@ from coadjoint.files.exports.c_terms import Numbers, gradient, gradient_change
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import CUBIC_HEADER, Kind
+from coadjoint.program.blocks import CUBIC_HEADER, BlockKind
 
 BODY_COLUMNS, BODY_CONSTANTS, BODY_ROTATIONS = 6, 15, 4
 DIRECT, BONDS = 1, 2
@@ -32,7 +32,7 @@ MOST_ROWS = 40
 """Flows of a step that are written out; more of them are a loop over a table."""
 
 
-class Run(NamedTuple):
+class RepeatedBlocks(NamedTuple):
     """Blocks of one kind in order, `repeat` for each of some angles; none if the angle `skip` is zero."""
 
     kind: int
@@ -46,16 +46,16 @@ class Run(NamedTuple):
     entries: int
     degree: int
 
-    def joins(self, other: Run) -> bool:
+    def joins(self, other: RepeatedBlocks) -> bool:
         """Return whether the blocks of another run may follow in the same list."""
-        if self.kind in (Kind.CUBIC, Kind.SERIES) or (self.skip < 0) != (other.skip < 0):
+        if self.kind in (BlockKind.CUBIC, BlockKind.SERIES) or (self.skip < 0) != (other.skip < 0):
             return False
         return self[:2] == other[:2] and self.repeat == other.repeat
 
 
-def runs_of_part(action: Action, p: int, called: bool) -> list[Run]:
+def runs_of_part(action: Action, p: int, called: bool) -> list[RepeatedBlocks]:
     """Return the runs of a part; neighbours of one kind are joined. `called` means that bodies move it."""
-    found: list[Run] = []
+    found: list[RepeatedBlocks] = []
     for run in range(int(action.run[p]), int(action.run[p + 1])):
         kind, rational = int(action.kind[run]) % limit("RATIONAL"), int(action.kind[run]) >= limit("RATIONAL")
         angles, repeat, width, entries = (
@@ -63,15 +63,15 @@ def runs_of_part(action: Action, p: int, called: bool) -> list[Run]:
         )
         blocks = angles * repeat
         indices, constants = {
-            Kind.SCALE: (blocks, angles),
-            Kind.ROTATE: (2 * blocks, angles),
-            Kind.PLANE: (2 * blocks, 4 * angles),
-            Kind.SHEAR: (2 * blocks, blocks),
-            Kind.CUBIC: (2 * width + 1 + entries, CUBIC_HEADER + 3 * entries),
-            Kind.SERIES: (2 * width + 1 + entries, 1 + entries),
-        }[Kind(kind)]
+            BlockKind.SCALE: (blocks, angles),
+            BlockKind.ROTATE: (2 * blocks, angles),
+            BlockKind.PLANE: (2 * blocks, 4 * angles),
+            BlockKind.SHEAR: (2 * blocks, blocks),
+            BlockKind.CUBIC: (2 * width + 1 + entries, CUBIC_HEADER + 3 * entries),
+            BlockKind.SERIES: (2 * width + 1 + entries, 1 + entries),
+        }[BlockKind(kind)]
         first, constant, angle = int(action.position[run]), int(action.constant[run]), int(action.angle[run])
-        one = Run(
+        one = RepeatedBlocks(
             kind,
             rational,
             list(range(angle, angle + angles)),
@@ -94,9 +94,11 @@ def runs_of_part(action: Action, p: int, called: bool) -> list[Run]:
 class PartsInC:
     """The functions of the parts of a splitting; `inputs` declares the inputs as an argument, if there are any."""
 
-    def __init__(self, tables: FlowTables, number: Numbers, inputs: Inputs) -> None:
+    def __init__(self, tables: FlowTables, number: Numbers, inputs: DeclaredInputs) -> None:
         compensated = tables.compensated
-        self.state = Inputs("double *x, double *error", "x, error") if compensated else Inputs("double *x", "x")
+        self.state = (
+            DeclaredInputs("double *x, double *error", "x, error") if compensated else DeclaredInputs("double *x", "x")
+        )
         self.tables, self.terms, self.number, self.inputs = tables, tables.terms, number, inputs
         self.parts = sorted(set(tables.part.tolist()))
         self.runs = {p: runs_of_part(tables.state, p, bool(self._called(p))) for p in self.parts}
@@ -149,7 +151,7 @@ class PartsInC:
         """Return the free bodies or bonds of a part."""
         return [int(self.tables.called[k]) for k in self._shares(p) if self.tables.called[k] >= 0]
 
-    def _part(self, p: int) -> Part:
+    def _part(self, p: int) -> PartInC:
         shares = self._shares(p)
         origin, end = int(self.terms.row[shares.start]), int(self.terms.row[shares.stop])
         angles: list[str] = []
@@ -171,9 +173,9 @@ class PartsInC:
             for errors in (False, self.tables.compensated)
         )
         turns = [line for run in self.group_runs[p] for line in _moves_of_run(run, "tau", True)]
-        return Part(end - origin, ("angle",), angles, moves, [*changes, *each], corrected=corrected, turns=turns)
+        return PartInC(end - origin, ("angle",), angles, moves, [*changes, *each], corrected=corrected, turns=turns)
 
-    def _called_part(self, p: int) -> Part:
+    def _called_part(self, p: int) -> PartInC:
         tables, bodies = self.tables, self._called(p)
         columns = tables.body_column.reshape(-1, BODY_COLUMNS)[bodies].tolist()
         constants = tables.body.reshape(-1, BODY_CONSTANTS)[bodies].tolist()
@@ -211,10 +213,10 @@ class PartsInC:
         turns: list[str] = []
         for run in self.group_runs[p]:
             turns += _direct_turns(run, True) if direct else _moves_of_run(run, "1.0", True)
-        return Part(BODY_ROTATIONS * len(bodies), results, angles, moves, changes, together_moves, corrected, turns)
+        return PartInC(BODY_ROTATIONS * len(bodies), results, angles, moves, changes, together_moves, corrected, turns)
 
 
-class Part(NamedTuple):
+class PartInC(NamedTuple):
     """The statements of a part with `number` angles, found at x as `results`; vectors and states are moved by them."""
 
     number: int
@@ -267,9 +269,9 @@ class Part(NamedTuple):
         return f"coadjoint_angles_{p}({x}{parts.inputs.passed}{self._tau[1]}, {', '.join(self.results)})"
 
     @property
-    def _tau(self) -> Inputs:
+    def _tau(self) -> DeclaredInputs:
         """Angles of bodies are those of the whole flow; others are multiplied by its time."""
-        return Inputs(", double tau", ", tau") if len(self.results) > 1 else Inputs()
+        return DeclaredInputs(", double tau", ", tau") if len(self.results) > 1 else DeclaredInputs()
 
     def with_tangents(self, parts: PartsInC, p: int) -> list[str]:
         """Return the derivative of a flow: vectors move as the state does, and further by the changes of the angles."""
@@ -300,13 +302,13 @@ class Part(NamedTuple):
         ]
 
 
-def _pairs(run: Run, names: str = "ij") -> dict[str, list[int]]:
+def _pairs(run: RepeatedBlocks, names: str = "ij") -> dict[str, list[int]]:
     """Return the coordinates of all blocks, in order."""
     size = len(names)
     return {name: run.indices[position::size] for position, name in enumerate(names)}
 
 
-def _each_block(run: Run, per_angle: int = 0) -> dict[str, list[Any]]:
+def _each_block(run: RepeatedBlocks, per_angle: int = 0) -> dict[str, list[Any]]:
     """Return the angle of every block, and its constants, `per_angle` for each angle, or one for each block."""
     angle = [angle for angle in run.angle for _ in range(run.repeat)]
     if not per_angle:
@@ -318,24 +320,24 @@ def _each_block(run: Run, per_angle: int = 0) -> dict[str, list[Any]]:
     return found
 
 
-def _moves_of_run(run: Run, tau: str, errors: bool) -> list[str]:
+def _moves_of_run(run: RepeatedBlocks, tau: str, errors: bool) -> list[str]:
     """Return the statements that move x by a run, and with `errors` those of its sums."""
     scaled, skip, error = f"angle[{{a}}] * ({tau} * {{w}})", "angle", "error" if errors else "0"
-    if run.kind == Kind.ROTATE:
+    if run.kind == BlockKind.ROTATE:
         return _turns(run, f"coadjoint_rotate{'_rationally' if run.rational else '_by'}({scaled})", skip, errors)
-    if run.kind == Kind.SCALE:
+    if run.kind == BlockKind.SCALE:
         return _blocks(run, f"coadjoint_stretch(x, {error}, {{i}}, {scaled});", "i", 1, skip)
-    if run.kind == Kind.SHEAR:
+    if run.kind == BlockKind.SHEAR:
         by = f"({tau} * angle[{{a}}]) * {{w}}"
         if errors:
             return _blocks(run, f"coadjoint_shear_corrected(x, error, {{i}}, {{j}}, {by});", "ij", 0, skip)
         return _blocks(run, f"x[{{i}}] = x[{{i}}] + (({tau} * angle[{{a}}]) * {{w}}) * x[{{j}}];", "ij", 0, skip)
-    if run.kind == Kind.PLANE:
+    if run.kind == BlockKind.PLANE:
         moved = f"coadjoint_plane(x, {error}, {{i}}, {{j}}, {{w0}}, {{w1}}, {{w2}}, {{w3}}, {tau} * angle[{{a}}]);"
         return _blocks(run, moved, "ij", 4, skip)
     stored = _matrix(run)
     theta = f"{tau} * angle[{run.angle[0]}]"
-    if run.kind == Kind.CUBIC:
+    if run.kind == BlockKind.CUBIC:
         values = run.constants[CUBIC_HEADER:]
         header = numbers("double", "constant", run.constants[:CUBIC_HEADER])
         header += numbers("double", "square", values[run.entries : 2 * run.entries])
@@ -350,16 +352,16 @@ def _moves_of_run(run: Run, tau: str, errors: bool) -> list[str]:
     return block("" if run.skip < 0 else f"if (!(angle[{run.skip}] == 0.0))", lines)
 
 
-def _blocks(run: Run, move: str, names: str, per_angle: int, skip: str) -> list[str]:
+def _blocks(run: RepeatedBlocks, move: str, names: str, per_angle: int, skip: str) -> list[str]:
     """Statements for every block."""
     return repeated(_unless_zero(run, move, skip), {**_pairs(run, names), **_each_block(run, per_angle)})
 
 
-def _unless_zero(run: Run, statement: str, skip: str) -> str:
+def _unless_zero(run: RepeatedBlocks, statement: str, skip: str) -> str:
     return statement if run.skip < 0 else f"if (!({skip}[{{a}}] == 0.0)) {statement}"
 
 
-def _turns(run: Run, rotation: str, skip: str, errors: bool) -> list[str]:
+def _turns(run: RepeatedBlocks, rotation: str, skip: str, errors: bool) -> list[str]:
     """Rotations by the angles of a run, each of all of its blocks; sines are computed once."""
     turn = "coadjoint_turn_corrected(x, error" if errors else "coadjoint_turn(x"
     if run.repeat == 1:
@@ -383,13 +385,13 @@ def _turns(run: Run, rotation: str, skip: str, errors: bool) -> list[str]:
     return found
 
 
-def _direct_turns(run: Run, errors: bool) -> list[str]:
+def _direct_turns(run: RepeatedBlocks, errors: bool) -> list[str]:
     return _turns(run, "coadjoint_rotation_of(sine[{a}] * {w}, cosm1[{a}])", "cosm1", errors)
 
 
-def _matrix(run: Run) -> list[str]:
+def _matrix(run: RepeatedBlocks) -> list[str]:
     """Return the declarations of a block of several coordinates."""
-    width, first = run.width, CUBIC_HEADER if run.kind == Kind.CUBIC else 1
+    width, first = run.width, CUBIC_HEADER if run.kind == BlockKind.CUBIC else 1
     return [
         *numbers("coadjoint_index", "coordinate", run.indices[:width]),
         *numbers("coadjoint_index", "start", run.indices[width : 2 * width + 1]),
@@ -399,15 +401,15 @@ def _matrix(run: Run) -> list[str]:
     ]
 
 
-def _gains_of_run(run: Run) -> list[str]:
+def _gains_of_run(run: RepeatedBlocks) -> list[str]:
     """Add D_a x times the change of its angle to v, for the angles of a run."""
-    if run.kind in (Kind.CUBIC, Kind.SERIES):
+    if run.kind in (BlockKind.CUBIC, BlockKind.SERIES):
         return block("", [*_matrix(run), f"coadjoint_gain(&block, x, change[{run.angle[0]}], v);"])
-    if run.kind == Kind.SCALE:
+    if run.kind == BlockKind.SCALE:
         return repeated("v[{i}] += {w} * x[{i}] * change[{a}];", {**_pairs(run, "i"), **_each_block(run, 1)})
-    if run.kind == Kind.SHEAR:
+    if run.kind == BlockKind.SHEAR:
         return repeated("v[{i}] += {w} * x[{j}] * change[{a}];", {**_pairs(run), **_each_block(run)})
-    if run.kind == Kind.ROTATE:
+    if run.kind == BlockKind.ROTATE:
         gained = "v[{i}] -= {w} * x[{j}] * change[{a}];\nv[{j}] += {w} * x[{i}] * change[{a}];"
         return repeated(gained, {**_pairs(run), **_each_block(run, 1)})
     gained = (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.files.exports.c_statements import VECTORS, Inputs, block, function, numbers, repeated, runs_of
+from coadjoint.files.exports.c_statements import VECTORS, DeclaredInputs, block, function, numbers, repeated, runs_of
 from coadjoint.files.exports.c_terms import LONGEST_CHAIN, Numbers, chain_of, gradient, gradient_change, rows_of
 from coadjoint.kernels.tables.field import Field
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
@@ -14,7 +14,7 @@ from coadjoint.program.term_table import LINEAR
 class StagesInC:
     """The functions of a scheme: `explicit`, or a fixed number of iterations of all stages."""
 
-    def __init__(self, tables: RungeKuttaTables, number: Numbers, inputs: Inputs, explicit: bool) -> None:
+    def __init__(self, tables: RungeKuttaTables, number: Numbers, inputs: DeclaredInputs, explicit: bool) -> None:
         self.tables, self.field, self.number, self.inputs, self.explicit = (
             tables,
             tables.field,

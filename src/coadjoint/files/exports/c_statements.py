@@ -52,7 +52,7 @@ Value = int | float | str
 Columns = Mapping[str, Sequence[Value]]
 
 
-class Inputs(NamedTuple):
+class DeclaredInputs(NamedTuple):
     """How functions declare the inputs of a run after other arguments, and pass them on; empty without inputs."""
 
     declared: str = ""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
 from coadjoint.kernels.tables.compiled import addresses_of
 from coadjoint.kernels.tables.structures import unrecorded
-from coadjoint.program.sources import Coefficients, Sources, sources_of
+from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.system import System
 from coadjoint.systems.vanishing_products import FieldProducts, Products, field_products
@@ -117,7 +117,7 @@ def sources_of_field(system: System, field: Field) -> Sources:
         unrecorded()
     found = sources_of(field.terms, np.arange(len(terms)), field.terms.target, terms).within("terms.")
     # Numbers decide which products cancel.
-    computed = {"separated": Coefficients.of(terms).others} if field.separated else {}
+    computed = {"separated": CoefficientNumbers.of(terms).others} if field.separated else {}
     return found._replace(computed=computed).within("field.")
 
 

@@ -15,7 +15,7 @@ from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.actions import Action, empty_action
-from coadjoint.program.blocks import Kind
+from coadjoint.program.blocks import BlockKind
 from coadjoint.program.parts.part import BodyShare
 from coadjoint.program.rational_rotations import acts_rationally
 from coadjoint.program.table import Program, recorded_sources
@@ -117,7 +117,7 @@ def mark_rational(action: Action, rational: NDArray[np.bool_]) -> Action:
     kind = action.kind.copy()
     for part in np.flatnonzero(rational):
         kinds = kind[action.run[part] : action.run[part + 1]]
-        kinds[(kinds == Kind.ROTATE) | (kinds == Kind.CUBIC)] += limit("RATIONAL")
+        kinds[(kinds == BlockKind.ROTATE) | (kinds == BlockKind.CUBIC)] += limit("RATIONAL")
     return action._replace(kind=kind)
 
 
@@ -159,7 +159,7 @@ def _turns_directly(action: Action, part: int) -> bool:
     for run in range(int(action.run[part]), int(action.run[part + 1])):
         first = int(action.constant[run])
         constants = action.constants[first : first + int(action.angles[run])]
-        if action.kind[run] != Kind.ROTATE or np.any(np.abs(constants) != 1.0):
+        if action.kind[run] != BlockKind.ROTATE or np.any(np.abs(constants) != 1.0):
             return False
     return True
 

@@ -21,7 +21,7 @@ from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_lo
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.multiples import Multiples
-from coadjoint.program.sources import Coefficients, Sources
+from coadjoint.program.sources import CoefficientNumbers, Sources
 from coadjoint.systems.forces.base import Force, Noise
 from coadjoint.systems.forces.state_torque import extrapolation_columns
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
@@ -260,7 +260,7 @@ def forced_loop(
 
 def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:
     """Return the sources of a force of this number: a constant torque, or what its function contains."""
-    energy = Coefficients.of(system.hamiltonian.terms())
+    energy = CoefficientNumbers.of(system.hamiltonian.terms())
     if len(table.function) and force.uses_energy:
         contained = energy.of_coordinates(np.array(linear_coefficients_in(force, system), dtype=np.int64))
         # Of other coefficients, a function may contain any.
@@ -283,7 +283,7 @@ class _FunctionReader(_ForceTableBuilder):
 
 def linear_coefficients_in(force: Force, system: Any) -> list[int]:
     """Return the coordinates of the linear term of H whose coefficients the compiled function of a force contains."""
-    if not force.uses_energy or not len(Coefficients.of(system.hamiltonian.terms()).number):
+    if not force.uses_energy or not len(CoefficientNumbers.of(system.hamiltonian.terms()).number):
         return []
     n = system.dim
 

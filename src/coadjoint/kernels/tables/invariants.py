@@ -11,7 +11,7 @@ from coadjoint.algebra.invariants.invariant import Invariant, LogarithmicInvaria
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.program.multiples import Multiples, concatenated
-from coadjoint.program.sources import INDEPENDENT, Coefficients, Sources, sources_of
+from coadjoint.program.sources import INDEPENDENT, CoefficientNumbers, Sources, sources_of
 from coadjoint.program.term_table import ValueTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
@@ -32,7 +32,7 @@ def _sources_of_watch(terms: Sequence[Term], watch: Watch, energies: Sequence[in
         source[first : first + len(terms)] = np.arange(len(terms))
         for name, one in sources_of(watch.terms, source, watch.terms.target, terms).multiples.items():
             found.setdefault(f"terms.{name}", []).append(one)
-    constant = np.full(len(energies), Coefficients.of(terms).size - 1)
+    constant = np.full(len(energies), CoefficientNumbers.of(terms).size - 1)
     found["constant"] = [Multiples(np.array(energies), constant, np.ones(len(energies)))]
     return Sources({name: concatenated(parts) for name, parts in found.items()})
 

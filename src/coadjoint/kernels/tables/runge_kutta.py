@@ -12,7 +12,7 @@ from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, sources_of_field, substeps
 from coadjoint.program.multiples import Multiples
-from coadjoint.program.sources import Coefficients, Sources
+from coadjoint.program.sources import CoefficientNumbers, Sources
 from coadjoint.systems.system import System
 
 
@@ -108,7 +108,7 @@ def _of_dense(system: System, dense: NDArray[np.float64]) -> Sources:
     if not dense.size:
         return Sources()
     if len(terms) > 1 or (form := terms[0].form) is None:
-        return Sources(computed={"quadratic": Coefficients.of(terms).others})
+        return Sources(computed={"quadratic": CoefficientNumbers.of(terms).others})
     position = form.rows * len(form.linear) + form.indices
     entries = Multiples(position, len(form.linear) + np.arange(len(position)), np.ones(len(position)))
     return Sources({"quadratic": entries})

@@ -26,7 +26,7 @@ from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.multiples import Multiples
 from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.program.sources import Coefficients, Sources
+from coadjoint.program.sources import CoefficientNumbers, Sources
 from coadjoint.systems.system import System
 
 
@@ -119,7 +119,7 @@ def function_tables(
     )
 
     def of_function() -> Sources:
-        numbers = np.arange(Coefficients.of(system.hamiltonian.terms()).size)
+        numbers = np.arange(CoefficientNumbers.of(system.hamiltonian.terms()).size)
         if not compiled:
             return Sources(computed={"whole": numbers})
         return Sources({"coefficients": Multiples(np.array([0]), numbers[-1:], np.ones(1))})
@@ -181,7 +181,9 @@ def named_step_tables(
     )
 
     def of_shift() -> Sources:
-        return Sources(computed={"whole": Coefficients.of(system.hamiltonian.terms()).others} if integers[4] else {})
+        return Sources(
+            computed={"whole": CoefficientNumbers.of(system.hamiltonian.terms()).others} if integers[4] else {}
+        )
 
     return _stepping(step_address(step), (1.0,), tables, of_shift)
 

@@ -36,7 +36,7 @@ WATCH = 1
 NO_SUMS, DEPENDENT = "are neither inputs nor exact sums of inputs", "depend on them"
 
 
-class Field(NamedTuple):
+class TableField(NamedTuple):
     """A field of a table: name, type, offset in bytes, and value."""
 
     name: str
@@ -45,12 +45,12 @@ class Field(NamedTuple):
     value: Any
 
 
-def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[Field]:
+def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[TableField]:
     """Yield the fields of a table and of nested tables, in the order of the C structure."""
     for (label, inner), token in zip(kind._fields_, kind.kinds, strict=True):
         offset, value = base + getattr(kind, label).offset, getattr(table, label)
         if token in SCALARS or token in ARRAYS:
-            yield Field(path + label, token, offset, value)
+            yield TableField(path + label, token, offset, value)
         else:
             yield from fields_of(value, inner, offset, f"{path}{label}.")
 
@@ -81,7 +81,7 @@ def _tables_of(loop: CompiledLoop, watch: CompiledTables) -> list[_Table]:
 class _Block:
     """Arrays of several tables in one allocation, and copies of the tables that point into it."""
 
-    def __init__(self, tables: Sequence[_Table], fields_of_tables: Sequence[Sequence[Field]]) -> None:
+    def __init__(self, tables: Sequence[_Table], fields_of_tables: Sequence[Sequence[TableField]]) -> None:
         self.kinds = [table.kind for table in tables]
         self.word_offsets = list(accumulate((ctypes.sizeof(kind) // 8 for kind in self.kinds), initial=0))
         self.start: dict[tuple[int, str], int] = {}

@@ -39,7 +39,7 @@ Stamp = tuple[int, ...] | None
 
 
 @dataclass(frozen=True)
-class CompiledStep:
+class CompiledSource:
     """A compiled step: its name in ``STEP_SCHEME``, its file, and the digest of the file, its headers and options."""
 
     name: str
@@ -78,7 +78,7 @@ _LAST_COMPILATIONS: dict[str, _Compiled] = {}
 
 
 @suggest_keywords
-def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
+def compile_step(path: str | Path, name: str | None = None) -> CompiledSource:
     """Compile a step in C++ for this processor, in some seconds, and load it.
 
     The file includes ``steps/step_scheme.hpp``, derives from ``StepScheme``, and ends with ``STEP_SCHEME(name, Type)``.
@@ -120,7 +120,7 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledStep:
     if name is not None and name not in names:
         raise ValueError(f"{source}: has no step {short(name)}; it has {', '.join(names)}")
     source_path = str(source.resolve())
-    step = CompiledStep(name or names[0], source_path, _digest_of_library(source_path))
+    step = CompiledSource(name or names[0], source_path, _digest_of_library(source_path))
     if not hasattr(_LIBRARIES[source_path, step.digest], f"{step.name}_step"):
         raise ValueError(f"{source}: has no step {step.name} after preprocessing")
     return step

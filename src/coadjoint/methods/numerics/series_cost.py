@@ -47,7 +47,7 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
     else:
         vectors = products + product_blocks
         vectors *= TABLE_FACTOR if product_blocks or blocks > UNROLLED_VECTORS else 1.0
-    rows = [Rows(C, system.dim, lanes).vectors for C in invariants]
+    rows = [ProductRows(C, system.dim, lanes).vectors for C in invariants]
     invariant_terms = TERMS_PER_INVARIANT * len(rows) + sum(rows) / LANES
     return Operations(0.5 * order**2 * vectors, order * waiting, invariant_terms)
 
@@ -147,7 +147,7 @@ class ProductVectors:
         """Do nothing: functions are not supported by series."""
 
 
-class Rows:
+class ProductRows:
     """Number of vectors of rows of the gradient of an invariant, per factor, as in ``product_rows.hpp``."""
 
     def __init__(self, C: HamiltonianLike, dim: int, lanes: int) -> None:

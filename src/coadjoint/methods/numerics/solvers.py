@@ -35,7 +35,7 @@ class Coefficients(NamedTuple):
         return record_repr(self)
 
 
-class Step(NamedTuple):
+class StageProblem(NamedTuple):
     """A step as seen by Runge-Kutta schemes: the system, coefficients, state, times of the stages, and h scale_j."""
 
     system: System
@@ -127,7 +127,7 @@ def read_tableau(coefficients: Coefficients, solver: str, scheme: str) -> Coeffi
 
 
 @suggest_keywords
-def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: Any, h: Any) -> Step:
+def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: Any, h: Any) -> StageProblem:
     """Return a step at its start, in the number type of x, for an implicit step of your own in Python.
 
     Parameters
@@ -164,7 +164,7 @@ def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: 
     time, length = number(t), number(h)
     coefficients = tableau(number)
     times = [time + length * c for c in coefficients.node]
-    return Step(system, coefficients, point, times, [length * b for b in coefficients.scale])
+    return StageProblem(system, coefficients, point, times, [length * b for b in coefficients.scale])
 
 
 def linear_solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
@@ -191,7 +191,7 @@ class Evaluation(NamedTuple):
     derivatives: NDArray[np.float64] | None
 
 
-def explicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
+def explicit(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
     """Return the slopes L_j = h f(x + sum_{k<j} a_jk L_k), and dL_j = h f'(X_j) (1 + sum_{k<j} a_jk dL_k)."""
     s, n = len(step.times), step.x.size
     slopes = np.zeros((s, n), dtype=step.x.dtype)
@@ -206,7 +206,7 @@ def explicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
     return Evaluation(slopes, derivatives)
 
 
-def iterated(step: Step, iterations: int, tangent: bool) -> Evaluation:
+def iterated(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
     """Return the slopes L_j = h b_j f(X_j^m), and dL_j = h b_j f'(X_j^m) dX_j^m."""
     iterates = iterate(step, iterations)
     slopes = step.fields(iterates[-1])
@@ -215,7 +215,7 @@ def iterated(step: Step, iterations: int, tangent: bool) -> Evaluation:
     return Evaluation(slopes, step.jacobians(iterates[-1]) @ iterate_tangents(step, iterates))
 
 
-def implicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
+def implicit(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
     """Return the slopes L_j = h b_j f(x + sum_k mu_jk L_k), and dL_j = h b_j f'(X_j) dX_j."""
     slopes = iterate_to_stagnation(step, step.fields)
     if not tangent:
@@ -224,7 +224,7 @@ def implicit(step: Step, iterations: int, tangent: bool) -> Evaluation:
     return Evaluation(slopes, step.solve_slopes(jacobians, np.zeros_like(jacobians)))
 
 
-def structure_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
+def structure_frozen(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
     """Return the slopes of equation (7), linear in the stages, with J(Z) frozen: W_j = h b_j sign J(Z_j) M."""
     # dL_j = W_j dX_j + (derivative of L_j with respect to Z_j) dZ_j.
     iterates = iterate(step, iterations)
@@ -237,7 +237,7 @@ def structure_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
     return Evaluation(slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates)))
 
 
-def gradient_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
+def gradient_frozen(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
     """Return the slopes of equation (7) with u = grad H(Z) frozen: W_j = h b_j sign D_u(Z_j), and dL_j likewise."""
     iterates = iterate(step, iterations)
     frozen = iterates[-1]
@@ -250,7 +250,7 @@ def gradient_frozen(step: Step, iterations: int, tangent: bool) -> Evaluation:
     return Evaluation(slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates)))
 
 
-SOLVERS: dict[str, Callable[[Step, int, bool], Evaluation]] = {
+SOLVERS: dict[str, Callable[[StageProblem, int, bool], Evaluation]] = {
     "explicit": explicit,
     "iterated": iterated,
     "implicit": implicit,
@@ -261,13 +261,13 @@ SOLVERS: dict[str, Callable[[Step, int, bool], Evaluation]] = {
 
 
 def _linear(
-    step: Step, frozen: NDArray[Any], blocks: NDArray[Any], slopes_at: Callable[[NDArray[Any]], NDArray[Any]]
+    step: StageProblem, frozen: NDArray[Any], blocks: NDArray[Any], slopes_at: Callable[[NDArray[Any]], NDArray[Any]]
 ) -> NDArray[Any]:
     """Return the slopes at the stages that solve a linear system."""
     return slopes_at(frozen + step.solve_stages(blocks, step.points(slopes_at(frozen)) - frozen))
 
 
-def iterate(step: Step, count: int) -> list[NDArray[Any]]:
+def iterate(step: StageProblem, count: int) -> list[NDArray[Any]]:
     """Return the function iterates X^0 = x, X^1, ..., X^count of equation (6), each of shape (s, n)."""
     iterates = [step.start()]
     for _ in range(count):
@@ -275,7 +275,7 @@ def iterate(step: Step, count: int) -> list[NDArray[Any]]:
     return iterates
 
 
-def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.float64]:
+def iterate_tangents(step: StageProblem, iterates: list[NDArray[Any]]) -> NDArray[np.float64]:
     """Return the derivative of the last of the function iterates, shape (s, n, n)."""
     derivatives = step.stage_derivatives(np.zeros((len(step.times), step.x.size, step.x.size)))
     for points in iterates[:-1]:
@@ -283,7 +283,9 @@ def iterate_tangents(step: Step, iterates: list[NDArray[Any]]) -> NDArray[np.flo
     return derivatives
 
 
-def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], start: NDArray[Any], unit: Any) -> bool:
+def _at_roundoff(
+    step: StageProblem, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], start: NDArray[Any], unit: Any
+) -> bool:
     """Test whether iterations from points that differ by roundings end as far apart as the corrections are large."""
     # The counterpart of ``at_round_off`` in ``stages/stagnation.hpp``.
     component = np.arange(start.shape[1])
@@ -304,7 +306,7 @@ def _at_roundoff(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], 
 
 
 @suggest_keywords
-def iterate_to_stagnation(step: Step, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
+def iterate_to_stagnation(step: StageProblem, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]) -> NDArray[Any]:
     """Iterate X = x + mix L(X) until the correction no longer falls, and return the last slopes L, shape (s, n).
 
     ``settle`` in ``stages/stagnation.hpp`` is its counterpart for steps in C++.

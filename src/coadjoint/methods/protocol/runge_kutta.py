@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, Step, begin, read_tableau
+from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, StageProblem, begin, read_tableau
 from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -115,7 +115,7 @@ class RungeKuttaMethod(SubstepMethod):
         """Whether `step` and `evaluate` are not overridden."""
         return all(getattr(type(self), name) is getattr(RungeKuttaMethod, name) for name in ("step", "evaluate"))
 
-    def evaluate(self, step: Step, tangent: bool = False) -> Evaluation:
+    def evaluate(self, step: StageProblem, tangent: bool = False) -> Evaluation:
         """Return the slopes of a step by `solver`, with their derivatives if `tangent`."""
         return SOLVERS[read_choice(self.solver, "solver", SOLVERS)](step, self.function_iterations, tangent)
 

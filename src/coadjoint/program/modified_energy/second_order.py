@@ -77,7 +77,7 @@ def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:
     return total
 
 
-class Samples:
+class DerivativeSamples:
     """Gradients and Hessians of several sets of parts at points (k, n), computed once to compare many orders."""
 
     def __init__(self, algebra: LieAlgebra, sets: Sequence[Parts], points: Floats, t: float = 0.0) -> None:
@@ -149,8 +149,8 @@ class Samples:
 
 
 def second_order_term(algebra: LieAlgebra, parts: Parts, points: Floats, t: float = 0.0) -> Floats:
-    """Return H2 of parts in the order of a forward sweep at points (k, n), shape (k,); see `Samples`."""
-    return Samples(algebra, [parts], points, t).second_order_terms([range(len(parts))])[0, 0]
+    """Return H2 of parts in the order of a forward sweep at points (k, n), shape (k,); see `DerivativeSamples`."""
+    return DerivativeSamples(algebra, [parts], points, t).second_order_terms([range(len(parts))])[0, 0]
 
 
 class NestedBrackets:
@@ -162,7 +162,7 @@ class NestedBrackets:
 
     def values(self, points: Floats, t: float = 0.0) -> Floats:
         """Return the brackets at points (k, n), shape (parts, pairs, k)."""
-        samples = Samples(self.algebra, [self.parts], points, t)
+        samples = DerivativeSamples(self.algebra, [self.parts], points, t)
         j, k = np.array(self.pairs).T
         return samples.nested_brackets(j, k)
 
@@ -217,7 +217,7 @@ def best_orders(
         return [(natural, 0.0) for _ in sets]
     if len(natural) > MAX_PERMUTED and len(sets) > 1:
         return [best_order(system, parts, points, t) for parts in sets]
-    samples = Samples(system.algebra, sets, points, t)
+    samples = DerivativeSamples(system.algebra, sets, points, t)
     if len(natural) > MAX_ORDERED:
         return [(natural, float(samples.sizes([natural])[0, 0]))]
     if len(natural) > MAX_PERMUTED:

@@ -127,7 +127,7 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     return _AUTOMATIC_CACHE[system]
 
 
-def remember(system: LiePoissonSystem, candidate: Candidate, order: tuple[int, ...]) -> None:
+def remember(system: LiePoissonSystem, candidate: ShiftCandidate, order: tuple[int, ...]) -> None:
     """Cache an automatic decomposition that was chosen together with those of other systems."""
     choice = ChosenParts(order, candidate.shift)
     _AUTOMATIC_CACHE[system] = _decomposition(candidate.parts, quadratic_casimirs(system), choice)
@@ -141,7 +141,7 @@ _BODY_FLOW_CACHE: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition
 _CHECKED_CACHE: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
 
 
-class Candidate(NamedTuple):
+class ShiftCandidate(NamedTuple):
     """Casimirs subtracted, and the parts of the shifted Hamiltonian."""
 
     shift: Shift
@@ -183,10 +183,10 @@ def _angles_of(parts: Parts) -> set[Any]:
     }
 
 
-def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candidate]:
+def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[ShiftCandidate]:
     """Return the shifts that leave the fewest parts, with these parts; only one if `comparing` is False."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    best = [Candidate((), split(system, "auto", terms))]
+    best = [ShiftCandidate((), split(system, "auto", terms))]
     fewest = len(best[0].parts)
     shifts = list(candidate_shifts(system, best[0].parts, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the parts are counted without being built.
@@ -203,7 +203,7 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[Candida
         if len(parts) < fewest:
             best, fewest = [], len(parts)
         if not best or (comparing and len(parts) == fewest):
-            best.append(Candidate(shift, parts))
+            best.append(ShiftCandidate(shift, parts))
     return best
 
 

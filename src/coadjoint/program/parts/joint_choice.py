@@ -14,8 +14,8 @@ from coadjoint.program.modified_energy.joint_orders import JointOrders, smallest
 from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
 from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
-    Candidate,
     ChosenParts,
+    ShiftCandidate,
     candidates,
     remember,
     sample_points,
@@ -182,7 +182,7 @@ def _factors(stack: SystemStack, rule: Rule, number: int | None) -> dict[str, ND
 class _Alternative(NamedTuple):
     """A candidate with its coefficients, those of the terms that are split, and the sources of its parts."""
 
-    candidate: Candidate
+    candidate: ShiftCandidate
     stack: SystemStack
     sources: Sources
 
@@ -259,7 +259,7 @@ def _ordered(
 
 def _alternative(
     stack: SystemStack,
-    candidate: Candidate,
+    candidate: ShiftCandidate,
     rules: Sequence[tuple[Rule, dict[str, NDArray[Any]]]],
     casimirs: dict[str, QuadraticCasimir],
 ) -> _Alternative | None:

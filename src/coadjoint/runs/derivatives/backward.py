@@ -16,7 +16,7 @@ from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import overflow, read_like
 from coadjoint.runs.derivatives.input_derivatives import INPUTS
-from coadjoint.runs.derivatives.located_trajectory import Crossings, function_of_rows
+from coadjoint.runs.derivatives.located_trajectory import CrossingDerivatives, function_of_rows
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_derivatives import gradients_at
 
@@ -251,7 +251,7 @@ class Pullback:
                 total[k, m] += np.ravel(cotangents[k, m]) @ derivative_of(function, states[k, m]).derivative
         return total
 
-    def _of_moments(self, crossings: Crossings, states: Floats, observed: Mapping[str, Any]) -> Floats:
+    def _of_moments(self, crossings: CrossingDerivatives, states: Floats, observed: Mapping[str, Any]) -> Floats:
         """Return the cotangents of the times of crossings at which quantities are observed that depend on the time."""
         total = np.zeros(len(crossings.rows))
         _, number, point = np.intersect1d(crossings.rows, self._trajectory.saved_rows, return_indices=True)

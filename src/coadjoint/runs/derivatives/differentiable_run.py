@@ -32,7 +32,7 @@ from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
 
 if TYPE_CHECKING:
-    from coadjoint.runs.derivatives.located_trajectory import Crossings
+    from coadjoint.runs.derivatives.located_trajectory import CrossingDerivatives
 
 Floats = NDArray[np.float64]
 
@@ -117,7 +117,7 @@ class Trajectory:
 
     # Output k is `length[k]` after the step with the number steps[point[k]], and `elapsed[k]` after the start.
 
-    crossings: Crossings | None = None
+    crossings: CrossingDerivatives | None = None
     finished = False  # whether every stretch is one step that starts from the saved state after the one before
     saved_rows: Any = slice(None)  # outputs that are the points of the solution
     workers = threads_inside = 1  # threads, and those that may share a member

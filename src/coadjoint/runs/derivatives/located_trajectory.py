@@ -63,7 +63,7 @@ class LocatedTrajectory(Trajectory):
             self.scale = np.full(len(length), abs(times.h))
         self.outputs = self._at_outputs()
         if found is not None:
-            self.crossings = Crossings(self, run.system, found, np.arange(plain, len(self.t)))
+            self.crossings = CrossingDerivatives(self, run.system, found, np.arange(plain, len(self.t)))
         if ended:
             self.saved_rows = np.append(self.saved_rows, len(self.t) - 1)
 
@@ -131,7 +131,7 @@ def _before(times: Times, t: Floats) -> tuple[NDArray[np.int64], Floats]:
     return number, np.where(whole & (nearest > 0), times.h, t - times.at(number))
 
 
-class Crossings:
+class CrossingDerivatives:
     """Crossings of a run of one member, which are `rows` of its outputs."""
 
     # Where g vanishes after a partial step from a saved one; derivatives by its length are differences of order 8.

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class Rows(NamedTuple):
+class GroupRows(NamedTuple):
     """The row in each slot, and the batches of all slots; those not `filled` pad lanes with copies of others."""
 
     rows: Integers
@@ -40,7 +40,7 @@ class Group(NamedTuple):
     watch: Any
     stride: int = 0
 
-    def rows(self, columns: Integers, workers: int, block: int, begin: int = 0) -> Rows:
+    def rows(self, columns: Integers, workers: int, block: int, begin: int = 0) -> GroupRows:
         """Return rows (m,) for these columns of constants; slots count from `begin`, and each worker has a batch."""
         if self.stride:
             return self._in_columns(columns, begin)
@@ -49,9 +49,9 @@ class Group(NamedTuple):
             MemberBatch(*self[1:4], first, last, base=first)
             for first, last in split_members(begin, begin + count, workers, block)
         ]
-        return Rows(np.arange(count), np.ones(count, dtype=bool), member_batches)
+        return GroupRows(np.arange(count), np.ones(count, dtype=bool), member_batches)
 
-    def _in_columns(self, columns: Integers, begin: int) -> Rows:
+    def _in_columns(self, columns: Integers, begin: int) -> GroupRows:
         # Batches begin at blocks of columns; a block holds one row of each column at a time.
         block = limit("MOST_LANES")
         column_blocks = self.stride // block
@@ -69,12 +69,12 @@ class Group(NamedTuple):
             first, column = begin + low * block, int(keys[low]) % column_blocks * block
             last = begin + int(np.flatnonzero(filled[: high * block])[-1]) + 1
             member_batches.append(MemberBatch(*self[1:4], first, last, self.stride, first - column))
-        return Rows(rows, filled, member_batches)
+        return GroupRows(rows, filled, member_batches)
 
 
-def rows_of_groups(groups: Sequence[Group], owners: Integers, workers: int, block: int) -> Rows:
+def rows_of_groups(groups: Sequence[Group], owners: Integers, workers: int, block: int) -> GroupRows:
     """Return rows of members in groups, one group after the other; `owners` (m,) holds the member of each row."""
-    parts: list[Rows] = []
+    parts: list[GroupRows] = []
     begin = 0
     for group in groups:
         if group.members is None:
@@ -85,7 +85,7 @@ def rows_of_groups(groups: Sequence[Group], owners: Integers, workers: int, bloc
             parts.append(part._replace(rows=selected[part.rows]))
             begin += len(part.rows)
     rows, filled = (np.concatenate([part[k] for part in parts]) for k in range(2))
-    return Rows(rows, filled, [member_batch for part in parts for member_batch in part.member_batches])
+    return GroupRows(rows, filled, [member_batch for part in parts for member_batch in part.member_batches])
 
 
 def batches_of_groups(groups: Sequence[Group], members: int, workers: int, block: int) -> list[MemberBatch]:

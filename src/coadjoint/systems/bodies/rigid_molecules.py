@@ -35,7 +35,7 @@ KIND = "give one molecule, or a list of kinds, of which each of sites, charges, 
 WATER = ((0.0, 0.0, 0.0), (0.0756950, 0.0, 0.0585882), (-0.0756950, 0.0, 0.0585882))
 
 
-class Kind(NamedTuple):
+class MoleculeKind(NamedTuple):
     """A kind of molecule: places of sites from the centre of mass, charges, Lennard-Jones constants, mass, inertia."""
 
     places: Floats
@@ -214,7 +214,7 @@ def _depth(values: Any) -> int:
     return depth + getattr(values, "ndim", 0)
 
 
-def _read_kinds(several: bool, *arguments: Any) -> list[Kind]:
+def _read_kinds(several: bool, *arguments: Any) -> list[MoleculeKind]:
     """Validate molecules of one kind, or lists with an entry for each of several."""
     if not several:
         return [_read_kind("", *arguments)]
@@ -226,7 +226,7 @@ def _read_kinds(several: bool, *arguments: Any) -> list[Kind]:
     return [_read_kind(f"[{k}]", *values) for k, values in enumerate(zip(*read.values(), strict=True))]
 
 
-def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count: Any) -> Kind:
+def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count: Any) -> MoleculeKind:
     """Validate one kind of molecule; `which` is its index in messages."""
     places = read_finite(sites, f"sites{which}")
     if places.ndim != 2 or places.shape[1] != 3 or not len(places):
@@ -257,7 +257,7 @@ def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count
     diagonal = not (tensor - np.diag(np.diag(tensor))).any()
     inertia = read_body_inertia(np.diag(tensor) if diagonal else tensor, f"the inertia of sites{which}")
     _check_axis(inertia, from_centre, which)
-    return Kind(from_centre, q, pairs, mass, inertia, (plain(places), plain(q), plain(pairs), plain(m), number))
+    return MoleculeKind(from_centre, q, pairs, mass, inertia, (plain(places), plain(q), plain(pairs), plain(m), number))
 
 
 def _check_axis(inertia: BodyInertia, places: Floats, which: str) -> None:
@@ -307,7 +307,12 @@ def _read_cutoff(box: Any, cutoff: Any, switch_from: Any, dielectric: Any) -> tu
 
 
 def _tables(
-    kinds: list[Kind], counts: list[int], box: Floats, ends: tuple[float, float, float], mixing: str, constant: float
+    kinds: list[MoleculeKind],
+    counts: list[int],
+    box: Floats,
+    ends: tuple[float, float, float],
+    mixing: str,
+    constant: float,
 ) -> SiteTables:
     """Return the tables of all molecules; pairs of types have constants by the rule of mixing."""
     q, (epsilon, sigma) = np.concatenate([kind.charges for kind in kinds]), np.concatenate([k.lj for k in kinds]).T

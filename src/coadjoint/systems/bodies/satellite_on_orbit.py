@@ -27,7 +27,7 @@ RADIAL, NORMAL = slice(3, 6), slice(9, 12)  # the axes X and Z of the orbital fr
 NEWTON_STEPS = 100  # of Kepler's equation: far above the 9 that any eccentricity up to 1 - 1e-9 takes
 
 
-class Orbit(NamedTuple):
+class KeplerOrbit(NamedTuple):
     """Where a satellite on a Kepler orbit is.
 
     Attributes
@@ -51,7 +51,7 @@ class OrbitingSatellite(BodySystem):
     mean_motion: float
     eccentricity: float
 
-    def orbit(self, t: npt.ArrayLike) -> Orbit:
+    def orbit(self, t: npt.ArrayLike) -> KeplerOrbit:
         """Return where the satellite is at times t; at t = 0 it is at the pericentre.
 
         Parameters
@@ -78,7 +78,7 @@ class OrbitingSatellite(BodySystem):
         turns = 2.0 * pi * np.round((mean - E) / (2.0 * pi))
         anomaly = 2.0 * np.arctan2(np.sqrt(1.0 + e) * np.sin(0.5 * E), np.sqrt(1.0 - e) * np.cos(0.5 * E))
         radius = 1.0 - e * np.cos(E)
-        return Orbit(radius, anomaly + turns, self.mean_motion * np.sqrt((1.0 - e) * (1.0 + e)) / radius**2)
+        return KeplerOrbit(radius, anomaly + turns, self.mean_motion * np.sqrt((1.0 - e) * (1.0 + e)) / radius**2)
 
 
 def _librating() -> Floats:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.coefficients import Coefficients, encoded
+from coadjoint.systems.coefficients import EnergyCoefficients, encoded
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.repeated_rows import MIN_ROWS, RepeatedRows, shapes_of
 from coadjoint.systems.hamiltonians.terms import starts_of_rows
@@ -27,7 +27,7 @@ def coupled_spins(sites: int, edges: Integers, coupling: Floats, on_site: Floats
 
 def coefficients_of_spins(
     sites: int, edges: Integers, coupling: npt.NDArray[Any], on_site: npt.NDArray[Any], linear: npt.NDArray[Any]
-) -> Coefficients:
+) -> EnergyCoefficients:
     """Return the coefficients of the energy of `coupled_spins`, of real or complex numbers."""
     (first, second), site = 3 * edges.T, 3 * np.arange(sites)
     codes, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
@@ -43,7 +43,7 @@ def coefficients_of_spins(
             add(first + a, second + b, coupling[..., a, b])
         for b in range(a, 3):
             add(site + a, site + b, on_site[..., a, b] if a < b else 0.5 * on_site[..., a, b])
-    return Coefficients.of_distinct(np.concatenate(codes), np.concatenate(values))
+    return EnergyCoefficients.of_distinct(np.concatenate(codes), np.concatenate(values))
 
 
 def _equal_rows(sites: int, edges: Integers, coupling: Floats, on_site: Floats) -> RepeatedRows | None:

@@ -20,7 +20,7 @@ from coadjoint.memory import RELEASED_SIZE, check_available_memory, release_free
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.spins import precession, total_spins
-from coadjoint.systems.coefficients import Coefficients
+from coadjoint.systems.coefficients import EnergyCoefficients
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -89,7 +89,7 @@ def _energy(
     lattice: Any,
     shape: Any,
     periodic: Any,
-) -> Coefficients:
+) -> EnergyCoefficients:
     T, K = (np.diag(array) if array.ndim == 1 else array for array in (tensor, on_site))
     return coefficients_of_spins(*graph(lattice, shape, periodic), *_couplings(exchange, T, dm, field, K))
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.matrix_algebra import Kind, MatrixAlgebra
+from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra, MatrixFamily
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
@@ -142,7 +142,7 @@ class Trace:
 
     name: str
     rows: slice
-    kind: Kind
+    kind: MatrixFamily
     power: int
     imaginary: bool
     to_matrices: Callable[[Any], Matrix]
