@@ -25,7 +25,7 @@ MAXIMA: dict[str, int] = {
     "isinstance": 847,  # kinds of molecules, shapes in JAX, archives at URLs, own systems, functions in shares
     "files in cycles, with imports inside functions and for types": 40,  # motions of bodies
     "modules behind integrate": 129,  # torques on the state, of which forces on satellites are made
-    "C++ lines": 20448,  # the C interface; orders above two with forces; pairs on threads; batches of projected series in lanes
+    "C++ lines": 20448,  # the C interface, orders with forces, pairs on threads, projected batches in lanes
     "test lines": 69540,  # bodies, molecules, the C interface, JAX, forces of higher order and in batches, URLs
     "test files that import internals": 74,
     "public names": 344,  # rigid_molecules, export_table and co.jax.free_body
