@@ -312,7 +312,9 @@ def test_mixed_structures_blocks_threads_and_pickled_runs(method, tmp_path, no_f
 def test_constants_of_several_pieces():
     """Energies are those of the sum of them."""
     algebra = co.algebras.so(3)
-    pieces = [[((0,), co.Quadratic([1.0 + k], constant=k)), ((1,), co.Quadratic([4.0], constant=9.0))] for k in range(6)]
+    pieces = [
+        [((0,), co.Quadratic([1.0 + k], constant=k)), ((1,), co.Quadratic([4.0], constant=9.0))] for k in range(6)
+    ]
     assert_as_alone([co.LiePoissonSystem(algebra, co.SplitHamiltonian(one)) for one in pieces], METHODS["auto"])
 
 
