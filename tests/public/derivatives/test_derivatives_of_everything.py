@@ -486,7 +486,7 @@ def test_a_member_of_a_batch_whose_derivatives_overflow_leaves_those_of_the_othe
 def test_members_of_an_ensemble_have_the_noise_of_their_numbers():
     """Also beyond the number that a loop takes at a time; gradients by shared parameters are sums over members."""
     base, _ = plain("A3,7")
-    x0, last = np.random.default_rng(2).uniform(0.2, 0.6, (17, 3)), 16
+    x0, last = np.random.default_rng(2).uniform(0.2, 0.6, (34, 3)), 33
     moving, span = {"HeatBath.temperature": np.array(0.5)}, (0.5, 0.5 + H)
 
     def run_from(stream):

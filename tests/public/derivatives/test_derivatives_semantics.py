@@ -267,6 +267,17 @@ def test_tangents_keep_the_momentum_in_space(name, members):
     np.testing.assert_allclose(rotated, np.broadcast_to(direction, sol.x.shape), rtol=0, atol=1e-11)
 
 
+def test_derivatives_of_attitudes_do_not_depend_on_the_scale_of_a_casimir():
+    """Multiples of Casimirs are subtracted from the energy; attitudes are turned back by them."""
+    squares = co.Polynomial({(2, 0, 0): 1.0, (0, 2, 0): 1.0, (0, 0, 2): 1.0})
+    found = []
+    for scale in (1.0, 4.0):
+        system = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 2.0, 3.0]), casimirs={"C": scale * squares})
+        ready = co.prepare(system, co.Splitting(), H, attitude="coadjoint")
+        found.append(ready.jvp(X3, (0, 4 * H), {"M": np.array([0.5, -1.0, 2.0])})[1].attitude)
+    np.testing.assert_allclose(*found, rtol=0, atol=1e-13)
+
+
 OWN_STEPS = {
     "flows": (TOP, co.ReversibleSteps(co.Splitting(order=4), 0.1), X6, (0.5, 3.5), {}),
     "flows backward": (TOP, co.ReversibleSteps(co.Splitting(order=4), 0.1), X6, (0.5, -2.5), {}),

@@ -309,6 +309,15 @@ def test_mixed_structures_blocks_threads_and_pickled_runs(method, tmp_path, no_f
     assert np.array_equal(back.x[:, 7], alone.x)
 
 
+def test_constants_of_several_pieces():
+    """Energies are those of the sum of them."""
+    algebra = co.algebras.so(3)
+    pieces = [
+        [((0,), co.Quadratic([1.0 + k], constant=k)), ((1,), co.Quadratic([4.0], constant=9.0))] for k in range(6)
+    ]
+    assert_as_alone([co.LiePoissonSystem(algebra, co.SplitHamiltonian(one)) for one in pieces], METHODS["auto"])
+
+
 def test_choices_that_rounding_decides_are_those_of_each_member():
     """Orders and shifts that tie exactly, or nearly, among members whose choices are clear."""
     ties = [(1.0, 1.0, 2.0), (1.0, 2.0, 2.0), (1.5, 1.5, 1.5), (1.0, 1.0 + 2e-16, 2.0), (1.0, 1.0 + 1e-9, 2.0)]

@@ -160,12 +160,12 @@ def test_states_of_canonical_pairs_have_one_as_central_coordinate():
     satellite, right = S.satellite(), np.array([0, 0, 0.2, 0, 40.0, 0, 5.0, 0, 0, 1.0])
     wrong, span, scheme = right - np.eye(10)[9], (0, 1), co.Splitting()
     ready, forced = co.prepare(satellite, scheme, 0.1), satellite.with_forces(co.forces.Torque(np.zeros(10)))
-    pair, batch = S.gravitating_bodies(), co.batch([satellite, S.satellite(mass=2.0)])
+    pair, batch = S.gravitating_bodies(), co.batch([satellite, satellite, S.satellite(mass=2.0)])
     entries = {
         "integrate": lambda x: co.integrate(satellite, x, span, 0.1),
         "with forces": lambda x: co.integrate(forced, x, span, 0.1),
         "members": lambda x: co.integrate(satellite, [right, x], span, 0.1),
-        "a batch": lambda x: co.integrate(batch, [right, x], span, 0.1),
+        "a batch": lambda x: co.integrate(batch, [right, right, x], span, 0.1),
         "an ensemble": lambda x: co.integrate_ensemble(satellite, [right, x], span, 0.1, scheme, archive=None),
         "a run": lambda x: ready.run(x, span),
         "its end": lambda x: (ready.end(right, span), ready.end(x, span)),

@@ -144,6 +144,17 @@ def test_the_equation(s):
     assert np.abs(found - step).max() < 64 * s.algebra.N * UNIT_ROUNDOFF * np.abs(X).max()
 
 
+def test_the_inverse_of_a_multiple_of_a_stream():
+    """The steps take the same field as Python."""
+    stream = co.systems.sphere_euler(N=5).stream
+    doubled = co.systems.DiagonalSolve(stream.main, stream.beside, 2.0 * stream.factor)
+    s = TwoLayerSystem(co.MatrixAlgebra("su", 5), doubled, doubled.inverted(), energy_sign=-1)
+    X = random_state(s)
+    moved = co.stepper(s, co.IsospectralGauss(2), 2.0**-10)(X) - X
+    middle = 2.0**-10 * s.vector_field(X + moved / 2)
+    np.testing.assert_allclose(moved, middle, rtol=0, atol=1e-6 * np.abs(moved).max())
+
+
 def test_refused_states_and_streams():
     s = MHD[0]
     for wrong, named in ((np.eye(6) * np.ones((2, 1, 1)), "su"), (np.full(s.shape, np.nan), "NaN")):

@@ -29,7 +29,7 @@ class Frame:
     every: int
 
 
-class TangentTables(NamedTuple):
+class Tangents(NamedTuple):
     """Tables for `carried` tangent vectors in `size` dimensions; see `source/boundary/tables.hpp`."""
 
     size: int
@@ -44,14 +44,14 @@ class FlowTangents(NamedTuple):
     """Tables of a program with tangent vectors."""
 
     base: FlowTables
-    tangents: TangentTables
+    tangents: Tangents
 
 
 class RungeKuttaTangents(NamedTuple):
     """Tables of a Runge-Kutta method with tangent vectors."""
 
     base: RungeKuttaTables
-    tangents: TangentTables
+    tangents: Tangents
 
 
 TANGENT_LOOPS: Mapping[type, tuple[str, Any]] = {
@@ -72,7 +72,7 @@ def with_tangents(
     derivative, structure_owners = derivative_of_structure(system)
     carried, size = frame.vectors.shape
     vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
-    tables = kind(loop.tables, TangentTables(size, carried, frame.every, vectors, hessians, derivative))
+    tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
     return CompiledLoop(
         name, tables, (*loop.keepalive, *keepalive, *structure_owners), memory=scheme_memory(name, tables)
     )
