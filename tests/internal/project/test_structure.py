@@ -138,11 +138,11 @@ def test_public_names_are_not_found(text):
 
 
 def test_each_class_name_has_one_meaning():
-    """Modules of the package define no two classes of one name."""
+    """Modules of the package define no two classes of one name; tables have the names of their structures in C++."""
     names = [
         node.name
         for path in tracked(ROOT)
-        if path.suffix == ".py" and path.is_relative_to(ROOT / "src")
+        if path.suffix == ".py" and path.is_relative_to(ROOT / "src") and path.parent.name != "tables"
         for node in ast.parse(path.read_text("utf-8")).body
         if isinstance(node, ast.ClassDef)
     ]
