@@ -202,10 +202,9 @@ class XlaRun:
             number, start = {key: k for k, key in enumerate(keys)}, 0
             found = np.zeros((len(keys), count))
             for parameter in parameters_at(self._system.unforced, at(*arrays)).values():
-                G = parameter.energy()
-                for key, entry, factor in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=False):
-                    if key:
-                        found[number[key], start + entry] += factor
+                for one in parameter.energy().as_monomials:
+                    if one.coordinates:
+                        found[number[one.coordinates], start + one.entry] += one.factor
                 start += parameter.value.size
             return found
 

@@ -115,18 +115,17 @@ def energy_and_parameters(system: Any) -> dict[str, Any]:
             keys[key] = len(keys)
             values.append(float(value))
     for name, parameter in parameters_of(system).items():
-        G = parameter.energy()
-        known = [bool(key) for key in G.keys]
-        for key in filter(None, G.keys):
-            if keys.setdefault(key, len(values)) == len(values):
+        monomials = [one for one in parameter.energy().as_monomials if one.coordinates]
+        for one in monomials:
+            if keys.setdefault(one.coordinates, len(values)) == len(values):
                 values.append(0.0)
         parameters[name] = {
             "shape": list(parameter.value.shape),
             "value": parameter.value.ravel(),
             "linear": name not in (system.parameters or {}),
-            "monomial": np.array([keys[key] for key in G.keys if key], dtype=np.int64),
-            "entry": G.entries[: len(known)][known],
-            "derivative": G.coefficients[: len(known)][known],
+            "monomial": np.array([keys[one.coordinates] for one in monomials], dtype=np.int64),
+            "entry": np.array([one.entry for one in monomials], dtype=np.int64),
+            "derivative": np.array([one.factor for one in monomials], dtype=np.float64),
         }
     return {
         "energy": {"monomials": [list(key) for key in keys], "coefficients": np.array(values, dtype=np.float64)},

@@ -36,6 +36,7 @@ class Axis(NamedTuple):
 class Batch:
     """Systems of the same structure, one for each member of an ensemble; `batch` makes it."""
 
+    # Member m is distinct[owners[m]]; the last of `axes` is the fastest; unless `combined`, each has every state.
     is_batch: Literal[True] = True
     has_matrices = False
 

@@ -131,10 +131,11 @@ class EnergyDerivative(NamedTuple):
         )
 
     @property
-    def keys(self) -> list[Key]:
-        """The coordinates of each monomial, sorted, in the order of `entries`."""
-        pairs = zip(*np.sort(self.quadratic, axis=1).T.tolist(), strict=True)
-        return [*((i,) for i in self.linear.tolist()), *pairs, *(one.coordinates for one in self.others)]
+    def as_monomials(self) -> list[DerivativeMonomial]:
+        """All monomials, in the order of `entries`, with sorted coordinates; functions are left out."""
+        keys: list[Key] = [(i,) for i in self.linear.tolist()] + [*map(tuple, np.sort(self.quadratic, 1).tolist())]
+        low = zip(keys, self.entries.tolist(), self.coefficients.tolist(), strict=False)
+        return [*(DerivativeMonomial(*one) for one in low), *self.others]
 
     @property
     def of_functions(self) -> EnergyDerivative:

@@ -15,7 +15,7 @@ from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from coadjoint.program.parts.split import split
 from coadjoint.program.places import Places
-from coadjoint.systems.energy_derivatives import DerivativeMonomial, EnergyDerivative
+from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import parameters_of
 from refusals import refused
 
@@ -196,11 +196,7 @@ def test_monomials_are_found_at_once_as_each_alone(name):
         places = Places(co.Splitting(order=2, parts=parts).program(system))
         for parameter in parameters_of(system).values():
             G = parameter.energy()
-            monomials = [
-                DerivativeMonomial(*one)
-                for one in zip(G.keys, G.entries.tolist(), G.coefficients.tolist(), strict=True)
-            ]
-            alone = [places.of(EnergyDerivative.of_monomials(G.size, [one])) for one in monomials]
+            alone = [places.of(EnergyDerivative.of_monomials(G.size, [one])) for one in G.as_monomials]
             *found, missing = places.of(G)
             assert sorted(missing) == sorted(entry for *_, own in alone for entry in own)
             for kind, of_all in enumerate(found):

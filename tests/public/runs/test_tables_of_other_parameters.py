@@ -53,6 +53,8 @@ OTHERS = {
 @pytest.fixture(scope="module")
 def page():
     """The functions of the example."""
+    for part in READER.read_text().split("\n\n\ndef coefficients"):
+        assert len(part.splitlines()) <= 100
     return runpy.run_path(str(READER))
 
 

@@ -22,7 +22,7 @@ INCLUDES = """#ifndef COADJOINT_H
 #include <stdint.h>
 #if !defined(__STDC_HOSTED__) || __STDC_HOSTED__
 #include <math.h>
-#else /* freestanding: whoever links gives sqrt, and fma if the processor has it */
+#else /* freestanding: the program that links this provides sqrt, and fma if the processor has it */
 #ifdef __cplusplus
 extern "C" {
 #endif
