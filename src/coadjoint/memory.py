@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
+from weakref import WeakValueDictionary
 
 UNCHECKED_BYTES = 2**26
 """Allocations below this size (bytes) are not checked."""
@@ -18,6 +20,8 @@ NO_LIMIT = 2**62  # bytes: more than any machine has, and still a number of 64 b
 MAX_CACHED_SIZE = 2**16  # entries: half a megabyte of an array is kept, larger ones are computed again
 
 Arrays = TypeVar("Arrays")
+Arguments = ParamSpec("Arguments")
+Built = TypeVar("Built")
 
 
 class cached_if_small(Generic[Arrays]):
@@ -33,6 +37,23 @@ class cached_if_small(Generic[Arrays]):
         if _count(value) <= MAX_CACHED_SIZE:
             instance.__dict__[self.build.__name__] = value
         return value
+
+
+def shared(build: Callable[Arguments, Built]) -> Callable[Arguments, Built]:
+    """Return a function that builds an immutable object, one for the same arguments as long as it is in use."""
+    in_use: WeakValueDictionary[Any, Built] = WeakValueDictionary()
+
+    @wraps(build)
+    def shared_or_built(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Built:
+        # Types belong to the key, since 3.0 and True are equal to integers and are refused.
+        key = tuple((type(value), value) for value in args), frozenset((k, type(v), v) for k, v in kwargs.items())
+        try:
+            built = in_use.get(key)
+        except TypeError:  # arguments without a hash
+            return build(*args, **kwargs)
+        return in_use.setdefault(key, build(*args, **kwargs)) if built is None else built
+
+    return shared_or_built
 
 
 def _count(arrays: Any) -> int:

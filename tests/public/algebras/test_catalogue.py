@@ -1,8 +1,10 @@
 """The catalogue: families of matrix algebras, the 62 algebras of dimension 2 to 5, names, parameters, invariants."""
 
+import gc
 import itertools
 import math
 import pickle
+import weakref
 from fractions import Fraction
 
 import numpy as np
@@ -116,6 +118,27 @@ def test_signs_that_are_all_alike_are_those_of_rotations(n):
     for g in (so(0, n), so(n, 0), get(f"so(0,{n})"), get("so(p,q)", p=n, q=0)):
         assert g == so(n) and g.name == f"so({n})" and known_casimirs(g) == known_casimirs(so(n))
         assert np.array_equal(g.representation, so(n).representation)
+
+
+def test_equal_arguments_give_one_algebra_as_long_as_it_is_in_use():
+    for build, arguments in (
+        (co.algebras.so, (5,)),
+        (co.algebras.so, (2, 2)),
+        (co.algebras.heisenberg, (2,)),
+        (co.algebras.A3_7, (0.5,)),
+    ):
+        g = build(*arguments)
+        assert build(*arguments) is g
+        used = weakref.ref(g)
+        del g
+        gc.collect()
+        assert used() is None
+    assert co.algebras.so(4) is not co.algebras.so(3, 1)
+    assert co.algebras.A3_7(0.5) != co.algebras.A3_7(0.25)
+    three = co.algebras.so(3)  # while it is in use, what is equal to 3 is still refused
+    with refused(ValueError, "whole number", "3.0"):
+        co.algebras.so(3.0)
+    assert three == co.algebras.get("so(3)")
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,13 @@ from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs, real_form, traceless
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import shared
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
 
 @suggest_keywords
+@shared
 def gl(n: int) -> LieAlgebra:
     """Return gl(n), all n x n matrices, in the basis E_11, E_12, ..., E_nn.
 
@@ -46,6 +48,7 @@ def gl(n: int) -> LieAlgebra:
 
 
 @suggest_keywords
+@shared
 def sl(n: int = 2) -> LieAlgebra:
     """Return sl(n), the n x n matrices of trace zero.
 
@@ -93,6 +96,7 @@ def sl(n: int = 2) -> LieAlgebra:
 
 
 @suggest_keywords
+@shared
 def sp(size: int) -> LieAlgebra:
     """Return sp(2n, R), the matrices (A, B; C, -A^T) with n x n blocks, B and C symmetric: linear Hamiltonian fields.
 
@@ -150,6 +154,7 @@ def _antihermitian(n: int) -> tuple[list[Entry], list[Entry], list[Entry]]:
 
 
 @suggest_keywords
+@shared
 def su(n: int) -> LieAlgebra:
     """Return su(n), the anti-Hermitian n x n matrices of trace zero.
 
@@ -193,6 +198,7 @@ def su(n: int) -> LieAlgebra:
 
 
 @suggest_keywords
+@shared
 def u(n: int) -> LieAlgebra:
     """Return u(n), the anti-Hermitian n x n matrices.
 

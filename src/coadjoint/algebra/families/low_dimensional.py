@@ -21,6 +21,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formulas import Number, condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import shared
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, read_number
 
@@ -128,6 +129,7 @@ def _representation(brackets: Constants, dim: int) -> Floats | None:
 
 
 @suggest_keywords
+@shared
 def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
     """Return one of the 62 algebras A2_1 ... A5_40.
 
@@ -188,6 +190,7 @@ def low_dimensional(name: str, **parameters: Any) -> LieAlgebra:
 
 
 @suggest_keywords
+@shared
 def A3_7(a: float) -> LieAlgebra:
     """Return A_{3,7}: [e1, e3] = a e1 - e2, [e2, e3] = e1 + a e2; spirals (Bianchi VII_h), not unimodular for a != 0.
 

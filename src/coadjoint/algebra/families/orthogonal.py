@@ -6,6 +6,7 @@ from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import shared
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
@@ -23,6 +24,7 @@ def rotations(p: int, q: int = 0) -> tuple[list[Entry], list[Entry]]:
 
 
 @suggest_keywords
+@shared
 def so(n: int, q: int = 0) -> LieAlgebra:
     """Return so(n), the skew-symmetric n x n matrices, or so(p, q), the algebra of a form of signature (p, q).
 
@@ -77,6 +79,7 @@ def so(n: int, q: int = 0) -> LieAlgebra:
 
 
 @suggest_keywords
+@shared
 def e(n: int = 3) -> LieAlgebra:
     """Return e(n), the rigid motions of n-dimensional space: first rotations, in the basis of so(n), then translations.
 
@@ -119,6 +122,7 @@ def e(n: int = 3) -> LieAlgebra:
 
 
 @suggest_keywords
+@shared
 def se(n: int = 3) -> LieAlgebra:
     """Return se(n), the algebra of the special Euclidean group: it is e(n), another name for the same algebra.
 

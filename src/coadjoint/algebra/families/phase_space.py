@@ -13,6 +13,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import shared
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
@@ -21,6 +22,7 @@ MAX_MOMENT_DEGREE = 100
 
 
 @suggest_keywords
+@shared
 def heisenberg(n: int = 1) -> LieAlgebra:
     """Return the Heisenberg algebra: [q_i, p_i] = z, in the order q1 ... qn, p1 ... pn, z.
 
