@@ -5,7 +5,7 @@ import pytest
 
 import coadjoint as co
 from core_only import run_python
-from long import long_beyond
+from long import long_beyond, long_where
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -459,7 +459,7 @@ INPUTS = {
 }
 
 
-@pytest.mark.parametrize("name", INPUTS)
+@pytest.mark.parametrize("name", long_where(["a free body"], INPUTS))
 def test_inputs_and_gradients_by_them_are_those_of_the_compiled_run(name):
     """Of the linear term, also if they are not given."""
     method, named = INPUTS[name]
@@ -491,7 +491,7 @@ def test_members_of_a_batch_have_squares_and_linear_terms(method):
 
 
 @pytest.mark.parametrize(
-    "method", [co.Splitting(order=4), co.Splitting(parts="free_body"), co.GaussLegendre(2)], ids=str
+    "method", long_beyond(2, [co.Splitting(order=4), co.GaussLegendre(2), co.Splitting(parts="free_body")]), ids=str
 )
 def test_members_of_a_batch_have_their_own_constants(method):
     ready, states = co.prepare(BODIES, method, 0.1), np.array([X0, 2.0 * X0, X0[::-1]])

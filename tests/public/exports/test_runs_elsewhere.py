@@ -100,7 +100,7 @@ def check_output(command, ends):
 
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning", "ignore::coadjoint.RoundingWarning")
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs node")
-@pytest.mark.parametrize("tool", [pytest.param("zig", marks=needs_zig), "emcc"])
+@pytest.mark.parametrize("tool", [pytest.param("zig", marks=[needs_zig, pytest.mark.long]), "emcc"])
 @pytest.mark.parametrize("seed", long_beyond(1, range(20)))
 def test_webassembly_has_the_bits_of_the_library(tool, seed, tmp_path):
     """Of fixed runs and of drawn ones, ten for each seed."""

@@ -136,7 +136,7 @@ def variants(name):
 
 
 # Functions take seconds to compile.
-SLOW = {"double_spherical_pendulum", "satellite", "separable_cosh", "sklyanin"}
+SLOW = {"double_spherical_pendulum", "rigid_molecules", "satellite", "separable_cosh", "sklyanin"}
 
 
 @pytest.mark.thinned(1)
