@@ -98,8 +98,7 @@ def _output_paths(
     """Validate the paths of archive, dataset, figure and movie, from the options or else those declared in a file."""
     from coadjoint.files.archives.new_archive import check_new
     from coadjoint.files.configuration.construction import section
-    from coadjoint.files.output.movie_file import check_movie
-    from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
+    from coadjoint.files.output.output_files import DATASETS, FIGURES, check_movie, check_target
 
     results: tuple[tuple[str, str | None, Callable[[str], Path]], ...] = (
         ("archive", archive, check_new),

@@ -66,8 +66,8 @@ class LoadedSolution(StoredSolution):
         dataset = self.dataset.copy()
         return dataset if grid is None else with_vorticity(dataset, self, grid)
 
-    def inputs(self, events: Any = ()) -> dict[str, Any]:
-        return stored_inputs(self._stacked, self._given_system, events)
+    def inputs(self) -> dict[str, Any]:
+        return stored_inputs(self._stacked, self._given_system, ())
 
     def _read_entire(self, name: str) -> NDArray[Any]:
         return np.asarray(self._stacked[name].values)
