@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 class Configuration:
     """A validated run described by a configuration file, with the arguments of `coadjoint.integrate`.
 
-    The paths of results are relative to the current directory. `choice` is that for an accuracy in the file;
-    `swept` maps keys to values, one for each member.
+    The paths of results, `outputs`, are relative to the current directory. `choice` is that for an accuracy in the
+    file; `swept` maps keys to values, one for each member.
     """
 
     path: str
@@ -50,10 +50,7 @@ class Configuration:
     events: tuple[Event, ...] = ()
     threads: int | None = None
     workers: int | None = None
-    output: str | None = None
-    archive: str | None = None
-    figure: str | None = None
-    movie: str | None = None
+    outputs: Mapping[str, str | None] = field(default_factory=dict)
     choice: Any = None
     swept: Mapping[str, list[Any]] = field(default_factory=dict, repr=False)
     text: str = field(default="", repr=False)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import chain
-from typing import Any, NamedTuple
+from itertools import product
+from typing import Any
 
 from coadjoint.files.exports.c_statements import Value, numbers, repeated, runs_of
 from coadjoint.program.term_table import LINEAR, Terms
@@ -18,33 +18,32 @@ Numbers = Callable[[str, int], Value]
 """``numbers(field, position)`` is a number of the terms, or the expression of an input."""
 
 
-class Factor(NamedTuple):
-    """A factor of a monomial: a row of the terms, the coordinate of this row, and an exponent."""
-
-    row: int
-    coordinate: int
-    exponent: int
-
-
 def rows_of(terms: Terms, k: int) -> range:
     """Return the rows of a term."""
     return range(int(terms.row[k]), int(terms.row[k + 1]))
 
 
-def gradient(terms: Terms, k: int, number: Numbers, target: Callable[[int], int], out: str) -> list[str]:
-    """Return statements that set ``out[target(row)]`` to the rows of term k."""
+def gradient(
+    terms: Terms, k: int, number: Numbers, target: Callable[[int], int], out: str, change: bool = False
+) -> list[str]:
+    """Return statements that set ``out[target(row)]`` to the rows of term k, or with `change` to those along v."""
     if terms.kind[k] == LINEAR:
-        return _linear(terms, k, number, target, out)
+        return _linear(terms, k, number, target, out, change)
     lines = repeated(f"{out}[{{row}}] = 0.0;", {"row": list(map(target, rows_of(terms, k)))})
-    return lines + _polynomial(terms, k, number, target, out)
-
-
-def gradient_change(terms: Terms, k: int, number: Numbers, target: Callable[[int], int], out: str) -> list[str]:
-    """Return statements that set ``out[target(row)]`` to the changes of the rows of term k along v."""
-    if terms.kind[k] == LINEAR:
-        return _linear(terms, k, number, target, out, change=True)
-    lines = repeated(f"{out}[{{row}}] = 0.0;", {"row": list(map(target, rows_of(terms, k)))})
-    return lines + _second_derivatives(terms, k, number, target, out)
+    monomials = list(range(int(terms.monomial[k]), int(terms.monomial[k + 1])))
+    factors = [factors_of(terms, m) for m in monomials]
+    # Monomials in order, each with all derivatives; neighbours of one form are a loop.
+    for first, last in runs_of([exponents for _, exponents in factors]):
+        exponents, found = factors[first][1], dict[str, list[Any]]()
+        for position in range(len(exponents)):
+            rows = [one[0][position] for one in factors[first:last]]
+            found[f"i{position}"] = [int(terms.target[row]) for row in rows]
+            found[f"r{position}"] = list(map(target, rows))
+        found["c"] = [number("coefficient", m) for m in monomials[first:last]]
+        statements = (_second_derivatives if change else _first_derivatives)(exponents, out)
+        if statements:
+            lines += repeated("\n".join(statements), found)
+    return lines
 
 
 def chain_of(products: list[tuple[str, str]], start: str) -> str:
@@ -54,9 +53,7 @@ def chain_of(products: list[tuple[str, str]], start: str) -> str:
     return start
 
 
-def _linear(
-    terms: Terms, k: int, number: Numbers, target: Callable[[int], int], out: str, change: bool = False
-) -> list[str]:
+def _linear(terms: Terms, k: int, number: Numbers, target: Callable[[int], int], out: str, change: bool) -> list[str]:
     rows, vector = list(rows_of(terms, k)), "v" if change else "x"
     entries = [range(int(terms.entry[row]), int(terms.entry[row + 1])) for row in rows]
     columns, lines = terms.column.tolist(), []
@@ -82,11 +79,10 @@ def _linear(
     return lines
 
 
-def factors_of(terms: Terms, monomial: int) -> list[Factor]:
-    """Return the factors of a monomial."""
-    each = range(int(terms.factor[monomial]), int(terms.factor[monomial + 1]))
-    rows = [int(terms.factor_row[f]) for f in each]
-    return [Factor(row, int(terms.target[row]), int(terms.exponent[f])) for row, f in zip(rows, each, strict=True)]
+def factors_of(terms: Terms, monomial: int) -> tuple[list[int], tuple[int, ...]]:
+    """Return the factors of a monomial: rows of the terms, and exponents."""
+    each = slice(int(terms.factor[monomial]), int(terms.factor[monomial + 1]))
+    return terms.factor_row[each].tolist(), tuple(terms.exponent[each].tolist())
 
 
 def power(x: str, exponent: int) -> str:
@@ -96,58 +92,30 @@ def power(x: str, exponent: int) -> str:
     return x if exponent == 1 else f"({' * '.join([x] * exponent)})"
 
 
-def _polynomial(terms: Terms, k: int, number: Numbers, target: Callable[[int], int], out: str) -> list[str]:
-    """Return statements for the monomials in order, each with all derivatives; neighbours of one form are a loop."""
-    monomials = list(range(int(terms.monomial[k]), int(terms.monomial[k + 1])))
-    factors, lines = [factors_of(terms, m) for m in monomials], []
-    for first, last in runs_of([tuple(f.exponent for f in one) for one in factors]):
-        form, found = factors[first], _columns(factors[first:last], target)
-        found["c"] = [number("coefficient", m) for m in monomials[first:last]]
-        statements = [
-            f"{out}[{{r{chosen}}}] += {' * '.join(chain(['{c}'], _derivative(form, chosen)))};"
-            for chosen in range(len(form))
-        ]
-        if statements:
-            lines += repeated("\n".join(statements), found)
-    return lines
+def _first_derivatives(exponents: tuple[int, ...], out: str) -> list[str]:
+    def factors(chosen: int) -> Iterator[str]:
+        for position, exponent in enumerate(exponents):
+            x = f"x[{{i{position}}}]"
+            if position != chosen:
+                yield power(x, exponent)
+            elif exponent > 1:
+                yield f"({exponent}.0 * {power(x, exponent - 1)})"
+
+    numbered = range(len(exponents))
+    return [f"{out}[{{r{chosen}}}] += {' * '.join(['{c}', *factors(chosen)])};" for chosen in numbered]
 
 
-def _derivative(form: list[Factor], chosen: int) -> Iterator[str]:
-    for position, factor in enumerate(form):
-        x = f"x[{{i{position}}}]"
-        if position != chosen:
-            yield power(x, factor.exponent)
-        elif factor.exponent > 1:
-            yield f"({factor.exponent}.0 * {power(x, factor.exponent - 1)})"
-
-
-def _columns(factors: list[list[Factor]], target: Callable[[int], int]) -> dict[str, list[Any]]:
-    found: dict[str, list[Any]] = {}
-    for position in range(len(factors[0])):
-        found[f"i{position}"] = [one[position].coordinate for one in factors]
-        found[f"r{position}"] = [target(one[position].row) for one in factors]
-    return found
-
-
-def _second_derivatives(terms: Terms, k: int, number: Numbers, target: Callable[[int], int], out: str) -> list[str]:
-    monomials = list(range(int(terms.monomial[k]), int(terms.monomial[k + 1])))
-    factors, lines = [factors_of(terms, m) for m in monomials], []
-    for first, last in runs_of([tuple(f.exponent for f in one) for one in factors]):
-        form, found = factors[first], _columns(factors[first:last], target)
-        found["c"] = [number("coefficient", m) for m in monomials[first:last]]
-        statements = []
-        for one in range(len(form)):
-            for other in range(len(form)):
-                if one == other and form[one].exponent < 2:
-                    continue
-                product = ["{c}"]
-                for position, factor in enumerate(form):
-                    order = (position == one) + (position == other)
-                    scale = factor.exponent * (factor.exponent - 1) if order == 2 else factor.exponent if order else 1
-                    product += [f"{scale}.0"] if scale != 1 else []
-                    left = factor.exponent - order
-                    product += [power(f"x[{{i{position}}}]", left)] if left else []
-                statements.append(f"{out}[{{r{one}}}] += {' * '.join(product)} * v[{{i{other}}}];")
-        if statements:
-            lines += repeated("\n".join(statements), found)
-    return lines
+def _second_derivatives(exponents: tuple[int, ...], out: str) -> list[str]:
+    statements = []
+    for one, other in product(range(len(exponents)), repeat=2):
+        if one == other and exponents[one] < 2:
+            continue
+        factors = ["{c}"]
+        for position, exponent in enumerate(exponents):
+            order = (position == one) + (position == other)
+            scale = exponent * (exponent - 1) if order == 2 else exponent if order else 1
+            factors += [f"{scale}.0"] if scale != 1 else []
+            left = exponent - order
+            factors += [power(f"x[{{i{position}}}]", left)] if left else []
+        statements.append(f"{out}[{{r{one}}}] += {' * '.join(factors)} * v[{{i{other}}}];")
+    return statements
