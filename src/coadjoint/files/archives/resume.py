@@ -28,8 +28,7 @@ from coadjoint.files.archives.archived_solution import closing, open_archive, ra
 from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
 from coadjoint.files.archives.metadata_checks import as_archive_errors
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.sinks import ArchiveSink
-from coadjoint.files.archives.store import ArchiveStore, unwritable_error
+from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, unwritable_error
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata
 from coadjoint.files.records.required_functions import observed_again
 from coadjoint.keyword_hints import suggest_keywords

@@ -30,6 +30,7 @@ from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.registry import ready_made_systems
 from coadjoint.systems.system import System
 from coadjoint.validation import check_parameters, from_description, read_array_file, read_choice
 
@@ -116,7 +117,8 @@ def _hamiltonian_part(name: str, file: File) -> System:
                 errors.add(f"{key}: belongs to [algebra]; the system {file.system.name!r} has its own")
         with errors.collect():
             with section(name, "system"):
-                system = systems.get(file.system.name, **file.system.parameters)
+                ready_made = read_choice(file.system.name, "system", ready_made_systems())
+                system = systems.get(ready_made, **file.system.parameters)
         errors.raise_collected()
         return system
     if file.hamiltonian is None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.errors import IntegrationError, in_one_line
-from coadjoint.files.configuration.configuration import Configuration
+from coadjoint.files.configuration.loading import Configuration
 from coadjoint.kernels.arrays import Layout
 from coadjoint.memory import available, format_bytes
 from coadjoint.methods.forced import effective_scheme

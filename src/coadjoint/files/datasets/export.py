@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError, OneLineError
-from coadjoint.files.datasets.content_checksum import with_checksum
 from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, stacked, unstacked
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
@@ -27,6 +26,7 @@ from coadjoint.files.datasets.variables import (
     time_variables,
     vorticity_variables,
 )
+from coadjoint.files.datasets.writers import with_checksum
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.reconstruction import events_of, not_stored
 from coadjoint.files.records.records import event_record, record_of, system_of

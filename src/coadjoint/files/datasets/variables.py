@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.datasets.content_checksum import CHECKSUM, with_checksum
 from coadjoint.files.datasets.named_axes import unstacked
+from coadjoint.files.datasets.writers import CHECKSUM, with_checksum
 from coadjoint.files.records.records import safe_name
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed

@@ -187,7 +187,7 @@ class _Numbers:
         return found
 
     def of_terms(self, table: Any, prefix: str, terms: Terms) -> Any:
-        """Return the function of numbers of terms, for `c_terms`."""
+        """Return the function of numbers of terms, for `gradient`."""
         known = {
             field: self.of(table, prefix + field, getattr(terms, field))
             for field in ("offset", "weight", "coefficient")

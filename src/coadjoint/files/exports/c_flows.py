@@ -11,14 +11,15 @@ from coadjoint.files.exports.c_statements import (
     FEW,
     VECTORS,
     DeclaredInputs,
+    Numbers,
     Value,
     block,
     function,
+    gradient,
     literal,
     numbers,
     repeated,
 )
-from coadjoint.files.exports.c_terms import Numbers, gradient
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.program.actions import Action

@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.files.exports.c_statements import VECTORS, DeclaredInputs, block, function, numbers, repeated, runs_of
-from coadjoint.files.exports.c_terms import LONGEST_CHAIN, Numbers, chain_of, gradient, rows_of
+from coadjoint.files.exports.c_statements import (
+    LONGEST_CHAIN,
+    VECTORS,
+    DeclaredInputs,
+    Numbers,
+    block,
+    chain_of,
+    function,
+    gradient,
+    numbers,
+    repeated,
+    rows_of,
+    runs_of,
+)
 from coadjoint.kernels.tables.field import Field
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.program.term_table import LINEAR

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.errors import OneLineError
-from coadjoint.files.datasets.content_checksum import with_checksum
-from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, write_netcdf, write_zarr
+from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, with_checksum, write_netcdf, write_zarr
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
