@@ -86,10 +86,6 @@ class SettingsSweep:
                 values[key] = [settings_list[k] for k in numbers]
         return values
 
-    def axes_of(self, chosen: Callable[[KeyPath], bool]) -> list[int]:
-        """Return the numbers of the axes with a key that satisfies `chosen`."""
-        return [k for k, axis in enumerate(self.axes) if any(chosen(parse_key(key)) for key in axis)]
-
     def member_tables(self, member: int) -> dict[str, Any]:
         """Return the tables of one member; a state swept over an orbit stays as written."""
         changed = {key: values[member] for key, values in self.values.items() if key not in self.orbits}
@@ -185,16 +181,11 @@ def replace_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str)
         with section(name, f"sweep.over.{key_text}"):
             table: Any = tables
             for key in outer:
-                table = _subtable(table, key)
+                _check_key_exists(table, key)
+                table = table.setdefault(key, {}) if isinstance(key, str) else table[key]
             _check_key_exists(table, last)
             table[last] = value
     return tables
-
-
-def _subtable(table: Any, key: str | int) -> Any:
-    """Return a subtable, created if missing, or an entry of a list."""
-    _check_key_exists(table, key)
-    return table.setdefault(key, {}) if isinstance(key, str) else table[key]
 
 
 def _check_key_exists(table: Any, key: str | int) -> None:
@@ -210,7 +201,7 @@ BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a ma
 
 def swept_system(sweep: SettingsSweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
     """Return the common system of all members, or a `Batch` if the sweep changes it; `file` is the first one."""
-    axes = sweep.axes_of(lambda path: path[0] != "initial")
+    axes = [k for k, axis in enumerate(sweep.axes) if any(parse_key(key)[0] != "initial" for key in axis)]
     if not axes:
         return system_of_file(sweep.name, file)
     with section(sweep.name, "sweep.over"):

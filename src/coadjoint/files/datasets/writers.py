@@ -1,4 +1,4 @@
-"""Writers of datasets as NetCDF and Zarr, which can be abandoned and survive a full disk; checksums of their content."""
+"""Writers of datasets as NetCDF and Zarr, which can be abandoned and survive a full disk; checksums of contents."""
 
 from __future__ import annotations
 

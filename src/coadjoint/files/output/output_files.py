@@ -149,22 +149,9 @@ def write_figure(figure: Figure, path: str | Path) -> None:
         unfinished.finish()
 
 
-def write_text(text: str, path: str | Path) -> None:
-    """Write JSON text to a ``.json`` file, atomically; errors as for `check_target`."""
-    _write(text, check_target(path, TEXTS))
-
-
-def write_page(text: str, path: str | Path) -> None:
-    """Write an HTML page to an ``.html`` file, atomically; errors as for `check_target`."""
-    _write(text, check_target(path, PAGES))
-
-
-def write_header(text: str, path: str | Path) -> None:
-    """Write a header of C or C++ to a ``.h`` or ``.hpp`` file, atomically; errors as for `check_target`."""
-    _write(text, check_target(path, HEADERS))
-
-
-def _write(text: str, target: Path) -> None:
+def write_text(text: str, path: str | Path, suffixes: Iterable[str] = TEXTS) -> None:
+    """Write text (JSON, a page or a header) to a file with one of the suffixes, atomically; see `check_target`."""
+    target = check_target(path, suffixes)
     with PendingOutput(target) as unfinished:
         unfinished.path.write_text(text, encoding="utf-8")
         unfinished.finish()
