@@ -62,8 +62,8 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         return {"name": system.name, "not_stored": [f"structure matrix: {source}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
     casimirs = system.casimirs
-    functions = dict.fromkeys([*_functions_in(casimirs), *_functions_in(system.algebra.casimirs_known)])
-    missing += [f"{CASIMIR}{name}" for name in functions]
+    without_record = dict.fromkeys([*_functions_in(casimirs), *_functions_in(system.algebra.casimirs_known)])
+    missing += [f"{CASIMIR}{name}" for name in without_record]
     missing += [f"{INTEGRAL}{name}" for name in _functions_in(system.integrals)]
     missing += [] if system.closed_form is None else [f"{EXACT}{_function_name(system.closed_form)}"]
     record: dict[str, Any] = {
