@@ -179,7 +179,7 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
 
     The page is index.html, in the same folder. The NAME decaying_turbulence is a run of minutes.
     """
-    from coadjoint.files.output.output_files import write_figure, write_page
+    from coadjoint.files.output.output_files import PAGES, write_figure, write_text
     from coadjoint.systems.registry import gallery_systems
 
     require_packages("a gallery", "matplotlib")
@@ -192,7 +192,7 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     folder = _folder(out)
 
     page = gallery(selected, lambda figure, name: write_figure(figure, folder / name), click.echo)
-    write_page(page, folder / PAGE)
+    write_text(page, folder / PAGE, PAGES)
     click.echo(f"written: {folder / PAGE}")
 
 
@@ -214,7 +214,7 @@ def export(file: str | None, free_body: bool, library: bool, path: str | None, n
     """
     from coadjoint.files.exports.c_statements import free_body_header
     from coadjoint.files.exports.table_export import write_interface
-    from coadjoint.files.output.output_files import HEADERS, TEXTS, check_target, write_header, write_text
+    from coadjoint.files.output.output_files import HEADERS, TEXTS, check_target, write_text
 
     if file is None and not free_body and not library:
         raise click.UsageError("export has nothing to write; give a configuration FILE, --free-body or --library")
@@ -237,7 +237,8 @@ def export(file: str | None, free_body: bool, library: bool, path: str | None, n
     is_table = file is not None and path is not None and Path(path).suffix == ".json"
     if is_table and (name is not None or tangent):
         raise click.UsageError("a table has no --name and no --tangent; its derivatives are always there")
-    target = None if path is None else check_target(path, TEXTS if is_table else HEADERS)
+    suffixes = TEXTS if is_table else HEADERS
+    target = None if path is None else check_target(path, suffixes)
     if file is not None:
         text = _exported_run(file, None if is_table else Path(path or file).stem if name is None else name, tangent)
     else:
@@ -247,7 +248,7 @@ def export(file: str | None, free_body: bool, library: bool, path: str | None, n
             raise click.UsageError(f"--out: {reason}") from None
     if target is None:
         return click.echo(text, nl=False)
-    (write_text if is_table else write_header)(text, target)
+    write_text(text, target, suffixes)
     click.echo(f"written: {path}")
 
 

@@ -17,7 +17,6 @@ from coadjoint.errors import IntegrationError, in_one_line
 if TYPE_CHECKING:
     import xarray
 
-    from coadjoint.files.configuration.configuration import Configuration
     from coadjoint.runs.results.solution import Solution
 
 
@@ -46,77 +45,52 @@ def run_file(
     from coadjoint.files.configuration.loading import load
 
     configuration = load(file)
-    paths = _output_paths(configuration.path, _declared(configuration), archive, out, figure, movie)
-    archive_path, dataset_path, figure_path, movie_path = paths
-    with saving_partial_run(configuration.path, archive_path, dataset_path, configuration.dataset):
-        solution = configuration.integrate(progress=progress, archive=archive_path)
-    _write_results(configuration.path, solution, configuration.dataset, dataset_path, figure_path, movie_path)
+    options = {"archive": archive, "file": out, "figure": figure, "movie": movie}
+    paths = _output_paths(configuration.path, configuration.outputs, options)
+    with saving_partial_run(configuration.path, paths.get("archive"), paths.get("file"), configuration.dataset):
+        solution = configuration.integrate(progress=progress, archive=paths.get("archive"))
+    _write_results(configuration.path, solution, configuration.dataset, paths)
     if not quiet:
-        _summarize(solution, [path for path in paths if path is not None])
+        _summarize(solution, list(paths.values()))
 
 
 def _write_results(
-    name: str,
-    solution: Solution,
-    dataset: Callable[[Solution], xarray.Dataset],
-    dataset_path: Path | None,
-    figure_path: Path | None,
-    movie_path: Path | None,
+    name: str, solution: Solution, dataset: Callable[[Solution], xarray.Dataset], paths: Mapping[str, Path]
 ) -> None:
     """Write dataset, figure and movie of a run, as far as they have paths."""
     from coadjoint.files.output.output_files import write_dataset, write_figure
 
-    if dataset_path is not None:
-        with reporting_write_errors(name, dataset_path):
-            write_dataset(dataset(solution), dataset_path)
-    if figure_path is not None:
-        with reporting_write_errors(name, figure_path):
-            write_figure(solution.plot(), figure_path)
-    if movie_path is not None:
-        with reporting_write_errors(name, movie_path):
-            solution.movie(movie_path)
-
-
-def _declared(configuration: Configuration) -> dict[str, str | None]:
-    """Return the paths of results that a configuration declares, by key."""
-    return {
-        "archive": configuration.archive,
-        "file": configuration.output,
-        "figure": configuration.figure,
-        "movie": configuration.movie,
+    writers: dict[str, Callable[[Path], object]] = {
+        "file": lambda path: write_dataset(dataset(solution), path),
+        "figure": lambda path: write_figure(solution.plot(), path),
+        "movie": solution.movie,
     }
+    for key, write in writers.items():
+        if key in paths:
+            with reporting_write_errors(name, paths[key]):
+                write(paths[key])
 
 
-def _output_paths(
-    name: str,
-    declared: Mapping[str, str | None],
-    archive: str | None = None,
-    out: str | None = None,
-    figure: str | None = None,
-    movie: str | None = None,
-) -> list[Path | None]:
+def _output_paths(name: str, declared: Mapping[str, str | None], options: Mapping[str, str | None]) -> dict[str, Path]:
     """Validate the paths of archive, dataset, figure and movie, from the options or else those declared in a file."""
     from coadjoint.files.archives.new_archive import check_new
     from coadjoint.files.configuration.construction import section
-    from coadjoint.files.output.movie_file import check_movie
-    from coadjoint.files.output.output_files import DATASETS, FIGURES, check_target
+    from coadjoint.files.output.output_files import DATASETS, FIGURES, check_movie, check_target
 
-    results: tuple[tuple[str, str | None, Callable[[str], Path]], ...] = (
-        ("archive", archive, check_new),
-        ("file", out, lambda path: check_target(path, DATASETS)),
-        ("figure", figure, lambda path: check_target(path, FIGURES)),
-        ("movie", movie, check_movie),
-    )
-    paths: list[Path | None] = []
-    for key, option, check in results:
-        configured = declared.get(key)
+    checks: dict[str, Callable[[str], Path]] = {
+        "archive": check_new,
+        "file": lambda path: check_target(path, DATASETS),
+        "figure": lambda path: check_target(path, FIGURES),
+        "movie": check_movie,
+    }
+    paths = {}
+    for key, check in checks.items():
+        option, configured = options.get(key), declared.get(key)
         if option is not None:
-            paths.append(check(option))
-        elif configured is None:
-            paths.append(None)
-        else:
+            paths[key] = check(option)
+        elif configured is not None:
             with section(name, f"output.{key}"):
-                paths.append(check(configured))
+                paths[key] = check(configured)
     return paths
 
 
@@ -169,7 +143,7 @@ def check_file(file: str) -> None:
     from coadjoint.files.configuration.loading import load
 
     configuration = load(file)
-    _output_paths(configuration.path, _declared(configuration))
+    _output_paths(configuration.path, configuration.outputs, {})
     dry_run = plan(configuration)
     click.echo(str(dry_run))
     if dry_run.failed:
@@ -207,8 +181,7 @@ def resume_archive(
     from coadjoint.files.archives.archive import read_archive_path
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
-    from coadjoint.files.configuration.configuration import CONFIGURATION
-    from coadjoint.files.configuration.loading import outputs_of_text, system_of_text
+    from coadjoint.files.configuration.loading import CONFIGURATION, outputs_of_text, system_of_text
     from coadjoint.files.records.required_functions import requires_argument
 
     archive, system = read_archive_path(path), None
@@ -217,15 +190,15 @@ def resume_archive(
         # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
         system = system_of_text(attributes[CONFIGURATION])
     declared = outputs_of_text(attributes[CONFIGURATION]) if CONFIGURATION in attributes else {}
-    given = {"archive": path, "file": out, "figure": figure, "movie": movie}
-    declared = {key: value for key, value in declared.items() if value is not None and given.get(key) is None}
+    options = {"file": out, "figure": figure, "movie": movie}
+    declared = {key: value for key, value in declared.items() if key in options and options[key] is None}
     _check_inside(path, declared)
-    results = _output_paths(path, declared, None, out, figure, movie)[1:]
+    results = _output_paths(path, declared, options)
     with saving_partial_run(path, archive, None, None):
         solution = resume(archive, t_end, system=system, threads=threads, workers=workers, progress=progress)
-    _write_results(path, solution, lambda resumed: resumed.to_xarray().drop_encoding(), *results)
+    _write_results(path, solution, lambda resumed: resumed.to_xarray().drop_encoding(), results)
     if not quiet:
-        _summarize(solution, [archive, *(result for result in results if result is not None)])
+        _summarize(solution, [archive, *results.values()])
 
 
 @click.command("certify")
@@ -278,18 +251,12 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
 COMMANDS = (run_file, check_file, resume_archive, certify_file)
 
 
-class RunFailed(click.ClickException):
-    """A run failed, or its result could not be written: exit status 1."""
+class RunEnded(click.ClickException):
+    """A run failed, or its result could not be written (exit status 1), or it was interrupted (128 + the signal)."""
 
-    exit_code = 1
-
-
-class RunStopped(click.ClickException):
-    """A run was interrupted: exit status 128 + number of the signal."""
-
-    def __init__(self, message: str, number: int) -> None:
+    def __init__(self, message: str, status: int = 1) -> None:
         super().__init__(message)
-        self.__dict__["exit_code"] = 128 + number
+        self.__dict__["exit_code"] = status
 
 
 @contextmanager
@@ -314,7 +281,7 @@ def reporting_write_errors(name: str, target: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, OutputError, MemoryError) as reason:
-        raise RunFailed(f"{name}: {_write_error(target, reason)}") from reason
+        raise RunEnded(f"{name}: {_write_error(target, reason)}") from reason
 
 
 def _write_error(target: Path, reason: BaseException) -> str:
@@ -324,19 +291,19 @@ def _write_error(target: Path, reason: BaseException) -> str:
 
 def _failure_error(
     name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any
-) -> RunFailed:
+) -> RunEnded:
     """Write the solution so far and return the error to raise."""
     from coadjoint.files.datasets.export import failure_attributes
 
     written = "" if archive is None else f"; the archive {archive} holds the solution so far"
     if target is not None and error.partial is not None:
         written = _write(dataset(error.partial).assign_attrs(failure_attributes(error)), target)
-    return RunFailed(f"{name}: the run failed: {error}{written}")
+    return RunEnded(f"{name}: the run failed: {error}{written}")
 
 
 def _interruption_error(
     name: str, interrupt: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
-) -> RunStopped:
+) -> RunEnded:
     from coadjoint.files.datasets.export import incomplete_attributes
 
     partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
@@ -348,7 +315,7 @@ def _interruption_error(
         reason = incomplete_attributes(interrupt.description, time)
         written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
     message = f"{name}: {interrupt.description}{written}" if written else f"coadjoint: {interrupt.description}"
-    return RunStopped(message, interrupt.number)
+    return RunEnded(message, 128 + interrupt.number)
 
 
 def _open_partial_run(archive: Path) -> Any:

@@ -7,8 +7,8 @@ from typing import Any
 
 SHORTCUTS = {
     "archive_run": "coadjoint.files.archives.resume:archive_run",
-    "check_movie": "coadjoint.files.output.movie_file:check_movie",
-    "check_speed": "coadjoint.files.output.movie_file:check_speed",
+    "check_movie": "coadjoint.files.output.output_files:check_movie",
+    "check_speed": "coadjoint.files.output.output_files:check_speed",
     "choose": "coadjoint.choosing.accuracy:choose",
     "dataset_of": "coadjoint.files.datasets.export:dataset_of",
     "draw_certificate": "coadjoint.pictures.certificate:draw_certificate",
@@ -28,7 +28,7 @@ SHORTCUTS = {
     "table_of": "coadjoint.files.datasets.export:table_of",
     "vjp": "coadjoint.runs.derivatives.of_prepared_runs:vjp",
     "warn_of_large_step": "coadjoint.analysis.step_error:warn_of_large_step",
-    "write_movie": "coadjoint.files.output.movie_file:write_movie",
+    "write_movie": "coadjoint.files.output.output_files:write_movie",
 }
 """Name -> "module:function"."""
 

@@ -94,27 +94,23 @@ def read_numbers(values: Any, what: str) -> Floats:
     """Validate real numbers and return a float64 copy."""
     if type(values) is np.ndarray and values.dtype is FLOAT64 and values.size <= UNCHECKED_SIZE:
         return np.array(values)
-    array = to_array(values, what)
-    if array.size > UNCHECKED_SIZE:
-        check_available_memory(8 * array.size, f"a copy of {what}, of shape {array.shape},")
-    try:
-        if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
-            return np.array(array, dtype=np.float64)
-        with np.errstate(over="ignore"):  # gives infinity, refused by callers that require finite numbers
-            return np.array(array, dtype=np.float64)
-    except OverflowError:
-        raise ValueError(f"{what} holds a number that is too large for float64") from None
-    except (TypeError, ValueError):
-        raise not_numbers_error(values, what) from None
+    return _copied(values, what, REAL_KINDS, FLOAT64)
 
 
 def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
     """Validate real or complex numbers and return a complex copy, as in `read_numbers`."""
-    array = to_array(values, what, "iufc")
+    return _copied(values, what, "iufc", np.dtype(np.complex128))
+
+
+def _copied(values: Any, what: str, kinds: str, kind: np.dtype[Any]) -> NDArray[Any]:
+    array = to_array(values, what, kinds)
     if array.size > UNCHECKED_SIZE:
-        check_available_memory(16 * array.size, f"a copy of {what}, of shape {array.shape},")
+        check_available_memory(kind.itemsize * array.size, f"a copy of {what}, of shape {array.shape},")
     try:
-        return np.array(array, dtype=np.complex128)
+        if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
+            return np.array(array, dtype=kind)
+        with np.errstate(over="ignore"):  # gives infinity, refused by callers that require finite numbers
+            return np.array(array, dtype=kind)
     except OverflowError:
         raise ValueError(f"{what} holds a number that is too large for float64") from None
     except (TypeError, ValueError):

@@ -11,9 +11,9 @@ import coadjoint as co
 from coadjoint import cli
 from coadjoint.experiments.reich1993 import reproduce
 from coadjoint.experiments.reich1993.figures import drift_figure
-from coadjoint.experiments.reich1993.section5_spiral import MODIFIED, spiral_run
-from coadjoint.experiments.reich1993.systems import BODY_START, COORDINATES, MIDPOINT, SPLITTING, body_run
-from coadjoint.experiments.selftest import checks, subjects
+from coadjoint.experiments.reich1993.section5 import spiral_run
+from coadjoint.experiments.reich1993.systems import BODY_START, COORDINATES, M_ORTHOGONAL, MIDPOINT, SPLITTING, body_run
+from coadjoint.experiments.selftest import checks
 from coadjoint.experiments.selftest.checks import Finding
 from coadjoint.experiments.statements import FAILS, HOLDS, LIMITED, judge, stage_iterates, step_matrix
 from refusals import refused
@@ -84,7 +84,7 @@ def test_attitude_errors_near_the_separatrix(method, expected):
 
 
 @pytest.mark.parametrize(
-    ("method", "energy", "casimir"), [(COORDINATES, 3.7e-6, None), (MODIFIED, None, 5.5e-5)], ids=["fig1", "fig2"]
+    ("method", "energy", "casimir"), [(COORDINATES, 3.7e-6, None), (M_ORTHOGONAL, None, 5.5e-5)], ids=["fig1", "fig2"]
 )
 def test_drift_figures(method, energy, casimir):
     run = spiral_run(method)
@@ -159,7 +159,7 @@ def failing(check):
 
 @pytest.mark.parametrize("key", ["so(3)", "so(5)", "A3,7"])
 def test_wrong_motion_is_detected(monkeypatch, key):
-    right = subjects.references()
+    right = checks.references()
     monkeypatch.setattr(checks, "references", lambda: {key: right[key] * (1 + 1e-11)})
     assert failing(checks.motions) == [f"motion on {key}"]
 
@@ -188,7 +188,7 @@ class Runge(co.methods.StepMethod):
 )
 def test_wrong_orders_and_false_properties_are_detected(monkeypatch, schemes, method, check, begin):
     monkeypatch.setattr(checks, schemes, lambda: [method])
-    monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": subjects.systems()["so(3)"]})
+    monkeypatch.setattr(checks, "supported_systems", lambda method: {"so(3)": checks.systems()["so(3)"]})
     assert any(found.startswith(begin) for found in failing(getattr(checks, check)))
 
 
@@ -219,8 +219,8 @@ def test_different_bits_are_detected(monkeypatch, changed, by, methods, check, b
 
 def test_differently_resumed_run_is_detected(monkeypatch):
     def other(path, t_end):
-        system, method = subjects.systems()["so(3)"], co.Splitting()
-        x0 = np.array([subjects.state_of(system, number) for number in range(2)])
+        system, method = checks.systems()["so(3)"], co.Splitting()
+        x0 = np.array([checks.state_of(system, number) for number in range(2)])
         return co.integrate(system, x0 * (1 + 2e-16), (0, t_end), checks.STEP, method)
 
     monkeypatch.setattr("coadjoint.files.archives.resume.resume", other)
@@ -232,7 +232,7 @@ def test_differently_resumed_run_is_detected(monkeypatch):
 @pytest.mark.parametrize("key", ["so(3)", "se(3)", "A3,7", "su(3)"])
 def test_references_agree_with_power_series(key):
     """By the power series of x' = sign J(x) (M x + linear), in 30 digits."""
-    system = subjects.systems()[key]
+    system = checks.systems()[key]
     n, H, origin = system.dim, system.hamiltonian, np.zeros(system.dim)
     linear = np.asarray(H.gradient(origin))
     M = np.array([np.asarray(H.gradient(one)) - linear for one in np.eye(n)]).T
@@ -243,7 +243,7 @@ def test_references_agree_with_power_series(key):
     )
     terms = [(int(k), int(i), int(j), mpmath.mpf(float(J[k, i, j]))) for k, i, j in np.argwhere(J)]
     with mpmath.workdps(30):
-        M, x = mpmath.matrix(M.tolist()), mpmath.matrix(subjects.state_of(system).tolist())
+        M, x = mpmath.matrix(M.tolist()), mpmath.matrix(checks.state_of(system).tolist())
         for _ in range(16):
             series, slopes = [x], []
             for p in range(24):
@@ -254,4 +254,4 @@ def test_references_agree_with_power_series(key):
                 series.append(following / (p + 1))
             x = mpmath.matrix([mpmath.fsum(one[i] / mpmath.mpf(16) ** p for p, one in enumerate(series))
                                for i in range(n)])  # fmt: skip
-        assert [float(value) for value in x] == list(subjects.references()[key])
+        assert [float(value) for value in x] == list(checks.references()[key])

@@ -6,7 +6,7 @@ import xarray
 
 import coadjoint as co
 from coadjoint.files.datasets import variables
-from coadjoint.files.datasets.content_checksum import checksum_of
+from coadjoint.files.datasets.writers import checksum_of
 
 PIECE, LENGTH = 4, 11
 VALUES = {
@@ -26,7 +26,7 @@ def dataset(**changed):
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch):
-    monkeypatch.setattr("coadjoint.files.datasets.content_checksum.BUFFER_BYTES", PIECE)
+    monkeypatch.setattr("coadjoint.files.datasets.writers.BUFFER_BYTES", PIECE)
 
 
 @pytest.mark.parametrize("name", VALUES)

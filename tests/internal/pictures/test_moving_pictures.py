@@ -14,7 +14,7 @@ from matplotlib.quiver import Quiver
 from PIL import Image
 
 import coadjoint as co
-from coadjoint.files.output.movie_file import check_speed, write_movie
+from coadjoint.files.output.output_files import check_speed, write_movie
 from coadjoint.pictures.globe import Globe
 from coadjoint.pictures.kinds import body as module
 from coadjoint.pictures.movie import default_picture, frames_of

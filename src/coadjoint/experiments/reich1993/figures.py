@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.experiments.reich1993.section5_spiral import MODIFIED as MODIFIED_ON_SPIRAL
-from coadjoint.experiments.reich1993.section5_spiral import spiral_run
+from coadjoint.experiments.reich1993.section5 import spiral_run
 from coadjoint.experiments.reich1993.systems import (
     BODY_END,
     BODY_LATER,
@@ -17,6 +16,7 @@ from coadjoint.experiments.reich1993.systems import (
     CALM_START,
     CALM_STEP,
     COORDINATES,
+    M_ORTHOGONAL,
     MIDPOINT,
     MODIFIED,
     RUNGE,
@@ -56,7 +56,7 @@ def write_figures(folder: Path) -> list[Path]:
     """Draw figures 1 to 5 and write them to an existing folder as figure1.png ... figure5.png."""
     figures = [
         drift_figure(spiral_run(COORDINATES), 1, "Lie-Poisson integrator"),
-        drift_figure(spiral_run(MODIFIED_ON_SPIRAL), 2, "$M$-orthogonal integrator"),
+        drift_figure(spiral_run(M_ORTHOGONAL), 2, "$M$-orthogonal integrator"),
         attitude_figure(RUNGE, 3, "explicit Runge method of order 2"),
         attitude_figure(MODIFIED, 4, "modified midpoint rule"),
         attitude_figure(SPLITTING, 5, "Lie-Poisson integrator of order 2"),

@@ -39,6 +39,8 @@ COORDINATES = Splitting(order=2, parts="coordinates")
 RUNGE: Method = ExplicitRungeKutta("runge2")
 MIDPOINT: Method = GaussLegendre(1)
 MODIFIED: Method = ModifiedGaussLegendre(1, freeze="gradient")
+M_ORTHOGONAL = ModifiedGaussLegendre(1, freeze="structure")
+"""The modified midpoint rule that keeps the energy."""
 SPLITTING: Method = COORDINATES
 
 

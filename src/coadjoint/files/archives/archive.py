@@ -137,7 +137,8 @@ class Archive:
         if not self.has_blocks:
             return [self.attributes]
         with self.opened() as folder:
-            return [read_head(folder, block) for block in self.blocks]
+            markers = [read_marker(folder, block, only_head=True) for block in self.blocks]
+        return [marker[0] if marker else {} for marker in markers]
 
     @cached_property
     def heads(self) -> list[dict[str, Any]]:
@@ -268,11 +269,6 @@ def read_marker(
         return about, {} if only_head else deserialize_numbers(raw)
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return None
-
-
-def read_head(folder: Folder, block: MemberBlock) -> dict[str, Any]:
-    """Return the progress of a block; empty if it has not begun, or its marker is damaged."""
-    return (read_marker(folder, block, only_head=True) or ({}, {}))[0]
 
 
 def read_location(value: Any) -> Location:

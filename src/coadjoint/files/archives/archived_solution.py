@@ -74,14 +74,14 @@ class ArchivedSolution(StoredSolution):
         """Raise ArchiveError if committed chunks are missing, or the last chunks of growing arrays are damaged."""
         self._archive.check_complete()
 
-    def inputs(self, events: Any = ()) -> dict[str, Any]:
+    def inputs(self) -> dict[str, Any]:
         import xarray
 
         names: list[str] = [name for name in ("x0", "attitude0") if name in self._arrays]
         if self.attributes["between_steps"]:
             names.append("time")
         variables = {name: (self._arrays[name].dims, self._read_entire(name)) for name in names}
-        return stored_inputs(xarray.Dataset(variables, attrs=self.attributes), self._given_system, events)
+        return stored_inputs(xarray.Dataset(variables, attrs=self.attributes), self._given_system, ())
 
     def to_xarray(self, grid: Any = None) -> xarray.Dataset:
         import xarray

@@ -36,8 +36,7 @@ from coadjoint.files.archives.archive import (
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.sinks import BlockSink
-from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, BlockSink, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables, start_variables
 from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE, same_fingerprint

@@ -92,7 +92,7 @@ class PlannedRun(NamedTuple):
         return {
             **attributes_of(piece),
             ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of(piece)),
-            **function_attributes(self.prepared, ()),
+            **function_attributes(self.prepared),
             FIRST_STEP: self.first_step(),
         }
 

@@ -28,10 +28,9 @@ from coadjoint.files.archives.archived_solution import closing, open_archive, ra
 from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
 from coadjoint.files.archives.metadata_checks import as_archive_errors
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.sinks import ArchiveSink
-from coadjoint.files.archives.store import ArchiveStore, unwritable_error
+from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, unwritable_error
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata
-from coadjoint.files.records.required_functions import resume_arguments
+from coadjoint.files.records.required_functions import observed_again
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
@@ -92,9 +91,11 @@ def resume(
         A new end, a whole number of steps from the start (up to rounding, as in `integrate`) and later than what was
         computed. The result is bitwise equal to a run with this end from the beginning. Some steps, usually less than
         a sixth, are recomputed to find the drifts in each tenth of the new run.
-    system, observe, events : optional
+    system, observe : optional
         Those of the run, if they contain Python functions, which are not stored. They are compared with those with
         which the run began, as far as `coadjoint.files.records.required_functions` can, and rejected if they differ.
+    events : optional
+        Runs in archives have no events; any are rejected.
     threads : int, optional
         As for `integrate`; it does not affect the result.
     progress : bool
@@ -136,7 +137,7 @@ def resume(
         if t_end is not None or events is not None or until is not None:
             raise ValueError("resume takes no t_end, events or until for an ensemble in blocks; omit them")
         pool = read_worker_pool(client, workers, threads)
-        prepared, inputs = _prepared_again(archive, system, observe, None, pool.threads)
+        prepared, inputs = _prepared_again(archive, system, observe, pool.threads)
         arguments = inputs["x0"], inputs["t_span"], inputs["save_every"], archive.path, pool
         return run_in_blocks(prepared, *arguments, progress=progress)
     if client is not None or workers is not None:
@@ -147,7 +148,9 @@ def resume(
     try:
         archive = open_archive(archive_path, system)
         archive.check_complete()
-        prepared, inputs = _prepared_again(archive, system, observe, events, threads)
+        if read_events(events):
+            raise ArchiveError(f"{archive_path}: the run has no events; omit events")
+        prepared, inputs = _prepared_again(archive, system, observe, threads)
         times, _ = prepared.times_of(inputs["t_span"], inputs["save_every"])
         planned = PlannedRun(prepared, times, prepared.start(inputs["x0"]))
         if planned.first_step() != store.attributes[FIRST_STEP]:
@@ -176,15 +179,15 @@ def resume(
 
 
 def _prepared_again(
-    archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any, threads: int | None
+    archive: Solution, system: Any, observe: Mapping[str, Any] | None, threads: int | None
 ) -> tuple[PreparedRun, dict[str, Any]]:
     """Prepare the run of an archive again; return also all its arguments."""
-    given = resume_arguments(archive, system, observe, events)
+    observed = observed_again(archive, system, observe)
     with as_archive_errors(archive.path):
-        inputs = archive.inputs(given.events)
+        inputs = archive.inputs()
     options = {name: inputs[name] for name in ("attitude", "watch")}
     return PreparedRun(
-        inputs["system"], inputs["method"], inputs["step"], observe=given.observe, threads=threads, **options
+        inputs["system"], inputs["method"], inputs["step"], observe=observed, threads=threads, **options
     ), inputs
 
 

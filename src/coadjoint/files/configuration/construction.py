@@ -116,7 +116,9 @@ def _hamiltonian_part(name: str, file: File) -> System:
             if getattr(file, key) is not None:
                 errors.add(f"{key}: belongs to [algebra]; the system {file.system.name!r} has its own")
         with errors.collect():
-            system = _ready_made(name, file.system.name, file.system.parameters)
+            with section(name, "system"):
+                ready_made = read_choice(file.system.name, "system", ready_made_systems())
+                system = systems.get(ready_made, **file.system.parameters)
         errors.raise_collected()
         return system
     if file.hamiltonian is None:
@@ -137,29 +139,8 @@ def _hamiltonian_part(name: str, file: File) -> System:
         return LiePoissonSystem(algebra, hamiltonian, sign=file.sign or 1, casimirs=casimirs, name=file.name)
 
 
-def _ready_made(name: str, system: str, parameters: Mapping[str, Any]) -> System:
-    from coadjoint.files.configuration.models import unknown_key
-
-    with section(name, "system"):
-        make = ready_made_systems()[read_choice(system, "system", ready_made_systems())]
-    parameter_names = inspect.signature(make).parameters
-    for key in parameters:
-        if key not in parameter_names:
-            raise ConfigurationError(f"{name}: system.parameters.{key}: {unknown_key(key, parameter_names)}")
-    with section(name, "system"):
-        return systems.get(system, **parameters)
-
-
 def method_of_file(name: str, table: Mapping[str, Any]) -> Method:
     """Return the scheme of the table ``[method]``; ConfigurationError with the key."""
-    from coadjoint.files.configuration.models import unknown_key
-
-    scheme = table.get("name")
-    if isinstance(scheme, str) and scheme in registry.names():
-        parameter_names = registry.parameters_of(scheme)
-        for key in table:
-            if key not in parameter_names and key not in ("name", "parameters"):
-                raise ConfigurationError(f"{name}: method.{key}: {unknown_key(key, parameter_names)}")
     with section(name, "method"):
         return registry.from_description(table)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.errors import IntegrationError, in_one_line
-from coadjoint.files.configuration.configuration import Configuration
+from coadjoint.files.configuration.loading import Configuration
 from coadjoint.kernels.arrays import Layout
 from coadjoint.memory import available, format_bytes
 from coadjoint.methods.forced import effective_scheme
@@ -86,7 +86,8 @@ class DryRun:
 
     def _output_lines(self) -> str:
         run = self.configuration
-        paths = [path for path in (run.archive, run.output, run.figure, run.movie) if path is not None]
+        keys = ("archive", "file", "figure", "movie")
+        paths = [path for path in map(run.outputs.get, keys) if path is not None]
         return f"; to {', '.join(paths)}" if paths else "; the file names no output"
 
 
@@ -130,7 +131,7 @@ def format_duration(seconds: float) -> str:
 
 def plan(configuration: Configuration) -> DryRun:
     """Describe the run of a configuration, and estimate its cost from a trial of the first steps."""
-    if configuration.archive is None and configuration.workers is None:
+    if configuration.outputs.get("archive") is None and configuration.workers is None:
         configuration.check_memory()
     began = time.perf_counter()
     prepared = configuration.ready()

@@ -7,9 +7,8 @@ import typing
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, WithJsonSchema, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from coadjoint.algebra.exact.numbers import fits
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.files.configuration.values import (
     MAX_SHOWN_LENGTH,
@@ -18,16 +17,17 @@ from coadjoint.files.configuration.values import (
     Name,
     Number,
     PolynomialValue,
+    Positive,
     Sign,
     Span,
     States,
+    Two,
     Vector,
     WholeNumber,
     file_name_schema,
 )
 from coadjoint.keyword_hints import KEYWORDS
 from coadjoint.short_repr import short
-from coadjoint.validation import is_real
 
 GRIDS = ("linear", "logarithmic")
 DISTRIBUTIONS = ("uniform", "normal", "sphere", "orbit")
@@ -171,27 +171,8 @@ class OutputTable(Table):
     """A movie of the run, .mp4 or .gif."""
 
 
-def _two(value: Any) -> Any:
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError(f"must be a list of two, not {short(value, 60)}")
-    return value
-
-
-def _positive(value: Any) -> Any:
-    if not is_real(value) or not fits(value) or value <= 0:
-        raise ValueError(f"must be a positive number, not {short(value, 60)}")
-    return value
-
-
-Two = Annotated[Any, AfterValidator(_two), WithJsonSchema({"type": "array", "minItems": 2, "maxItems": 2})]
-
-Positive = Annotated[Any, AfterValidator(_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
-
-
-class SettingsTable(BaseModel):
+class SettingsTable(Table):
     """The values of one key of the file: listed values, a grid, random numbers, or the rows of an array."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     values: list[Any] | None = None
     """The values themselves; a plain list means the same."""
@@ -239,10 +220,8 @@ class SettingsTable(BaseModel):
         return next(kind for kind in SETTING_KINDS if getattr(self, kind) is not None)
 
 
-class SweepTable(BaseModel):
+class SweepTable(Table):
     """The keys of the file that change from member to member, and the number of random members."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     samples: Annotated[int, Field(ge=1)] | None = None
     """Number of random members."""

@@ -33,8 +33,6 @@ from coadjoint.systems.forces.base import normal_deviates, random_words
 from coadjoint.validation import is_real, read_finite, read_number
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from coadjoint.files.configuration.models import File, SettingsTable, SweepTable
 
 KeyPath = tuple[str | int, ...]
@@ -51,31 +49,31 @@ MAX_TERMS = 400
 
 
 @dataclass(frozen=True)
-class SettingsAxis:
-    """Keys that are set together: key -> settings, all of one length."""
-
-    settings: Mapping[str, Any]
-    length: int
-
-
-@dataclass(frozen=True)
 class SettingsSweep:
-    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest."""
+    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest.
+
+    An axis has keys that are set together: key -> settings, all of one length.
+    """
 
     name: str
     raw: Mapping[str, Any]
-    axes: tuple[SettingsAxis, ...]
+    axes: tuple[Mapping[str, Any], ...]
     orbits: frozenset[str] = frozenset()
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        """Number of settings of each axis."""
+        return tuple(len(next(iter(axis.values()))) for axis in self.axes)
 
     @property
     def members(self) -> int:
         """Number of members."""
-        return math.prod(axis.length for axis in self.axes)
+        return math.prod(self.lengths)
 
     @cached_property
     def numbers(self) -> NDArray[np.int64]:
         """Setting of each axis for each member, (members, axes)."""
-        indices = np.unravel_index(np.arange(self.members), [axis.length for axis in self.axes])
+        indices = np.unravel_index(np.arange(self.members), self.lengths)
         return np.stack(indices, axis=1).astype(np.int64)
 
     @cached_property
@@ -83,14 +81,10 @@ class SettingsSweep:
         """Key -> its value for each member."""
         values: dict[str, list[Any]] = {}
         for axis, numbers in zip(self.axes, self.numbers.T.tolist(), strict=True):
-            for key, settings in axis.settings.items():
+            for key, settings in axis.items():
                 settings_list = settings.tolist() if isinstance(settings, np.ndarray) else settings
                 values[key] = [settings_list[k] for k in numbers]
         return values
-
-    def axes_of(self, chosen: Callable[[KeyPath], bool]) -> list[int]:
-        """Return the numbers of the axes with a key that satisfies `chosen`."""
-        return [k for k, axis in enumerate(self.axes) if any(chosen(parse_key(key)) for key in axis.settings)]
 
     def member_tables(self, member: int) -> dict[str, Any]:
         """Return the tables of one member; a state swept over an orbit stays as written."""
@@ -132,12 +126,12 @@ def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> Settings
             settings = settings_of(key, table, sweep, value, Path(name).parent)
             axes.setdefault(settings_group(key, table), {})[key] = settings
     errors.raise_collected()
-    sweep_axes = tuple(SettingsAxis(settings, len(next(iter(settings.values())))) for settings in axes.values())
-    members = math.prod(axis.length for axis in sweep_axes)
-    with section(name, "sweep.over"):
-        check_available_memory(BYTES_PER_MEMBER * len(sweep.over) * members, f"a sweep of {short(members)} members")
     orbits = frozenset(key for key, table in sweep.over.items() if table.kind == "orbit")
-    return SettingsSweep(name, raw, sweep_axes, orbits)
+    found = SettingsSweep(name, raw, tuple(axes.values()), orbits)
+    with section(name, "sweep.over"):
+        needed = BYTES_PER_MEMBER * len(sweep.over) * found.members
+        check_available_memory(needed, f"a sweep of {short(found.members)} members")
+    return found
 
 
 def parse_key(text: str) -> KeyPath:
@@ -187,16 +181,11 @@ def replace_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str)
         with section(name, f"sweep.over.{key_text}"):
             table: Any = tables
             for key in outer:
-                table = _subtable(table, key)
+                _check_key_exists(table, key)
+                table = table.setdefault(key, {}) if isinstance(key, str) else table[key]
             _check_key_exists(table, last)
             table[last] = value
     return tables
-
-
-def _subtable(table: Any, key: str | int) -> Any:
-    """Return a subtable, created if missing, or an entry of a list."""
-    _check_key_exists(table, key)
-    return table.setdefault(key, {}) if isinstance(key, str) else table[key]
 
 
 def _check_key_exists(table: Any, key: str | int) -> None:
@@ -212,7 +201,7 @@ BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a ma
 
 def swept_system(sweep: SettingsSweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
     """Return the common system of all members, or a `Batch` if the sweep changes it; `file` is the first one."""
-    axes = sweep.axes_of(_is_system_key)
+    axes = [k for k, axis in enumerate(sweep.axes) if any(parse_key(key)[0] != "initial" for key in axis)]
     if not axes:
         return system_of_file(sweep.name, file)
     with section(sweep.name, "sweep.over"):
@@ -220,10 +209,6 @@ def swept_system(sweep: SettingsSweep, file: File, check_tables: Callable[[dict[
     systems = sweep.each(axes, lambda member: system_of_file(sweep.name, check_tables(sweep.member_tables(member))))
     with section(sweep.name, "sweep.over"):
         return Batch(systems)
-
-
-def _is_system_key(path: KeyPath) -> bool:
-    return path[0] != "initial"
 
 
 def swept_states(sweep: SettingsSweep, file: File, system: Any, check_tables: Callable[[dict[str, Any]], File]) -> Any:
@@ -246,7 +231,7 @@ def swept_states(sweep: SettingsSweep, file: File, system: Any, check_tables: Ca
         check_available_memory(3 * base.nbytes * sweep.members, f"the states of {sweep.members} members")
     states = np.repeat(base[None] if base.dtype.kind == "c" else base[None].astype(np.float64), sweep.members, axis=0)
     for axis, numbers in zip(sweep.axes, sweep.numbers.T, strict=True):
-        for key, settings in axis.settings.items():
+        for key, settings in axis.items():
             if parse_key(key)[:2] != STATE_KEY:
                 continue
             with section(name, f"sweep.over.{key}"):

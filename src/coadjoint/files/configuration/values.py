@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema
 
 from coadjoint.algebra.exact.numbers import fits
 from coadjoint.short_repr import short
+from coadjoint.validation import is_real
 
 MAX_SHOWN_LENGTH = 60  # characters of a value in an error, most of a line
 SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long lists of numbers"}
@@ -102,6 +103,18 @@ def _name(value: str) -> str:
     return value
 
 
+def _two(value: Any) -> Any:
+    if not isinstance(value, list) or len(value) != 2:
+        raise ValueError(f"must be a list of two, not {short(value, MAX_SHOWN_LENGTH)}")
+    return value
+
+
+def _positive(value: Any) -> Any:
+    if not is_real(value) or not fits(value) or value <= 0:
+        raise ValueError(f"must be a positive number, not {short(value, MAX_SHOWN_LENGTH)}")
+    return value
+
+
 def file_name_schema(*suffixes: str) -> WithJsonSchema:
     """Return the schema of a file name with one of these suffixes; the commands validate the name."""
     endings = "|".join(suffix.removeprefix(".") for suffix in suffixes)
@@ -127,3 +140,5 @@ States = Annotated[Any, AfterValidator(_states), WithJsonSchema(union_schema(*ma
 Attitude = Annotated[Any, AfterValidator(_attitude), WithJsonSchema(ANY_ATTITUDE)]
 PolynomialValue = Annotated[Any, AfterValidator(_polynomial), WithJsonSchema(FORMULA)]
 WholeNumber = Annotated[int, Field(ge=1)]
+Two = Annotated[Any, AfterValidator(_two), WithJsonSchema({"type": "array", "minItems": 2, "maxItems": 2})]
+Positive = Annotated[Any, AfterValidator(_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError, OneLineError
-from coadjoint.files.datasets.content_checksum import with_checksum
 from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, stacked, unstacked
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
@@ -27,6 +26,7 @@ from coadjoint.files.datasets.variables import (
     time_variables,
     vorticity_variables,
 )
+from coadjoint.files.datasets.writers import with_checksum
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.reconstruction import events_of, not_stored
 from coadjoint.files.records.records import event_record, record_of, system_of
@@ -283,9 +283,10 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
             "not stored; run the script that wrote the dataset"
         )
     if system is None:
-        system = _with_state_format_of(
-            dataset, system_of(parsed(attributes["system"], "system"), _component_count(dataset["x0"]))
-        )
+        dim = int(np.prod([size for name, size in dataset["x0"].sizes.items() if name != "member"]))
+        system = system_of(parsed(attributes["system"], "system"), dim)
+        if "component" in dataset["x0"].dims:
+            system = system.in_numbers  # states of matrices may be rows of numbers
     if events is None:
         events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
     return {
@@ -300,16 +301,6 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
         "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", STATE_DIMENSIONS[1:2]),
         "events": events,
     }
-
-
-def _component_count(states: xarray.DataArray) -> int:
-    """Return the number of components of a state."""
-    return int(np.prod([size for name, size in states.sizes.items() if name != "member"]))
-
-
-def _with_state_format_of(dataset: xarray.Dataset, system: Any) -> Any:
-    """Return the system in the state format of the dataset, which for matrices may be rows of numbers."""
-    return system.in_numbers if "component" in dataset["x0"].dims else system
 
 
 @suggest_keywords
@@ -367,7 +358,11 @@ def table_of(solution: Solution) -> pd.DataFrame:
     shape = system.shape
     count = int(np.prod(shape))
     states = solution.x.reshape(k, -1, count)
-    columns: dict[str, Any] = {name: states[..., i] for i, name in enumerate(_names(system, shape, count))}
+    if system.has_matrices:
+        names: Sequence[str] = ["W" + ",".join(str(i + 1) for i in entry) for entry in np.ndindex(*shape)]
+    else:
+        names = coordinate_names(system, count)
+    columns: dict[str, Any] = {name: states[..., i] for i, name in enumerate(names)}
     observed = {name: np.asarray(values) for name, values in solution.observed.items()}
     numbers = {name: values for name, values in observed.items() if values.ndim == (1 if members is None else 2)}
     invariants = {"energy": solution.energy, **solution.casimirs}
@@ -376,18 +371,7 @@ def table_of(solution: Solution) -> pd.DataFrame:
             # Names of coordinates, invariants and observed quantities may be equal.
             columns[f"{what} {name}" if name in columns else name] = values.reshape(k, -1)
     if members is None:
-        return pd.DataFrame({name: values[:, 0] for name, values in columns.items()}, index=_times(solution))
+        times = pd.Index(solution.t, name="time")
+        return pd.DataFrame({name: values[:, 0] for name, values in columns.items()}, index=times)
     index = pd.MultiIndex.from_product([range(members), solution.t], names=["member", "time"])
     return pd.DataFrame({name: values.T.ravel() for name, values in columns.items()}, index=index)
-
-
-def _names(system: Any, shape: tuple[int, ...], count: int) -> tuple[str, ...]:
-    if system.has_matrices:
-        return tuple("W" + ",".join(str(i + 1) for i in entry) for entry in np.ndindex(*shape))
-    return coordinate_names(system, count)
-
-
-def _times(solution: Solution) -> Any:
-    import pandas as pd
-
-    return pd.Index(solution.t, name="time")

@@ -16,7 +16,6 @@ from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.archives.archive import HIDDEN_FOLDER
 from coadjoint.files.archives.archived_solution import solution_at
 from coadjoint.files.archives.folder import remote_folder
-from coadjoint.files.datasets.content_checksum import CHECKSUM, checksum_of
 from coadjoint.files.datasets.export import (
     ENDED_ATTRIBUTE,
     REQUIRED_ATTRIBUTES,
@@ -27,6 +26,7 @@ from coadjoint.files.datasets.export import (
 from coadjoint.files.datasets.named_axes import stacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.datasets.variables import with_vorticity
+from coadjoint.files.datasets.writers import CHECKSUM, checksum_of
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
@@ -66,8 +66,8 @@ class LoadedSolution(StoredSolution):
         dataset = self.dataset.copy()
         return dataset if grid is None else with_vorticity(dataset, self, grid)
 
-    def inputs(self, events: Any = ()) -> dict[str, Any]:
-        return stored_inputs(self._stacked, self._given_system, events)
+    def inputs(self) -> dict[str, Any]:
+        return stored_inputs(self._stacked, self._given_system, ())
 
     def _read_entire(self, name: str) -> NDArray[Any]:
         return np.asarray(self._stacked[name].values)

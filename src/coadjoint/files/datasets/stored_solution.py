@@ -51,8 +51,8 @@ class StoredSolution(Solution):
         """Read an array as it is stored."""
 
     @abstractmethod
-    def inputs(self, events: Any = ()) -> dict[str, Any]:
-        """Return the arguments of `integrate` that repeat the run, or `events` in place of those of the run."""
+    def inputs(self) -> dict[str, Any]:
+        """Return the arguments of `integrate` that repeat the run, without its events."""
 
     def _read(self, name: str) -> NDArray[Any]:
         """Read an entire array; combine real and imaginary parts."""

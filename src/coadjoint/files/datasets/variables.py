@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import itertools
+from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.datasets.content_checksum import CHECKSUM, with_checksum
 from coadjoint.files.datasets.named_axes import unstacked
+from coadjoint.files.datasets.writers import CHECKSUM, with_checksum
 from coadjoint.files.records.records import safe_name
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import RecordedEvents
-from coadjoint.runs.results.drift import Drift
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
@@ -135,10 +135,14 @@ def summary_variables(solution: Solution) -> Variables:
     over = "in each tenth of the run, over " + ("every step" if solution.watched else "the saved points")
     changes, about = solution.change(relative=False), f"largest absolute deviation from the start {over}"
     dims = (*member, "invariant", "tenth")
-    variables: Variables = {"change" if solution.work else "drift": (dims, _tenth_array(changes), cf_attributes(about))}
+    tenths = np.stack([drift.tenths for drift in changes.values()], axis=-2)
+    variables: Variables = {"change" if solution.work else "drift": (dims, tenths, cf_attributes(about))}
     if solution.work:
         about = f"largest absolute deviation of an invariant, less the work of all forces, {over}"
-        variables["balance"] = (dims, _balance_array(solution.balance(relative=False), changes), cf_attributes(about))
+        balances = np.full_like(tenths, np.nan)  # NaN for invariants without account
+        for name, drift in solution.balance(relative=False).items():
+            balances[..., list(changes).index(name), :] = drift.tenths
+        variables["balance"] = (dims, balances, cf_attributes(about))
     if solution.failed is not None:
         variables["failed"] = (
             member,
@@ -226,13 +230,10 @@ def as_coordinates(values: Mapping[str, list[Any]]) -> dict[str, tuple[str, NDAr
             }
         )
         for full_key, column in columns.items():
-            last = (
-                full_key.removeprefix("system.parameters.").removeprefix("algebra.parameters.").removeprefix("initial.")
-            )
-            name, number = f"swept_{safe_name(last)}", 2
-            while name in coordinates:
-                name, number = f"swept_{safe_name(last)}_{number}", number + 1
-            coordinates[name] = (full_key, column)
+            last = full_key
+            for table in ("system.parameters.", "algebra.parameters.", "initial."):
+                last = last.removeprefix(table)
+            coordinates[_unused(f"swept_{safe_name(last)}", coordinates)] = (full_key, column)
     return coordinates
 
 
@@ -254,24 +255,17 @@ def _member(solution: Solution) -> tuple[str, ...]:
     return () if solution.failed is None else ("member",)
 
 
-def _balance_array(balance: Mapping[str, Drift], changes: Mapping[str, Drift]) -> NDArray[np.float64]:
-    """Return the balance of every invariant; NaN for those without account."""
-    unknown = np.full_like(next(iter(changes.values())).tenths, np.nan)
-    return np.stack([balance[name].tenths if name in balance else unknown for name in changes], axis=-2)
-
-
-def _tenth_array(drifts: Mapping[str, Drift]) -> NDArray[np.float64]:
-    return np.stack([drift.tenths for drift in drifts.values()], axis=-2)
+def _unused(name: str, used: Collection[str]) -> str:
+    """Return a name, with a number if it is used already."""
+    numbered = (f"{name}_{number}" for number in itertools.count(2))
+    return next(label for label in itertools.chain([name], numbered) if label not in used)
 
 
 def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[str, Any]]]:
     """Assign unique variable names, since `safe_name` may map several names to one."""
     labels: dict[str, tuple[str, Any]] = {}
     for name, values in series.items():
-        label, number = f"{kind}_{safe_name(name)}", 2
-        while label in labels:
-            label, number = f"{kind}_{safe_name(name)}_{number}", number + 1
-        labels[label] = (name, values)
+        labels[_unused(f"{kind}_{safe_name(name)}", labels)] = (name, values)
     return labels.items()
 
 
@@ -287,7 +281,7 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
         return {}, {}
     shape = None if grid is None or grid is True else grid
     rows, columns = fluid.grid(shape)
-    dims = ("time", *(() if solution.failed is None else ("member",)))
+    dims = ("time", *_member(solution))
     names = ("carried", "vorticity") if solution.x.ndim == len(dims) + 3 else ("vorticity",)
     size = 8 * int(np.prod(solution.x.shape[: len(dims)])) * len(rows) * len(columns) * len(names)
     if grid is None and size > MAX_DEFAULT_BYTES:

@@ -26,7 +26,7 @@ from coadjoint.files.exports.c_statements import (
     runtime,
     wrapped,
 )
-from coadjoint.files.output.output_files import write_header
+from coadjoint.files.output.output_files import HEADERS, write_text
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.flow import FlowTables
@@ -109,7 +109,7 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
     """
     target = read_path(path, "path")
     text = c_header(prepared, target.stem if name is None else name, read_bool(tangent, "tangent"))
-    write_header(text, target)
+    write_text(text, target, HEADERS)
     return target
 
 
@@ -187,7 +187,7 @@ class _Numbers:
         return found
 
     def of_terms(self, table: Any, prefix: str, terms: Terms) -> Any:
-        """Return the function of numbers of terms, for `c_terms`."""
+        """Return the function of numbers of terms, for `gradient`."""
         known = {
             field: self.of(table, prefix + field, getattr(terms, field))
             for field in ("offset", "weight", "coefficient")

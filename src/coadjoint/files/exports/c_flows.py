@@ -11,14 +11,15 @@ from coadjoint.files.exports.c_statements import (
     FEW,
     VECTORS,
     DeclaredInputs,
+    Numbers,
     Value,
     block,
     function,
+    gradient,
     literal,
     numbers,
     repeated,
 )
-from coadjoint.files.exports.c_terms import Numbers, gradient, gradient_change
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.program.actions import Action
@@ -158,7 +159,7 @@ class PartsInC:
         changes: list[str] = []
         for k in shares:
             angles += gradient(self.terms, k, self.number, lambda row: row - origin, "angle")
-            changes += gradient_change(self.terms, k, self.number, lambda row: row - origin, "change")
+            changes += gradient(self.terms, k, self.number, lambda row: row - origin, "change", change=True)
         frequency, by = self.tables.frequency[origin:end].tolist(), ["tau"]
         if any(frequency):  # a rational rotation by phi rotates by 2 atan(phi/2)
             changes = [*numbers("double", "frequency", frequency), *changes]

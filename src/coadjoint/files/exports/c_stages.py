@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from typing import Any
 
-from coadjoint.files.exports.c_statements import VECTORS, DeclaredInputs, block, function, numbers, repeated, runs_of
-from coadjoint.files.exports.c_terms import LONGEST_CHAIN, Numbers, chain_of, gradient, gradient_change, rows_of
+from coadjoint.files.exports.c_statements import (
+    LONGEST_CHAIN,
+    VECTORS,
+    DeclaredInputs,
+    Numbers,
+    block,
+    chain_of,
+    function,
+    gradient,
+    numbers,
+    repeated,
+    rows_of,
+    runs_of,
+)
 from coadjoint.kernels.tables.field import Field
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.program.term_table import LINEAR
@@ -69,7 +81,7 @@ class StagesInC:
             def target(row: int) -> int:
                 return int(targets[row]) if origin is None else row - origin
 
-            return (gradient_change if change else gradient)(terms, k, self.number, target, out)
+            return gradient(terms, k, self.number, target, out, change)
 
         if terms.size == 1 and terms.kind[0] == LINEAR:
             return ([clear] if int(terms.row[1]) < field.size else []) + find(0, None, "d")

@@ -301,16 +301,12 @@ def _matrix_algebra_of(record: Entry) -> MatrixAlgebra:
 
 
 def _stream_of(record: Entry, N: int) -> Any:
-    table = record.table()
-    if "weights" in table:
-        weights = _square(record.reject_unknown("weights")["weights"], N)
-        with as_value_errors(record):
-            return Weights(weights)
-    if "spectrum" in table:
-        spectrum = _square(record.reject_unknown("spectrum")["spectrum"], N)
-        with as_value_errors(record):
-            return Circulants(spectrum)
-    if "inverse of" in table:
+    for key, kind in {"weights": Weights, "spectrum": Circulants}.items():
+        if key in record:
+            numbers = _square(record.reject_unknown(key)[key], N)
+            with as_value_errors(record):
+                return kind(numbers)
+    if "inverse of" in record:
         of = _stream_of(record.reject_unknown("inverse of")["inverse of"], N)
         with as_value_errors(record):
             if not isinstance(of, DiagonalSolve):

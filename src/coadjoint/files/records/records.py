@@ -61,14 +61,10 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         source = f"class {type(system).__qualname__}" if function is None else _function_name(function)
         return {"name": system.name, "not_stored": [f"structure matrix: {source}"]}
     hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
-    casimirs, algebra_casimirs = system.casimirs, system.algebra.casimirs_known
-    functions_only = [
-        name for name, value in (*casimirs.items(), *algebra_casimirs.items()) if not isinstance(value, STORABLE_TYPES)
-    ]
-    missing += [f"{CASIMIR}{name}" for name in dict.fromkeys(functions_only)]
-    missing += [
-        f"{INTEGRAL}{name}" for name, value in system.integrals.items() if not isinstance(value, STORABLE_TYPES)
-    ]
+    casimirs = system.casimirs
+    without_record = dict.fromkeys([*_functions_in(casimirs), *_functions_in(system.algebra.casimirs_known)])
+    missing += [f"{CASIMIR}{name}" for name in without_record]
+    missing += [f"{INTEGRAL}{name}" for name in _functions_in(system.integrals)]
     missing += [] if system.closed_form is None else [f"{EXACT}{_function_name(system.closed_form)}"]
     record: dict[str, Any] = {
         "name": system.name,
@@ -86,6 +82,10 @@ def record_of(system: System | Batch) -> dict[str, Any]:
     if missing:
         record["not_stored"] = missing
     return record
+
+
+def _functions_in(invariants: Mapping[str, Any]) -> list[str]:
+    return [name for name, value in invariants.items() if not isinstance(value, STORABLE_TYPES)]
 
 
 def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
@@ -247,8 +247,7 @@ def matrix_record(system: MatrixSystem) -> dict[str, Any]:
     missing = []
     stream = _stream_record(system.stream)
     if stream is None:
-        function = getattr(system.stream, "function", system.stream)
-        missing.append(f"{STREAM}{getattr(function, '__name__', type(function).__name__)}")
+        missing.append(f"{STREAM}{_function_name(getattr(system.stream, 'function', system.stream))}")
     else:
         record["stream"] = stream
     if isinstance(system, TwoLayerSystem):
@@ -259,11 +258,12 @@ def matrix_record(system: MatrixSystem) -> dict[str, Any]:
         elif system.second_stream is not None:
             missing.append(f"{STREAM}{type(system.second_stream).__name__}")
     if system.linear is not None:
-        record["linear"] = _matrix_record(system.linear)
+        parts = [system.linear.real, system.linear.imag] if np.iscomplexobj(system.linear) else [system.linear]
+        record["linear"] = [part.tolist() for part in parts]
     if system.energy_function is not None:
-        missing.append(f"{ENERGY}{getattr(system.energy_function, '__name__', type(system.energy_function).__name__)}")
+        missing.append(f"{ENERGY}{_function_name(system.energy_function)}")
     if system.closed_form is not None:
-        missing.append(f"{EXACT}{getattr(system.closed_form, '__name__', type(system.closed_form).__name__)}")
+        missing.append(f"{EXACT}{_function_name(system.closed_form)}")
     return {**record, "not_stored": missing} if missing else record
 
 
@@ -283,10 +283,6 @@ def _stream_record(stream: Any) -> dict[str, Any] | None:
     if type(stream) is Circulants:
         return {"spectrum": stream.spectrum.tolist()}
     return None
-
-
-def _matrix_record(matrix: NDArray[Any]) -> list[Any]:
-    return [matrix.real.tolist(), matrix.imag.tolist()] if np.iscomplexobj(matrix) else [matrix.tolist()]
 
 
 def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:

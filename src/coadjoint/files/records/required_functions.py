@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import platform
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from coadjoint.files.archives.archive import ArchiveError
 from coadjoint.files.records.entries import EXACT, INTEGRAL, parsed
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import STORABLE_TYPES, invariants_record, record_of
 from coadjoint.kernels.functions.contents import contents_of
-from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import check_observe
 from coadjoint.runs.results.solution import Solution
@@ -26,14 +25,7 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE = "archive_given", "archive_observed"
 
 
-class ResumeArguments(NamedTuple):
-    """Arguments of a resumed run: the observed quantities, and the events (None: those stored in the archive)."""
-
-    observe: dict[str, Any]
-    events: tuple[Event, ...] | None
-
-
-def function_attributes(prepared: PreparedRun, events: Sequence[Event]) -> dict[str, str]:
+def function_attributes(prepared: PreparedRun) -> dict[str, str]:
     """Return the attributes with the observed quantities and the fingerprints of functions."""
     observed, fingerprints = prepared.observe, {}
     functions = functions_in(prepared.system)
@@ -42,11 +34,6 @@ def function_attributes(prepared: PreparedRun, events: Sequence[Event]) -> dict[
     functional_quantities = [name for name, quantity in observed.items() if not isinstance(quantity, STORABLE_TYPES)]
     if functional_quantities:
         fingerprints["observe"] = {"named": functional_quantities, **fingerprint_of(observed)}
-    functional_events = [
-        event.name or str(k) for k, event in enumerate(events) if not isinstance(event.g, int | str | STORABLE_TYPES[0])
-    ]
-    if functional_events:
-        fingerprints["events"] = {"named": functional_events, **fingerprint_of(list(events))}
     return {
         FUNCTIONS_ATTRIBUTE: json.dumps(fingerprints),
         OBSERVED_ATTRIBUTE: json.dumps({"names": list(observed), "stored": invariants_record(observed)}),
@@ -54,18 +41,15 @@ def function_attributes(prepared: PreparedRun, events: Sequence[Event]) -> dict[
 
 
 def requires_argument(attributes: Mapping[str, Any], what: str) -> bool:
-    """Whether `what`, the system, observed quantities or events, contains functions and must be given to resume."""
+    """Whether `what`, the system or the observed quantities, contains functions and must be given to resume."""
     return what in json.loads(attributes[FUNCTIONS_ATTRIBUTE])
 
 
-def resume_arguments(archive: Solution, system: Any, observe: Mapping[str, Any] | None, events: Any) -> ResumeArguments:
-    """Return the arguments of a resumed run, given or stored; ArchiveError if one is missing or differs."""
+def observed_again(archive: Solution, system: Any, observe: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return the observed quantities of a resumed run; ArchiveError if one is missing, or they or the system differ."""
     path, attributes = archive.path, archive.attributes
     fingerprints = json.loads(attributes[FUNCTIONS_ATTRIBUTE])
     observed = json.loads(attributes[OBSERVED_ATTRIBUTE])
-    parsed_events = None if events is None else read_events(events)
-    if parsed_events and "events" not in fingerprints:
-        raise ArchiveError(f"{path}: the run has no events; omit events")
     if system is not None:
         _check(path, "system", system_contents(system), fingerprints, system)
         if json.loads(json.dumps(record_of(system))) != json.loads(attributes["system"]):
@@ -90,11 +74,7 @@ def resume_arguments(archive: Solution, system: Any, observe: Mapping[str, Any] 
         dim = archive.inputs()["system"].dim if observed["names"] else 0
         stored = invariants_of(parsed(json.dumps(observed["stored"]), OBSERVED_ATTRIBUTE), dim)
         observe = {name: stored[name] for name in observed["names"]}
-    if parsed_events is not None:
-        _check(path, "events", list(parsed_events), fingerprints, events)
-    elif "events" in fingerprints:
-        raise _missing(path, "events", fingerprints)
-    return ResumeArguments(dict(observe), parsed_events)
+    return dict(observe)
 
 
 def _check(path: Path | str, what: str, contents: Any, stored: Mapping[str, Any], argument: Any) -> None:
