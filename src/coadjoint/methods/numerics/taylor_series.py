@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,29 +134,24 @@ def advance_by_own_steps(
     raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=float(elapsed), residual=float(length))
 
 
-class StepMemory(NamedTuple):
-    """Largest size of a state so far, and the time unit of the terms of the next step."""
-
-    largest: float
-    scale: float
-
-
 def own_step(
     field: Callable[[NDArray[Any]], NDArray[Any]],
     x: NDArray[Any],
     h: Any,
     order: int,
     tolerance: float,
-    memory: StepMemory | None,
-) -> tuple[list[NDArray[Any]], float, float, StepMemory]:
-    """Return the terms of the motion from x, their time unit, the length of the step, and the memory for the next."""
-    largest, scale = memory or StepMemory(0.0, _time_of_change(field, x, h))
+    memory: tuple[float, float] | None,
+) -> tuple[list[NDArray[Any]], float, float, tuple[float, float]]:
+    """Return the terms of the motion from x, their time unit, the length of the step, and the memory for the next one:
+    the largest size of a state so far, and the time unit of its terms.
+    """
+    largest, scale = memory or (0.0, _time_of_change(field, x, h))
     largest = max(largest, _size(x))
     terms = expand(field, x, scale, order)
     length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))
     if length == 0.0:
         raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=0.0, residual=0.0)
-    return terms, scale, length, StepMemory(largest, math.copysign(2.0 ** (math.frexp(length)[1] - 1), float(h)))
+    return terms, scale, length, (largest, math.copysign(2.0 ** (math.frexp(length)[1] - 1), float(h)))
 
 
 def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any) -> float:

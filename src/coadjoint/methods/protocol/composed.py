@@ -20,7 +20,7 @@ from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.tangents import Frame
-    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -204,7 +204,7 @@ class SubstepMethod(Method):
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         """Return `step` evaluated in formal series: it must consist of sums, products and quotients."""
-        from coadjoint.methods.formal.formal_numbers import vector
+        from coadjoint.methods.numerics.formal_series import vector
 
         return vector(map(type(h), self.step(system, x, 0 * h, h)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 from typing import Any
 
@@ -125,9 +126,8 @@ def _derivatives(
         elif others:
             shares[s] = share
     weights = SparseRows(parts.weights.start, parts.weights.coordinate, filled("weight", parts.weights.value))
-    changed = parts.with_angles(filled("offset", parts.offset), weights)
-    changed.nonlinear_shares = shares
-    return part_derivatives(changed, points)
+    offset = filled("offset", parts.offset)
+    return part_derivatives(replace(parts, offset=offset, weights=weights, nonlinear_shares=shares), points)
 
 
 def _coefficients(share: NonlinearShare) -> list[float]:

@@ -168,16 +168,10 @@ class Bond(NamedTuple):
     strength: float
 
 
-class Bonds(NamedTuple):
-    """Parts that add up to H - sum c C, and the Casimirs C subtracted; None if these have too many terms."""
-
-    parts: Parts
-    shift: tuple[tuple[Polynomial, float], ...] | None
-
-
-def bonds(system: LiePoissonSystem) -> Bonds:
+def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, float], ...] | None]:
     """Split a Hamiltonian into exact flows of bonds and a remainder. A bond c z.w is c |z + w|^2/2 up to Casimirs, so
     both momenta rotate about z + w by c tau |z + w|; edge colouring joins bonds without a common momentum into parts.
+    Also return the Casimirs subtracted; None if these have too many terms.
     """
     commutation = Commutation(system.algebra)
     terms = _terms_by_degree(system)
@@ -209,9 +203,9 @@ def bonds(system: LiePoissonSystem) -> Bonds:
     )
     parts = Parts.concatenate([coloured, few_parts(rest, commutation)]) if len(rest) else coloured
     if not casimirs_fit(3 * len(spins), system.dim):
-        return Bonds(parts, None)
+        return parts, None
     casimir = _subtracted_casimir(couplings, spins, system.dim)
-    return Bonds(parts, ((casimir, 1.0),) if casimir.monomials else ())
+    return parts, ((casimir, 1.0),) if casimir.monomials else ()
 
 
 def colours(edges: Sequence[tuple[int, int]], count: int) -> list[int]:

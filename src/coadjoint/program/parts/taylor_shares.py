@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from itertools import product
 from typing import Any
@@ -36,8 +37,7 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
             local = taylor_polynomial(share.term, x[coordinates], degree)
             share = PolynomialShare(tuple(coordinates.tolist()), _expanded(local, x, coordinates.tolist()))
         nonlinear_shares[s] = share
-    rest = nonlinear_shares, parts.share, parts.timed, parts.source
-    return Parts(parts.forms, parts.offset, parts.weights, parts.row, *rest)
+    return replace(parts, nonlinear_shares=nonlinear_shares)
 
 
 def _expanded(local: dict[tuple[int, ...], float], x: NDArray[np.float64], coordinates: Sequence[int]) -> Polynomial:
