@@ -16,6 +16,7 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.matrix_steps import matrix_tables
 from coadjoint.kernels.tables.steps import STEP_LOOP
 from coadjoint.methods.numerics.isospectral_stages import slope_along
+from coadjoint.methods.protocol.composed import loop_over
 from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -151,7 +152,7 @@ class CommutatorFree(CompiledStepMethod):
 
         integers, coefficients = self.constants()
         tables = matrix_tables(system, "commutator_free_matrices", integers[0], coefficients, fractions)
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, sources=tables.sources)
+        return loop_over(STEP_LOOP, tables)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy: of vectors of any number type but fractions, or of a matrix or its coordinates."""

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, StageProblem, begin, read_tableau
-from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper
+from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper, loop_over
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
@@ -123,13 +123,7 @@ class RungeKuttaMethod(SubstepMethod):
         if forecast[0] != forecast[1]:
             raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
         tables = runge_kutta_tables(system, self, representation, fractions)
-        return CompiledLoop(
-            RUNGE_KUTTA_LOOP,
-            tables.tables,
-            tables.keepalive,
-            memory=scheme_memory(RUNGE_KUTTA_LOOP, tables.tables),
-            sources=tables.sources,
-        )
+        return loop_over(RUNGE_KUTTA_LOOP, tables)
 
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]

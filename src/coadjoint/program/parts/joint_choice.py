@@ -29,13 +29,13 @@ from coadjoint.program.shifts.shift import (
     Rule,
     Shift,
     quadratic_casimirs,
+    quadratic_position,
     shift_rules,
     shifted_terms,
 )
 from coadjoint.program.sources import Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE
 from coadjoint.program.table import term_table
-from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.system_stacks import SystemStack, counts_of, grouped
 from coadjoint.systems.vanishing_products import without_cancelling
 
@@ -64,7 +64,7 @@ def _decisions(stack: SystemStack, choice: Any) -> list[tuple[tuple[Any, ...], S
     if isinstance(choice, ChosenParts):
         factors = {name: np.full(stack.size, factor) for name, factor in choice.shift}
         casimirs = quadratic_casimirs(stack.first)
-        if not factors.keys() <= casimirs.keys() or (factors and _shifted_term(stack.terms) is None):
+        if not factors.keys() <= casimirs.keys() or (factors and quadratic_position(stack.terms) is None):
             return []  # refused, with the name of the member
         shifted = _Shifted(stack, casimirs, factors)
         found = [(key, shifted.chosen(members)) for key, members in grouped(shifted.present)]
@@ -91,7 +91,7 @@ class _Shifted:
     ) -> None:
         self._stack = stack
         self._factors = np.array(list(factors.values()), dtype=np.float64).reshape(-1, stack.size)
-        number = _shifted_term(stack.terms) if factors else None
+        number = quadratic_position(stack.terms) if factors else None
         if number is None:
             self.present: Masks = np.zeros((0, stack.size), dtype=bool)
             self._totals = None
@@ -122,11 +122,6 @@ class _Shifted:
         return chosen._replace(split=np.concatenate([before, entries, after]))
 
 
-def _shifted_term(terms: Sequence[Term]) -> int | None:
-    """Return the number of the term from which Casimirs are subtracted."""
-    return next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-
-
 def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
     """Make the choices of `best_decomposition` by the same comparisons, for members with the same presence."""
     system, count = stack.first, stack.size
@@ -134,7 +129,7 @@ def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
     parts = split(system, "auto")
     if np.any(parts.source == COMPUTED):
         return []
-    number = _shifted_term(stack.terms)
+    number = quadratic_position(stack.terms)
     rules: list[Rule] = list(shift_rules(parts, casimirs)) if number is not None and len(parts) > 1 else []
     if len(rules) * max(len(casimirs), 1) > MAX_RULES or _may_be_singular(stack, casimirs, rules):
         return []
@@ -165,7 +160,7 @@ def _may_be_singular(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], 
     """Return whether `candidate_shifts` may seek factors for which a completed square vanishes."""
     if len(casimirs) != 1 or stack.first.dim > MAX_SINGULAR_DIMENSION or not rules:
         return False
-    form = stack.terms[_shifted_term(stack.terms) or 0].form
+    form = stack.terms[quadratic_position(stack.terms) or 0].form
     return form is not None and bool(np.any(form.rows != form.indices))
 
 
