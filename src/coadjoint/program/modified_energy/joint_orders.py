@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import permutations
+from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, NestedBrackets, part_derivatives
+from coadjoint.program.modified_energy.second_order import (
+    IMPROVEMENT_FACTOR,
+    order_weights,
+    part_derivatives,
+)
 from coadjoint.program.parts.part import NonlinearShare, Parts, PolynomialShare
 from coadjoint.program.sources import Sources
 from coadjoint.program.sparse_rows import SparseRows
@@ -58,10 +62,10 @@ class JointOrders:
         atoms = [(p, *atom) for p, own in enumerate(self._atoms) for atom in own]
         if len(atoms) > MAX_ATOMS:
             return np.full((len(orders), members), np.inf), np.full((len(orders), members), np.inf)
-        nested = NestedBrackets(self._algebra, self._parts)
-        weights = np.array([nested.weights(order) for order in orders]).reshape(len(orders), -1)
+        pairs = list(combinations(range(len(self._parts)), 2))
+        weights = np.array([order_weights(order) for order in orders]).reshape(len(orders), -1)
         with np.errstate(over="ignore", invalid="ignore"):
-            terms, bounds = (self._brackets(atoms, nested.pairs, absolute) for absolute in (False, True))
+            terms, bounds = (self._brackets(atoms, pairs, absolute) for absolute in (False, True))
             sizes, errors = (
                 np.sqrt(np.mean((w @ one.reshape(w.shape[1], -1)).reshape(len(orders), members, -1) ** 2, axis=-1))
                 for w, one in ((weights, terms), (np.abs(weights), bounds))

@@ -148,13 +148,13 @@ class ShiftCandidate(NamedTuple):
     parts: Parts
 
 
-def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
+def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64]) -> Decomposition:
     """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n). A
     Casimir that is a sum of terms of H is always subtracted: in other units than those of the points, its flows may be
     the fastest ones, with errors that cancel only in part.
     """
     alternatives = candidates(system, len(points) > 0)
-    orders = best_orders(system, [candidate.parts for candidate in alternatives], points, t)
+    orders = best_orders(system, [candidate.parts for candidate in alternatives], points)
     best, (order, least) = alternatives[0], orders[0]
     for candidate, (other_order, size) in zip(alternatives[1:], orders[1:], strict=True):
         if _leaves_out(candidate.parts, best.parts) or (
