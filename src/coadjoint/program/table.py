@@ -194,17 +194,16 @@ def _state_action(
         return _built_action(algebra, parts, omitted, dual, number)
     if len(parts.offset) <= MAX_PATTERN_SIZE:
         return _cached_action(algebra, Pattern((parts, omitted), *parts.forms, parts.angle, omitted), dual)
-    actions = _DUAL_ACTIONS if dual else _ACTIONS
-    if parts not in actions:
+    actions = _ACTIONS.setdefault(parts, {})
+    if dual not in actions:
         action = None if dual or len(omitted) else copied_action(algebra, parts)
-        actions[parts] = action or _built_action(algebra, parts, omitted, dual, float)
-    return actions[parts]
+        actions[dual] = action or _built_action(algebra, parts, omitted, dual, float)
+    return actions[dual]
 
 
 # Building the action takes seconds for large systems, so all schemes and steps share it. Parts are cached for the
 # lifetime of their system, and their actions with them.
-_ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
-_DUAL_ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
+_ACTIONS: WeakKeyDictionary[Parts, dict[bool, Action]] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=256)

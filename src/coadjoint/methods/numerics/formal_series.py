@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.numerics.power_series import PowerSeries
 from coadjoint.methods.numerics.solvers import Coefficients
+from coadjoint.methods.numerics.taylor_series import PowerSeries
 from coadjoint.methods.protocol.method import is_short
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System

@@ -125,14 +125,12 @@ def order_sizes(brackets: Floats, orders: Sequence[tuple[int, ...]]) -> list[flo
     """Return the root mean square of H2 over the points, for `nested_brackets` of one set and orders of its parts."""
     weights = np.array([order_weights(order).ravel() for order in orders])
     count = brackets.shape[2]
-    terms, squares = np.zeros((len(orders), count)), np.zeros(len(orders))
+    terms = np.zeros((len(orders), count))
     # Terms that overflow float64 count as larger than all others.
     with np.errstate(over="ignore", invalid="ignore"):
         for weight, bracket in zip(weights.T, brackets.reshape(-1, count), strict=True):
             terms += weight[:, None] * bracket
-        for of_point in terms.T:
-            squares += of_point**2
-        root_mean_squares = np.sqrt(squares / count)
+        root_mean_squares = np.sqrt(np.cumsum(terms**2, axis=1)[:, -1] / count)  # summed in order
     return np.where(np.isnan(root_mean_squares), np.inf, root_mean_squares).tolist()
 
 
