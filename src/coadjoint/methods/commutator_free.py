@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, ClassVar, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.matrix_steps import matrix_tables
 from coadjoint.kernels.tables.steps import STEP_LOOP
-from coadjoint.methods.formal.formal_numbers import FormalNumber
 from coadjoint.methods.numerics.isospectral_stages import slope_along
+from coadjoint.methods.protocol.composed import loop_over
 from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -27,6 +27,9 @@ from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_integer
+
+if TYPE_CHECKING:
+    from coadjoint.methods.numerics.formal_series import FormalNumber
 
 TYPICAL_DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
 
@@ -118,8 +121,8 @@ class CommutatorFree(CompiledStepMethod):
 
     def properties(self, system: System) -> Properties:
         """Return the properties: the coadjoint orbit is preserved, with every Casimir."""
-        vectors = isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit)
-        attitude = "every representation" if vectors else "none"
+        orbit_of(system)
+        attitude = "none" if system.has_matrices else "every representation"
         return Properties(poisson=False, energy=False, casimirs="all", attitude=attitude)
 
     @classmethod
@@ -144,17 +147,17 @@ class CommutatorFree(CompiledStepMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps of vectors, or of matrices."""
-        if isinstance(orbit_of(system, "CommutatorFree"), VectorOrbit):
+        if not system.has_matrices:
             return super().loop_of_substeps(system, h, representation, fractions)
 
         integers, coefficients = self.constants()
         tables = matrix_tables(system, "commutator_free_matrices", integers[0], coefficients, fractions)
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, sources=tables.sources)
+        return loop_over(STEP_LOOP, tables)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy: of vectors of any number type but fractions, or of a matrix or its coordinates."""
-        orbit = orbit_of(system, "CommutatorFree")
-        if isinstance(orbit, VectorOrbit):
+        orbit = orbit_of(system)
+        if not system.has_matrices:
             return self._advanced(orbit, x, t, h, None)[0]
         matrices = cast(MatrixSystem, system)
         end = self._advanced(orbit, matrices.matrices(x), t, h, None)[0]
@@ -162,8 +165,8 @@ class CommutatorFree(CompiledStepMethod):
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and the derivative of its series; for matrices, that of the projection on the algebra."""
-        orbit = orbit_of(system, "CommutatorFree")
-        if isinstance(orbit, VectorOrbit):
+        orbit = orbit_of(system)
+        if not system.has_matrices:
             return self._advanced(orbit, np.asarray(x, dtype=np.float64), t, h, np.eye(len(x)))
         matrices = cast(MatrixSystem, system)
         units = matrices.algebra.projected(matrices.from_vector(np.eye(matrices.dim)))
@@ -172,13 +175,12 @@ class CommutatorFree(CompiledStepMethod):
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return "formula", except for matrices with a stream given as a function."""
-        return orbit_of(system, "CommutatorFree").derivative_by
+        return orbit_of(system).derivative_by
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        orbit = orbit_of(system, "CommutatorFree")
-        if not isinstance(orbit, VectorOrbit):
+        if system.has_matrices:
             raise TypeError(f"a step of {self} on matrices is not known as a power series in exact numbers")
-        return self._advanced(orbit, x, 0 * h, h, None, type(h).count)[0]
+        return self._advanced(orbit_of(system), x, 0 * h, h, None, type(h).count)[0]
 
     def _advanced(
         self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
@@ -207,7 +209,7 @@ class CommutatorFree(CompiledStepMethod):
         """Return the work of the products in its series."""
         scheme = SCHEMES[self.order]
         products = TYPICAL_DEGREE * (len(scheme.stages) + len(scheme.out))
-        if isinstance(orbit_of(system, "CommutatorFree"), MatrixOrbit):
+        if system.has_matrices:
             return work_of_products(system, substeps * products)
         return work_of_evaluations(system, substeps * (len(scheme.nodes) + products), self.explicit)
 
@@ -286,15 +288,12 @@ class VectorOrbit:
     def generator(self, k: Any, dk: Any) -> Generator:
         """Return D of a combination of gradients, and of its changes if given."""
         system, J, sign = self._system, self._system.structure_matrix, self._system.sign
-        D = None if dk is None else sign * self._coadjoint(k)
+        D = None if dk is None else sign * np.asarray(system.algebra.coadjoint(k))
         return Generator(
             lambda y: sign * (J(y) @ k),
             lambda y, dy: D @ dy + sign * (J(y) @ dk),
             lambda: float(max(abs(np.asarray(system.algebra.coadjoint(k))).sum(axis=1))),
         )
-
-    def _coadjoint(self, k: Any) -> NDArray[Any]:
-        return np.asarray(self._system.algebra.coadjoint(k))
 
 
 class MatrixOrbit:
@@ -323,13 +322,13 @@ class MatrixOrbit:
         )
 
 
-def orbit_of(system: Any, scheme_name: str) -> VectorOrbit | MatrixOrbit:
-    """Return the orbits of a system; raise an error that names the scheme if it is a batch or has no Lie algebra."""
+def orbit_of(system: Any) -> VectorOrbit | MatrixOrbit:
+    """Return the orbits of a system; raise an error if it is a batch or has no Lie algebra."""
     check_one_system(system)
     if system.has_matrices:
         return MatrixOrbit(system)
     if system.algebra is None:
         raise ValueError(
-            f"{scheme_name} moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"
+            f"CommutatorFree moves along coadjoint orbits, but {system.name} has no Lie algebra; take GaussLegendre"
         )
     return VectorOrbit(system)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.methods.formal.formal_numbers import FormalNumber
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.composed import MAX_ORDER, Composed, check_base
 from coadjoint.methods.protocol.cost_model import Work
-from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.methods.splitting import Splitting
@@ -29,6 +27,10 @@ from coadjoint.short_repr import short
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice, read_finite, read_integer
+
+if TYPE_CHECKING:
+    from coadjoint.methods.numerics.formal_series import FormalNumber
+    from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 
 MAX_SUM = 1000.0  # of absolute coefficients: states move so much farther, and rounding with them
 MAX_SUBSTEPS = 1000  # of a step; tables of flows stay small

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.matrix_steps import matrix_tables
 from coadjoint.kernels.tables.steps import STEP_LOOP
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_derivatives import LayerDerivatives, StageDerivatives, TwoLayerDerivatives
 from coadjoint.methods.numerics.isospectral_stages import increment_of, of_blocks, stages_of, two_layer_stages
-from coadjoint.methods.protocol.composed import SubstepMethod
+from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
 from coadjoint.methods.protocol.cost_model import Work, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -97,8 +97,7 @@ class IsospectralGauss(SubstepMethod):
         """Return the loop over steps of this kind."""
         a, b = _coefficients(self.stages)
         tables = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
-        memory = scheme_memory(STEP_LOOP, tables.tables)
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=memory, sources=tables.sources)
+        return loop_over(STEP_LOOP, tables)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products of each iteration; those of all substeps are counted together."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.composed import SubstepMethod
+from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -121,7 +121,7 @@ class LineSplitting(SubstepMethod):
         numbers = [factor.ravel()] + ([] if constant is None else [constant.ravel().view(np.float64)])
         lengths = [outer * inner for outer in fractions for inner in self.fractions]
         tables = numeric_step_tables(torus, "line_splitting", integers, np.concatenate(numbers).tolist(), lengths)  # type: ignore[arg-type]
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, sources=tables.sources)
+        return loop_over(STEP_LOOP, tables)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the Fourier transforms."""
@@ -132,16 +132,14 @@ class LineSplitting(SubstepMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         torus = torus_of(system)
-        end = matrix_of(self._advance(torus, modes_of(torus.matrices(x)), h, None)[0])
-        return np.asarray(torus.to_vector(end) if torus.is_in_numbers(x) else end)
+        step = FlowsOfLines(self, torus, modes_of(torus.matrices(x)), h)
+        return step.end if torus.is_in_numbers(x) else step.matrix
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative in coordinates, for the projection on the algebra."""
-        torus = torus_of(system)
-        check_available_memory(8 * 12 * torus.dim**2, f"the derivative of a step of {torus.dim} numbers")
-        units = torus.algebra.projected(torus.from_vector(np.eye(torus.dim)))
-        end, changes = self._advance(torus, modes_of(torus.matrices(x)), h, modes_of(units))
-        return torus.to_vector(matrix_of(end)), torus.to_vector(matrix_of(changes)).T
+        check_available_memory(8 * 12 * system.dim**2, f"the derivative of a step of {system.dim} numbers")
+        step = self.linearized(system, x, t, h)
+        return step.end, step.tangents(np.eye(system.dim)).T
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> FlowsOfLines:
         """Return one step with its exact derivative, which is applied to modes."""
@@ -158,20 +156,9 @@ class LineSplitting(SubstepMethod):
             for line in forward[-2::-1]:
                 yield line, fraction * h / 2
 
-    def _advance(
-        self, torus: MatrixSystem, v: Complexes, h: float, changes: Complexes | None
-    ) -> tuple[Complexes, Complexes]:
-        """Return modes and tangent vectors, changes of modes (directions, N, N), after a step."""
-        N = torus.algebra.N
-        factor, constant = stream_of_modes(torus)
-        dv = np.zeros((0, N, N), dtype=np.complex128) if changes is None else changes
-        for line, time in self.flows(N, h):
-            v, dv = flow(v, dv, factor, constant, line, time)
-        return v, dv
-
 
 class FlowsOfLines:
-    """The derivative of a step at modes v (N, N); `end` is the state after it, as a vector."""
+    """A step from modes v (N, N) with its derivative; the state after it is a `matrix`, and `end` as a vector."""
 
     def __init__(self, method: LineSplitting, torus: MatrixSystem, v: Complexes, h: float) -> None:
         self._torus, (self._factor, self._constant) = torus, stream_of_modes(torus)
@@ -180,7 +167,8 @@ class FlowsOfLines:
         for line, time in self._flows:
             self._before.append(v)
             v, _ = flow(v, none, self._factor, self._constant, line, time)
-        self.end = torus.to_vector(matrix_of(v))
+        self.matrix = matrix_of(v)
+        self.end = torus.to_vector(self.matrix)
 
     def tangents(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the tangents (k, n) after the step for vectors before it, which are projected on the algebra."""

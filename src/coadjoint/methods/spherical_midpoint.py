@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.methods.formal.formal_numbers import FormalNumber
 from coadjoint.methods.numerics.solvers import Coefficients, StageProblem, begin, iterate_to_stagnation
 from coadjoint.methods.protocol.cost_model import Work, work_of_iterations
 from coadjoint.methods.protocol.method import Representation
@@ -19,6 +18,9 @@ from coadjoint.program.numbers import Number
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
+
+if TYPE_CHECKING:
+    from coadjoint.methods.numerics.formal_series import FormalNumber
 
 
 @dataclass(frozen=True)

@@ -56,21 +56,9 @@ def build_action(
         else [repeated]
     )
     if not tables:
-        return _empty_action(matrices.size, len(parts), number)
+        return empty_action(matrices.size, len(parts), number)
     blocks = joined_tables(tables)
-    part_of_angle = parts.part_of_angle
-    level = _angle_levels(blocks, part_of_angle)
-    groups, blocks = _group_blocks(blocks, part_of_angle, level)
-    return _arrange_runs(matrices.size, blocks, groups, parts)
-
-
-class _Groups(NamedTuple):
-    """Blocks of one kind that share an angle (and constants, except for shears), in table order."""
-
-    part: Integers
-    angle: Integers
-    block: Integers
-    begins: NDArray[np.bool_]
+    return _arrange_runs(matrices.size, blocks, parts)
 
 
 def _angle_levels(blocks: BlockTable, part_of_angle: Integers) -> Integers:
@@ -99,9 +87,22 @@ def _sharing_labels(blocks: BlockTable) -> Integers:
     return label
 
 
-def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) -> tuple[_Groups, BlockTable]:
-    """Group the blocks, and order the groups so that equal shapes with consecutive angles form one run."""
-    label = _sharing_labels(blocks)
+def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
+    """Assign numbers to the groups of one angle and shape by their first blocks."""
+    order = np.arange(len(angle))[order_by(angle, kind, count, leader)]
+    first = run_starts(angle[order], kind[order], count[order])
+    position = np.arange(len(order))
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = position - np.maximum.accumulate(np.where(first, position, 0))
+    return rank
+
+
+def _arrange_runs(size: int, blocks: BlockTable, parts: Parts) -> Action:
+    """Group the blocks of one kind that share an angle (and constants, except for shears), and order the groups so that
+    equal shapes with consecutive angles form one run.
+    """
+    part_of_angle, label = parts.part_of_angle, _sharing_labels(blocks)
+    level = _angle_levels(blocks, part_of_angle)
     order = order_by(blocks.angle, blocks.kind, label)
     member = np.arange(len(blocks.angle))[order]
     begins = np.flatnonzero(run_starts(blocks.angle[member], blocks.kind[member], label[member]))
@@ -116,32 +117,14 @@ def _group_blocks(blocks: BlockTable, part_of_angle: Integers, level: Integers) 
     begins_run[1:] |= angle[1:] != angle[:-1] + 1
     begins_run |= (kind == BlockKind.CUBIC) | (kind == BlockKind.SERIES)
     selection = member[expand(begins, begins + count)[1]]
-    in_order = bool(np.all(selection[1:] > selection[:-1]))
-    return _Groups(part, angle, starts_of(count), begins_run), blocks if in_order else blocks.take(selection)
-
-
-def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
-    """Assign numbers to the groups of one angle and shape by their first blocks."""
-    order = np.arange(len(angle))[order_by(angle, kind, count, leader)]
-    first = run_starts(angle[order], kind[order], count[order])
-    position = np.arange(len(order))
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = position - np.maximum.accumulate(np.where(first, position, 0))
-    return rank
-
-
-def _arrange_runs(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) -> Action:
-    first = np.flatnonzero(groups.begins)
-    leader = groups.block[first]
-    kind = blocks.kind
+    if not np.all(selection[1:] > selection[:-1]):
+        blocks = blocks.take(selection)
+    first, start, kind = np.flatnonzero(begins_run), starts_of(count), blocks.kind
+    leader, part = start[first], part[first]
     # The blocks of a group share the constants of its first block, except for shears.
     stored = (kind == BlockKind.SHEAR) | (kind == BlockKind.CUBIC) | (kind == BlockKind.SERIES)
-    stored[groups.block[:-1]] = True
-    length = np.where(stored, np.diff(blocks.constant_begin), 0)
-    constants = (
-        blocks.constants if stored.all() else blocks.constants[np.repeat(stored, np.diff(blocks.constant_begin))]
-    )
-    part = groups.part[first]
+    stored[start[:-1]] = True
+    lengths = np.diff(blocks.constant_begin)
 
     def column(values: Any) -> NDArray[np.uint32]:
         return np.ascontiguousarray(values, dtype=np.uint32)
@@ -150,41 +133,24 @@ def _arrange_runs(size: int, blocks: BlockTable, groups: _Groups, parts: Parts) 
         size=size,
         run=column(np.searchsorted(part, np.arange(len(parts) + 1))),
         kind=kind[leader],
-        angles=column(np.diff(np.append(first, len(groups.angle)))),
-        repeat=column(np.diff(groups.block)[first]),
-        angle=column(groups.angle[first] - parts.angle[part]),
+        angles=column(np.diff(np.append(first, len(angle)))),
+        repeat=column(count[first]),
+        angle=column(angle[first] - parts.angle[part]),
         position=column(blocks.begin[leader]),
-        constant=column(starts_of(length)[leader]),
+        constant=column(starts_of(np.where(stored, lengths, 0))[leader]),
         width=blocks.width[leader],
         entries=blocks.entries[leader],
         degree=blocks.degree[leader],
         indices=blocks.indices,
-        constants=constants,
+        constants=blocks.constants if stored.all() else blocks.constants[np.repeat(stored, lengths)],
     )
 
 
-def empty_action() -> Action:
-    """Return the action of a program without a group element."""
-    return _empty_action(0, 0, float)
-
-
-def _empty_action(size: int, parts: int, number: Number) -> Action:
+def empty_action(size: int = 0, parts: int = 0, number: Number = float) -> Action:
+    """Return an action that moves nothing; by default that of a program without a group element."""
     empty, kind = np.zeros(0, dtype=np.uint32), np.zeros(0, dtype=np.uint8)
-    return Action(
-        size,
-        np.zeros(parts + 1, dtype=np.uint32),
-        kind,
-        empty,
-        empty,
-        empty,
-        empty,
-        empty,
-        empty,
-        empty,
-        empty,
-        empty,
-        array_of(number, []),
-    )
+    run = np.zeros(parts + 1, dtype=np.uint32)
+    return Action._make([size, run, kind, *[empty] * 9, array_of(number, [])])
 
 
 def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
@@ -211,13 +177,18 @@ def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDA
     return [(each, matrices[b % own]) for b, each in enumerate(coordinates)]
 
 
-def run_entries(action: Action, run: int, q: int) -> dict[tuple[int, int], Any]:
-    """Return the nonzero entries of a run's generator at its angle number q."""
-    entries = {}
-    for coordinates, matrix in run_blocks(action, run, q):
-        for i, j in np.argwhere(matrix != 0):
-            entries[int(coordinates[i]), int(coordinates[j])] = matrix[i, j]
-    return entries
+def generator_entries(action: Action, part: int, angle: int) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return the rows, columns and values of the nonzero entries of the generator of one form of a part."""
+    row, column = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    value = [action.constants[:0]]
+    for run in range(action.run[part], action.run[part + 1]):
+        q = angle - int(action.angle[run])
+        for coordinates, matrix in run_blocks(action, run, q) if 0 <= q < action.angles[run] else ():
+            i, j = np.nonzero(matrix != 0)
+            row.append(coordinates[i])
+            column.append(coordinates[j])
+            value.append(matrix[i, j])
+    return np.concatenate(row), np.concatenate(column), np.concatenate(value)
 
 
 # Largest number of parts, each of which is a run of rotations.

@@ -6,7 +6,7 @@ coefficients of that part times J(x) grad G(x) at its rows, carried on by the ta
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
 from coadjoint.program.generators import BasisMatrices
-from coadjoint.program.multiples import Multiples
+from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
 from coadjoint.program.sweeps import JoinRules, ProgramRows, Swept, rows_of
@@ -137,34 +137,16 @@ def terms_of(G: EnergyDerivative, n: int) -> tuple[Terms, Multiples]:
     weights = len(terms.offset)
     monomials = weights + len(terms.weight)
     of_functions = np.concatenate([np.zeros(0, dtype=np.int64), *by_functions])
-    return terms._replace(coefficient=0.0 * terms.coefficient), Multiples(
-        np.concatenate(
-            [
-                np.searchsorted(used, G.linear),
-                weights + cell,
-                np.array([monomials + place[powers] for powers in exponents], dtype=np.int64),
-                monomials + len(place) + np.arange(len(of_functions)),
-            ]
-        ),
-        np.concatenate(
-            [
-                G.linear_entry,
-                G.quadratic_entry,
-                G.quadratic_entry,
-                np.array([one.entry for one in others], dtype=np.int64),
-                of_functions,
-            ]
-        ),
-        np.concatenate(
-            [
-                G.linear_factor,
-                G.quadratic_factor,
-                G.quadratic_factor,
-                np.array([one.factor for one in others]),
-                np.ones(len(of_functions)),
-            ]
-        ),
-    )
+    of_others = [
+        (monomials + place[powers], one.entry, one.factor) for powers, one in zip(exponents, others, strict=True)
+    ]
+    pieces = [
+        Multiples(np.searchsorted(used, G.linear), G.linear_entry, G.linear_factor),
+        Multiples(weights + cell, np.tile(G.quadratic_entry, 2), np.tile(G.quadratic_factor, 2)),
+        Multiples.of_triplets(of_others),
+        Multiples(monomials + len(place) + np.arange(len(of_functions)), of_functions, np.ones(len(of_functions))),
+    ]
+    return terms._replace(coefficient=0.0 * terms.coefficient), concatenated(pieces)
 
 
 def _moved(coefficients: Multiples, starts: NDArray[np.int64], to: NDArray[np.int64]) -> Multiples:
@@ -174,47 +156,23 @@ def _moved(coefficients: Multiples, starts: NDArray[np.int64], to: NDArray[np.in
 
 
 def _joined_terms(first: Terms, second: Terms) -> Terms:
-    def joined(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(first, name), getattr(second, name)])
-
-    def starts(name: str) -> NDArray[np.uint32]:
-        return joined_starts([getattr(first, name), getattr(second, name)]).astype(np.uint32)
-
-    return Terms(
-        size=first.size + second.size,
-        kind=joined("kind"),
-        row=starts("row"),
-        target=joined("target"),
-        offset=joined("offset"),
-        entry=starts("entry"),
-        column=joined("column"),
-        weight=joined("weight"),
-        monomial=starts("monomial"),
-        coefficient=joined("coefficient"),
-        factor=starts("factor"),
-        factor_row=np.concatenate([first.factor_row, second.factor_row + first.row[-1]]),
-        exponent=joined("exponent"),
-    )
+    joined = _joined_columns(first, second, starts=("row", "entry", "monomial", "factor"))
+    joined["factor_row"] = np.concatenate([first.factor_row, second.factor_row + first.row[-1]])
+    return Terms(**joined | {"size": first.size + second.size})
 
 
 def _joined_actions(first: Action, second: Action) -> Action:
     """Append the part of a second action on the same vectors."""
+    joined = _joined_columns(first, second, starts=("run",))
+    joined["position"] = np.concatenate([first.position, second.position + np.uint32(len(first.indices))])
+    joined["constant"] = np.concatenate([first.constant, second.constant + np.uint32(len(first.constants))])
+    return Action(**joined | {"size": first.size})
 
-    def joined(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(first, name), getattr(second, name)])
 
-    return Action(
-        size=first.size,
-        run=joined_starts([first.run, second.run]).astype(np.uint32),
-        kind=joined("kind"),
-        angles=joined("angles"),
-        repeat=joined("repeat"),
-        angle=joined("angle"),
-        position=np.concatenate([first.position, second.position + np.uint32(len(first.indices))]),
-        constant=np.concatenate([first.constant, second.constant + np.uint32(len(first.constants))]),
-        width=joined("width"),
-        entries=joined("entries"),
-        degree=joined("degree"),
-        indices=joined("indices"),
-        constants=joined("constants"),
-    )
+def _joined_columns(first: Any, second: Any, starts: Sequence[str]) -> dict[str, Any]:
+    """Return the columns of two tables, one after the other; `starts` are those of lists."""
+    columns = {name: pair for name, *pair in zip(first._fields, first, second, strict=True) if np.ndim(pair[0])}
+    return {
+        name: joined_starts(pair).astype(np.uint32) if name in starts else np.concatenate(pair)
+        for name, pair in columns.items()
+    }

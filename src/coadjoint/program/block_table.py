@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
-from coadjoint.program.blocks import RULES, Block, BlockKind, larger_block, wide_series
+from coadjoint.program.blocks import Block, BlockKind, larger_block, wide_series
 from coadjoint.program.generators import BasisMatrices, Components, Generators, components_of
 from coadjoint.program.numbers import roundoff
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
@@ -232,29 +232,6 @@ def _sparse_tail_of(block: Block) -> Integers:
 def _flat_constants(block: Block) -> list[Any]:
     columns = zip(*(entry[2:] for entry in block.entries), strict=True)
     return [*block.constants, *(value for column in columns for value in column)]
-
-
-def blocks_of(entries: Mapping[tuple[int, int], Any], u: Any) -> list[Block]:
-    """Decompose one sparse matrix D, (row, column) -> nonzero value, into blocks sorted by first coordinate."""
-    keys = sorted(entries)
-    value_list = [entries[key] for key in keys]
-    values = np.array(value_list, dtype=np.float64 if all(isinstance(value, float) for value in value_list) else object)
-    row, column = np.array(keys, dtype=np.int64).reshape(-1, 2).T
-    table = block_table(Generators(np.zeros(len(keys), dtype=np.int64), row, column, values), u)
-    return [_block(table, b) for b in range(len(table.angle))]
-
-
-def _block(table: BlockTable, b: int) -> Block:
-    kind, width, count = BlockKind(int(table.kind[b])), int(table.width[b]), int(table.entries[b])
-    index = table.indices[table.begin[b] : table.begin[b + 1]].tolist()
-    constants = table.constants[table.constant_begin[b] : table.constant_begin[b + 1]].tolist()
-    if not count:
-        return Block(kind, tuple(index), tuple(constants))
-    rows = np.repeat(np.arange(width), np.diff(index[width : 2 * width + 1])).tolist()
-    header = RULES[kind].header
-    values = [constants[first : first + count] for first in range(header, len(constants), count)]
-    entries = tuple(zip(rows, index[2 * width + 1 :], *values, strict=True))
-    return Block(kind, tuple(index[:width]), tuple(constants[:header]), entries, int(table.degree[b]))
 
 
 def repeated_block_table(matrices: BasisMatrices, forms: SparseRows) -> BlockTable | None:

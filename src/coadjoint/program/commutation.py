@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -146,7 +146,7 @@ class Commutation:
         f = angle[first[pair]] + product_index // count[second[pair]]
         g = angle[second[pair]] + product_index % count[second[pair]]
         values = forms.value.astype(np.float64)
-        lookup = _Lookup(forms.start, forms.coordinate.astype(np.int64), values, size)
+        lookup = _lookup(forms.start, forms.coordinate.astype(np.int64), values, size)
         start, actions = self._algebra.actions
         cost = np.diff(start)[forms.coordinate]
         costs = np.diff(np.concatenate([[0], np.cumsum(cost)])[forms.start])[f]
@@ -183,24 +183,24 @@ def _cached_coupled_pairs(pattern: Pattern[tuple[Commutation, Parts]]) -> Pairs:
     return commutation._find_coupled_pairs(parts)
 
 
-class _Lookup:
-    """Coefficient lookup of sparse forms by (form, coordinate); zero if absent."""
+def _lookup(
+    start: Integers, coordinate: Integers, value: NDArray[np.float64], size: int
+) -> Callable[[Integers, Integers], NDArray[np.float64]]:
+    """Return the function of (form, coordinate) with the coefficients of sparse forms; zero if absent."""
+    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    if (len(start) - 1) * size <= MAX_TABLE_SIZE:
+        table = np.zeros((len(start) - 1, size))
+        table[owner, coordinate] = value
+        return lambda form, at: table[form, at]
+    keys, values = owner * size + coordinate, np.append(value, 0.0)
 
-    def __init__(self, start: Integers, coordinate: Integers, value: NDArray[np.float64], size: int) -> None:
-        owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
-        self._size, self._table, self._value = size, None, np.append(value, 0.0)
-        if (len(start) - 1) * size <= MAX_TABLE_SIZE:
-            self._table = np.zeros((len(start) - 1, size))
-            self._table[owner, coordinate] = value
-        self._key = owner * size + coordinate
+    def of_keys(form: Integers, at: Integers) -> NDArray[np.float64]:
+        key = form * size + at
+        position = np.searchsorted(keys, key)
+        present = keys[np.minimum(position, len(keys) - 1)] == key
+        return values[np.where(present, position, -1)]
 
-    def __call__(self, form: Integers, coordinate: Integers) -> NDArray[np.float64]:
-        if self._table is not None:
-            return self._table[form, coordinate]
-        key = form * self._size + coordinate
-        position = np.searchsorted(self._key, key)
-        present = self._key[np.minimum(position, len(self._key) - 1)] == key
-        return self._value[np.where(present, position, -1)]
+    return of_keys
 
 
 def _pairs(start: Integers, part_by_coordinate: Integers, i: Integers, j: Integers) -> Pairs:

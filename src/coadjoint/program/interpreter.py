@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.actions import Action, run_blocks, run_entries
+from coadjoint.program.actions import Action, generator_entries, run_blocks
 from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, RULES, BlockKind
+from coadjoint.program.generators import Generators
 from coadjoint.program.numbers import array_of, elementary, roundoff
 from coadjoint.program.rational_rotations import rational_angle, rational_angle_series
 from coadjoint.program.table import Program
@@ -144,7 +145,7 @@ class Interpreter:
 
     def substeps(self, reach: Callable[[], Any]) -> int:
         """Return the number of time intervals in the flow of a free body; power series need no subdivision."""
-        return substep_count(reach(), self.functions.ceil) if self._count is None else 1
+        return substep_count(reach(), self.functions) if self._count is None else 1
 
     def negligible(self, terms: Sequence[FlowState]) -> bool:
         """Test whether the last two terms of a series are below rounding, or the next one beyond the truncation."""
@@ -153,29 +154,12 @@ class Interpreter:
         first, last, previous = (largest_of(terms[k]) for k in (0, -1, -2))
         return all(max(a, b) <= self._u * c / 16 for a, b, c in zip(last, previous, first, strict=True))
 
-    def generator(self, action: Action, part: int, angle: int) -> dict[tuple[int, int], Any]:
-        """Return the entries of the generator of one form of a part."""
-        entries: dict[tuple[int, int], Any] = {}
-        for run, q in self._runs(part, angle, action):
-            entries.update(run_entries(action, run, q))
-        return entries
-
     def _generator_on(self, part: int, angle: int, x: NDArray[Any]) -> NDArray[Any]:
         """Return D_a x for one form of a part (operation `apply` of the table)."""
-        action, result = self.program.state, 0 * x
-        for run, q in self._runs(part, angle, action):
-            for coordinates, matrix in run_blocks(action, run, q):
-                i, j = np.nonzero(matrix != 0)
-                np.add.at(result, coordinates[i], matrix[i, j] * x[coordinates[j]])
+        row, column, value = generator_entries(self.program.state, part, angle)
+        result = 0 * x
+        np.add.at(result, row, value * x[column])
         return result
-
-    @staticmethod
-    def _runs(part: int, angle: int, action: Action) -> Iterator[tuple[int, int]]:
-        """Yield the runs of a part that contain an angle, and its index in each."""
-        for run in range(action.run[part], action.run[part + 1]):
-            q = angle - int(action.angle[run])
-            if 0 <= q < action.angles[run]:
-                yield run, q
 
     def act(self, action: Action, part: int, theta: list[Any], vectors: NDArray[Any]) -> None:
         """Apply exp(sum theta_a D_a) of one part to vectors (n,) or (n, lanes), in place (operation `act`)."""
@@ -231,7 +215,7 @@ class Interpreter:
             for _ in range(halvings):
                 moved = moved * 2 + moved @ moved  # (1 + moved)^2 - 1
             return moved @ vectors
-        substeps = max(1, self.functions.ceil(reach))
+        substeps = max(1, int(self.functions.ceil(reach)))
         h, start = angle / substeps, vectors
         for _ in range(substeps):
             power, k, total = vectors, 0, 0 * vectors
@@ -277,7 +261,7 @@ class FlowState(NamedTuple):
 
 def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow: FlowState) -> None:
     """Apply the flow of free bodies over `tau` in place, by its time series, for angles that are not large."""
-    body = _MovingBodies(interpreter, part)
+    body = _MovingBodies(interpreter.program, part)
     count = interpreter.substeps(lambda: abs(tau) * body.speed(state_of_flow.x) / PIECE)
     for _ in range(count):
         terms = [state_of_flow]
@@ -290,35 +274,17 @@ def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow
                 start[...] = sum(reversed(more), 0 * start) + start
 
 
-class _Entries(NamedTuple):
-    """Sparse entries of several matrices, one after the other; `owner` is the generator of each entry."""
-
-    owner: NDArray[np.int64]
-    row: NDArray[np.int64]
-    column: NDArray[np.int64]
-    value: NDArray[Any]
-
-    def times(self, rates: NDArray[Any], vectors: Vectors) -> Vectors:
-        """Apply sum_a rate_a D_a to vectors (n,) or (n, m)."""
-        factors = rates[self.owner] * self.value
-        moved = vectors[self.column] * (factors if vectors.ndim == 1 else factors[:, None])
-        result = 0 * vectors
-        np.add.at(result, self.row, moved)
-        return result
-
-
 class _MovingBodies:
     """Generators and angular velocities of one part."""
 
-    def __init__(self, interpreter: Interpreter, part: int) -> None:
-        program = interpreter.program
+    def __init__(self, program: Program, part: int) -> None:
         first, last = (program.terms.row[program.share[p]] for p in (part, part + 1))
         self.terms = program.terms
         # The first row of a body has no weights, and is not an angular velocity.
         self.rows = [r for r in range(int(first), int(last)) if self.terms.entry[r] < self.terms.entry[r + 1]]
         angles = [r - int(first) for r in self.rows]
-        self.state = _entries(interpreter, program.state, part, angles)
-        self.group = None if program.group is None else _entries(interpreter, program.group, part, angles)
+        self.state = _generators(program.state, part, angles)
+        self.group = None if program.group is None else _generators(program.group, part, angles)
 
     def speed(self, x: Vectors) -> Any:
         """Bound the angular speed of vectors."""
@@ -338,23 +304,32 @@ class _MovingBodies:
         sums: list[Any] = [None if item is None else 0 * item for item in terms[0]]
         for k, term in enumerate(terms):
             before, rates = terms[n - 1 - k], self.rates(term.x)
-            for slot, entries in enumerate((self.state, self.group, self.state)):
+            for slot, generators in enumerate((self.state, self.group, self.state)):
                 vectors = before[slot]
-                if vectors is not None and entries is not None:
-                    sums[slot] = sums[slot] + entries.times(rates, vectors)
+                if vectors is not None and generators is not None:
+                    sums[slot] = sums[slot] + _turned(generators, rates, vectors)
             if term.tangent is not None:
                 changes, state = self.rates(term.tangent), self.state
-                np.add.at(sums[2], state.row, (state.value * before.x[state.column])[:, None] * changes[state.owner])
+                np.add.at(sums[2], state.row, (state.value * before.x[state.column])[:, None] * changes[state.angle])
         x, group, tangent = (None if item is None else item * tau / n for item in sums)
         assert x is not None
         return FlowState(x, group, tangent)
 
 
-def _entries(interpreter: Interpreter, action: Action, part: int, angles: Sequence[int]) -> _Entries:
-    matrices = [interpreter.generator(action, part, q) for q in angles]
-    entries = [(a, *position, value) for a, matrix in enumerate(matrices) for position, value in matrix.items()]
-    owner, row, column = (np.array([entry[k] for entry in entries], dtype=np.int64) for k in range(3))
-    return _Entries(owner, row, column, np.array([entry[3] for entry in entries]))
+def _generators(action: Action, part: int, angles: Sequence[int]) -> Generators:
+    """Return the generators of some angles of a part, numbered by their positions."""
+    pieces = [generator_entries(action, part, angle) for angle in angles]
+    owner = np.repeat(np.arange(len(pieces)), [len(piece[0]) for piece in pieces])
+    return Generators(owner, *(np.concatenate(column) for column in zip(*pieces, strict=True)))
+
+
+def _turned(generators: Generators, rates: NDArray[Any], vectors: Vectors) -> Vectors:
+    """Apply sum_a rate_a D_a to vectors (n,) or (n, m)."""
+    factors = rates[generators.angle] * generators.value
+    moved = vectors[generators.column] * (factors if vectors.ndim == 1 else factors[:, None])
+    result = 0 * vectors
+    np.add.at(result, generators.row, moved)
+    return result
 
 
 def largest_of(term: Iterable[Vectors | None]) -> Any:
@@ -362,11 +337,11 @@ def largest_of(term: Iterable[Vectors | None]) -> Any:
     return [np.max(np.abs(item), initial=0) for item in term if item is not None]
 
 
-def substep_count(reach: Any, ceil: Callable[[Any], int]) -> int:
+def substep_count(reach: Any, functions: Any) -> int:
     """Return the number of substeps of a flow of length `reach`; raise ValueError if it is too long."""
     if not reach <= MOST_SUBSTEPS:
         raise ValueError(
             f"a free body turns too far in one step: it would take {float(reach):.3g} substeps, and at most "
             f"{MOST_SUBSTEPS} are allowed; take a smaller step, or start nearer to the origin"
         )
-    return max(1, ceil(reach))
+    return max(1, int(functions.ceil(reach)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,16 +41,10 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
     return largest
 
 
-class _Frequencies(NamedTuple):
-    """Smallest and largest frequency of the blocks of each angle; `known`: all are nilpotent or rotations."""
-
-    least: NDArray[Any]
-    largest: NDArray[Any]
-    known: NDArray[np.bool_]
-    acting: NDArray[np.bool_]
-
-
-def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = False) -> _Frequencies:
+def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = False) -> tuple[NDArray[Any], ...]:
+    """Return for each angle the smallest and largest frequency of its blocks, whether all of them are nilpotent or
+    rotations, and whether there are any.
+    """
     run = np.repeat(np.arange(len(action.kind)), action.angles)
     q = np.arange(len(run)) - np.repeat(starts_of(action.angles)[:-1], action.angles)
     part = np.repeat(np.arange(len(parts)), np.diff(action.run))[run]
@@ -69,7 +63,7 @@ def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = F
     np.maximum.at(largest, angle, frequency)
     least = largest.copy()
     np.minimum.at(least, angle, frequency)
-    return _Frequencies(least, largest, known, acting)
+    return least, largest, known, acting
 
 
 def _coupled(parts: Parts) -> NDArray[np.bool_]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -26,16 +26,13 @@ from coadjoint.systems.vanishing_products import (
     divided_gradient,
 )
 
-
-class SeparatedParts(NamedTuple):
-    """Parts, and the entries (angle, row, column) of their generators that are omitted, shape (k, 3)."""
-
-    parts: Parts
-    omitted: Integers
+Separated = tuple[Parts, Integers]
 
 
-def separated_parts(algebra: LieAlgebra, parts: Parts, inputs: Collection[int] = ()) -> SeparatedParts:
-    """Return parts in which a function has angles for each of the vectors that its gradient is the sum of."""
+def separated_parts(algebra: LieAlgebra, parts: Parts, inputs: Collection[int] = ()) -> Separated:
+    """Return parts in which a function has angles for each of the vectors that its gradient is the sum of, and the
+    entries (angle, row, column) of their generators that are omitted, shape (k, 3).
+    """
     key = frozenset(inputs)
     known = _SEPARATED.setdefault(parts, {})
     if (algebra, key) not in known:
@@ -44,10 +41,10 @@ def separated_parts(algebra: LieAlgebra, parts: Parts, inputs: Collection[int] =
 
 
 # Parts are cached for the lifetime of their system.
-_SEPARATED: WeakKeyDictionary[Parts, dict[Any, SeparatedParts]] = WeakKeyDictionary()
+_SEPARATED: WeakKeyDictionary[Parts, dict[Any, Separated]] = WeakKeyDictionary()
 
 
-def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> SeparatedParts:
+def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Separated:
     products = commuting_products(algebra)
     omitted: list[tuple[int, int, int, int]] = []
     separated: dict[int, FunctionShare] = {}
@@ -56,7 +53,7 @@ def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Sep
         separated |= functions
         omitted += entries
     if not omitted:
-        return SeparatedParts(parts, NOTHING_OMITTED)
+        return parts, NOTHING_OMITTED
     copies = np.ones(len(parts.row) - 1, dtype=np.int64)
     for s, share in separated.items():
         copies[s] = share.copies
@@ -73,9 +70,9 @@ def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Sep
         parts.share,
         parts.timed,
         parts.source,
+        None if parts.pivots is None else parts.pivots[angles],
     )
-    result.pivots = None if parts.pivots is None else parts.pivots[angles]
-    return SeparatedParts(result, np.array([(row[s] + a, i, k) for s, a, i, k in omitted], dtype=np.int64))
+    return result, np.array([(row[s] + a, i, k) for s, a, i, k in omitted], dtype=np.int64)
 
 
 def _candidates(algebra: LieAlgebra, parts: Parts, products: Products) -> dict[int, list[int]]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -36,21 +36,6 @@ from coadjoint.systems.vanishing_products import field_products
 MIN_REPEATED_ROWS = 256
 
 
-class _LazyTerms:
-    """Descriptor of the field `terms`: `Terms`, or their builder until they are read."""
-
-    def __get__(self, program: Any, owner: type) -> Any:
-        if program is None:
-            raise AttributeError("terms have no default")
-        terms = program.__dict__["terms"]
-        if isinstance(terms, TermTable):
-            terms = program.__dict__["terms"] = terms.table(program.number)
-        return terms
-
-    def __set__(self, program: Any, terms: Any) -> None:
-        program.__dict__["terms"] = terms
-
-
 @dataclass(frozen=True)
 class Program:
     """A splitting of one system as plain arrays, which compiled and Python interpreters use: rows of flows, parts,
@@ -62,7 +47,7 @@ class Program:
     system: LiePoissonSystem
     rows: ProgramRows
     parts: Parts
-    terms: Terms
+    table: TermTable
     share: NDArray[np.uint32]
     functions: dict[int, FunctionTerm]
     state: Action
@@ -74,12 +59,16 @@ class Program:
     shift: tuple[tuple[Polynomial, float], ...]
     choice: ChosenParts
 
+    @cached_property
+    def terms(self) -> Terms:
+        """The terms of all shares."""
+        return self.table.table(self.number)
+
     @property
     def compact_terms(self) -> Terms:
         """The terms for loops over flows, with the entries of rows that repeat stored once."""
-        terms, shortest = self.__dict__["terms"], int(np.diff(self.parts.row).min(initial=MIN_REPEATED_ROWS))
-        repeated = terms.repeated_table() if isinstance(terms, TermTable) and shortest >= MIN_REPEATED_ROWS else None
-        return repeated or self.terms
+        shortest = int(np.diff(self.parts.row).min(initial=MIN_REPEATED_ROWS))
+        return (self.table.repeated_table() if shortest >= MIN_REPEATED_ROWS else None) or self.terms
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the table as arrays, numbers and lists by name; `docs/table.md` documents them.
@@ -98,9 +87,6 @@ class Program:
         from coadjoint.program.public_table import mapping_of
 
         return mapping_of(self)
-
-
-Program.terms = _LazyTerms()  # type: ignore[assignment]
 
 
 def build_program(
@@ -133,7 +119,7 @@ def build_program(
         system=system,
         rows=rows_of(method, JoinRules.from_parts(parts, frequency), system.sign, number),
         parts=parts,
-        terms=cast(Any, table),
+        table=table,
         share=parts.share.astype(np.uint32),
         functions=table.functions,
         state=state,
@@ -208,17 +194,16 @@ def _state_action(
         return _built_action(algebra, parts, omitted, dual, number)
     if len(parts.offset) <= MAX_PATTERN_SIZE:
         return _cached_action(algebra, Pattern((parts, omitted), *parts.forms, parts.angle, omitted), dual)
-    actions = _DUAL_ACTIONS if dual else _ACTIONS
-    if parts not in actions:
+    actions = _ACTIONS.setdefault(parts, {})
+    if dual not in actions:
         action = None if dual or len(omitted) else copied_action(algebra, parts)
-        actions[parts] = action or _built_action(algebra, parts, omitted, dual, float)
-    return actions[parts]
+        actions[dual] = action or _built_action(algebra, parts, omitted, dual, float)
+    return actions[dual]
 
 
 # Building the action takes seconds for large systems, so all schemes and steps share it. Parts are cached for the
 # lifetime of their system, and their actions with them.
-_ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
-_DUAL_ACTIONS: WeakKeyDictionary[Parts, Action] = WeakKeyDictionary()
+_ACTIONS: WeakKeyDictionary[Parts, dict[bool, Action]] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=256)

@@ -6,8 +6,10 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.program.block_table import blocks_of
-from coadjoint.program.blocks import BlockKind
+from coadjoint.program.actions import generator_entries
+from coadjoint.program.block_table import block_table
+from coadjoint.program.blocks import RULES, Block, BlockKind
+from coadjoint.program.generators import Generators
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.table import build_program
 from commuting_actions import acting
@@ -39,6 +41,29 @@ def kinds_of(read):
 
 def entries(matrix):
     return {(i, j): float(matrix[i, j]) for i, j in np.argwhere(np.asarray(matrix) != 0)}
+
+
+def blocks_of(entries, u):
+    """Decompose one sparse matrix D, (row, column) -> nonzero value, into blocks sorted by first coordinate."""
+    keys = sorted(entries)
+    value_list = [entries[key] for key in keys]
+    values = np.array(value_list, dtype=np.float64 if all(isinstance(value, float) for value in value_list) else object)
+    row, column = np.array(keys, dtype=np.int64).reshape(-1, 2).T
+    table = block_table(Generators(np.zeros(len(keys), dtype=np.int64), row, column, values), u)
+    return [block_of(table, b) for b in range(len(table.angle))]
+
+
+def block_of(table, b):
+    kind, width, count = BlockKind(int(table.kind[b])), int(table.width[b]), int(table.entries[b])
+    index = table.indices[table.begin[b] : table.begin[b + 1]].tolist()
+    constants = table.constants[table.constant_begin[b] : table.constant_begin[b + 1]].tolist()
+    if not count:
+        return Block(kind, tuple(index), tuple(constants))
+    rows = np.repeat(np.arange(width), np.diff(index[width : 2 * width + 1])).tolist()
+    header = RULES[kind].header
+    values = [constants[first : first + count] for first in range(header, len(constants), count)]
+    entries = tuple(zip(rows, index[2 * width + 1 :], *values, strict=True))
+    return Block(kind, tuple(index[:width]), tuple(constants[:header]), entries, int(table.degree[b]))
 
 
 PLANES = {
@@ -214,7 +239,8 @@ def test_blocks_that_differ_in_one_constant_have_their_own(kind):
         system, method = turning(acting(D), [len(D)]), co.Splitting(order=1, parts="coordinates")
         read = Interpreter(build_program(system, method))
         assert kinds_of(read) == {kind}
-        assert read.generator(read.program.state, 0, 0) == entries(D)
+        row, column, value = (each.tolist() for each in generator_entries(read.program.state, 0, 0))
+        assert dict(zip(zip(row, column, strict=True), value, strict=True)) == entries(D)
         x = rng.uniform(-1, 1, len(D) + 1)
         x[-1] = 1.0
         # The angle is the last coordinate, and the closed forms have some 16 roundings.

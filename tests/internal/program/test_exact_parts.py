@@ -8,6 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.part_polynomials import parts_at, taylor_polynomial
 from coadjoint.program.parts.squares import (
     MAX_RATIONAL_SIZE,
     ExactSums,
@@ -16,7 +17,6 @@ from coadjoint.program.parts.squares import (
     complete_squares,
     sparse_squares,
 )
-from coadjoint.program.parts.taylor_shares import parts_at, taylor_polynomial
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from refusals import refused

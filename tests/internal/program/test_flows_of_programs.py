@@ -233,7 +233,7 @@ def dense_step(system, parts, x, g, h):
     """A step on the momentum x and the group element g, in the coadjoint representation, and the amplification."""
     c, size = constants_of(system.algebra), 1.0
     for p, fraction in strang(len(parts)):
-        slope = part_derivatives(parts, x[None], 0.0)[0][p, 0]
+        slope = part_derivatives(parts, x[None])[0][p, 0]
         D = fraction * h * system.sign * np.einsum("ijk,j->ik", c, slope)  # D x = J(x) grad of the piece
         size *= np.linalg.norm(expm(np.abs(D)), np.inf)
         x, g = expm(D) @ x, g @ expm(-D)
@@ -245,7 +245,7 @@ def check_step(system, choice, x, h):
     n, decomposition = system.dim, decompose(system, choice)
     parts = decomposition.parts
     # The pieces add up to the energy minus the Casimirs, up to a constant.
-    pieces = part_derivatives(parts, x[None], 0.0)[0].sum(axis=0)[0]
+    pieces = part_derivatives(parts, x[None])[0].sum(axis=0)[0]
     casimirs = sum((factor * C.gradient(x) for C, factor in decomposition.shift), np.zeros(n))
     expected = system.hamiltonian.gradient(x) - casimirs
     assert np.abs(pieces - expected).max() <= 2.0**-40  # squares amplify rounding by at most some hundreds

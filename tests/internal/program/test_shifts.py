@@ -12,7 +12,7 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from coadjoint.program.modified_energy.second_order import best_order, part_derivatives, second_order_term
+from coadjoint.program.modified_energy.second_order import best_orders, part_derivatives
 from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, decompose, sample_points
 from coadjoint.program.parts.split import split
 from coadjoint.program.shifts.group_correction import Turn, _cholesky, unshift_tables
@@ -24,6 +24,7 @@ from coadjoint.program.shifts.shift import (
     singular_factors,
 )
 from refusals import refused
+from second_order_terms import second_order_term
 
 U = 2.0**-53
 
@@ -102,7 +103,7 @@ def test_the_best_order_is_the_best_of_all():
     system = systems()["so(3)"]
     parts = split(system, "coordinates")
     points = np.random.default_rng(0).standard_normal((50, 3))
-    order, size = best_order(system, parts, points)
+    ((order, size),) = best_orders(system, [parts], points)
     sizes = {
         p: np.sqrt(np.mean(second_order_term(system.algebra, parts.take(np.array(p)), points) ** 2))
         for p in permutations(range(3))
@@ -344,7 +345,7 @@ def test_rounding_does_not_choose_between_orders_that_are_equal():
         M = np.zeros(6)
         M[[0, 1, j]] = rng.uniform(0.5, 2.0, 3)
         system = co.LiePoissonSystem(algebra, co.Quadratic(M))
-        order, _ = best_order(system, split(system, [[0], [1], [j]]), points)
+        ((order, _),) = best_orders(system, [split(system, [[0], [1], [j]])], points)
         if abs(order.index(1) - order.index(2)) == 1:
             neighbours += 1
             assert order.index(1) < order.index(2)

@@ -9,7 +9,7 @@ from coadjoint.long_operations import LongWait
 from coadjoint.program import blocks, commutation
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.generators import SplittingTooExpensive, check_products
-from coadjoint.program.modified_energy.bracket_cost import estimated_products
+from coadjoint.program.modified_energy.modified_series import estimated_products
 from coadjoint.program.modified_energy.sweep_logarithm import Commutators
 from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms

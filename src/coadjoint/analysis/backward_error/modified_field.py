@@ -15,7 +15,7 @@ from coadjoint.analysis.backward_error.modified_field_base import Floats, Modifi
 from coadjoint.analysis.backward_error.step_series import ExactSystem, check_at_a_point, scale_of_motion
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.methods.formal.formal_numbers import vector
+from coadjoint.methods.numerics.formal_series import vector
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import require_packages

@@ -31,7 +31,7 @@ from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.modified_energy.composition_logarithm import Coordinates, exact_sweeps
 from coadjoint.program.modified_energy.modified_series import coordinates_of, modified_terms
-from coadjoint.program.parts.taylor_shares import parts_at
+from coadjoint.program.parts.part_polynomials import parts_at
 from coadjoint.program.table import Program
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of

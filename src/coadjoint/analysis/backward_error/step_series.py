@@ -15,7 +15,7 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.backward_error.field_of_step import Field, plain_ring, size_of
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.formal.formal_numbers import NODE, FormalNumber, formal_numbers, vector
+from coadjoint.methods.numerics.formal_series import NODE, FormalNumber, formal_numbers, vector
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm

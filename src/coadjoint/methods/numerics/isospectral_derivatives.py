@@ -11,15 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.isospectral_stages import (
-    DIVERGED,
-    MAX_ITERATIONS,
     Stages,
-    StagnationTest,
     as_blocks,
     increment_of,
+    iterated,
     largest,
     of_blocks,
     slope_along,
@@ -32,6 +29,8 @@ from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
 Matrix = NDArray[Any]
 Floats = NDArray[np.float64]
+
+NO_CONVERGENCE = "the linear equations of the stages do not converge; take a smaller step"
 
 
 class StageDerivatives(ABC):
@@ -92,20 +91,19 @@ class StageDerivatives(ABC):
             13 * len(b) * directions.nbytes, f"the derivatives of a step along {len(directions)} directions"
         )
         V1, U1, M1, P1 = (array[:, None] for array in self._stages[:4])
-        # Axes: stage, direction, row, column.
-        dV, dU = np.zeros((2, len(b), *directions.shape), dtype=M1.dtype)
-        dM, dP = dV, dU
-        iteration = _Iteration(self._t, len(W))
-        while iteration.running:
+
+        def update(dV: Matrix, dU: Matrix, dM: Matrix, dP: Matrix) -> Any:
             dM_new = dV @ W @ U1 + V1 @ directions @ U1 + V1 @ W @ dU
             # A difference is linear in its direction up to an error relative to it. Along the corrections of dM these
             # errors shrink with them; along dM they would stay, and corrections might cycle above ROUND_OFF_CANDIDATE.
             dP = self.slopes(dM_new) if self.linear else dP + self.slopes(dM_new - dM)
-            dM = dM_new
             dV_new, dU_new = h * weighted_sums(a, dP @ V1 + P1 @ dV), -h * weighted_sums(a, dU @ P1 + U1 @ dP)
             change = max(largest(dV_new - dV), largest(dU_new - dU))
-            dV, dU = dV_new, dU_new
-            iteration.note(change, largest(dV))
+            return (dV_new, dU_new, dM_new, dP), change, largest(dV_new)
+
+        # Axes: stage, direction, row, column.
+        zero = np.zeros((len(b), *directions.shape), dtype=M1.dtype)
+        _, _, dM, dP = iterated(update, (zero,) * 4, len(W), NO_CONVERGENCE, self._t)
         return np.asarray(directions + h * np.tensordot(b, dP @ M1 + P1 @ dM - dM @ P1 - M1 @ dP, 1))
 
     def _transposed(self, after: Matrix) -> Matrix:
@@ -117,18 +115,18 @@ class StageDerivatives(ABC):
         weights = (h * b)[:, None, None]
         of_M = weights * (Pt @ after - after @ Pt)
         of_P = weights * (after @ Mt - Mt @ after)
-        m, v, u = of_M, np.zeros_like(M), np.zeros_like(M)
-        p, q = np.zeros_like(M), np.zeros_like(M)
-        iteration = _Iteration(self._t, len(W))
-        while iteration.running:
+
+        def update(v: Matrix, u: Matrix, m: Matrix, p: Matrix, q: Matrix) -> Any:
             p_new = of_P + h * weighted_sums(a.T, v) @ Vt - Ut @ (h * weighted_sums(a.T, u))
             q = self.slopes_transposed(p_new) if self.linear else q + self.slopes_transposed(p_new - p)
-            p, m = p_new, of_M + q
+            m = of_M + q
             v_new = m @ WU + Pt @ (h * weighted_sums(a.T, v))
             u_new = VW @ m - (h * weighted_sums(a.T, u)) @ Pt
             change = max(largest(v_new - v), largest(u_new - u))
-            v, u = v_new, u_new
-            iteration.note(change, max(largest(v), largest(u)))
+            return (v_new, u_new, m, p_new, q), change, max(largest(v_new), largest(u_new))
+
+        zero = np.zeros_like(M)
+        _, _, m, _, _ = iterated(update, (zero,) * 5, len(W), NO_CONVERGENCE, self._t)
         return np.asarray(after + np.sum(Vt @ m @ Ut, axis=0))
 
 
@@ -196,37 +194,6 @@ class TwoLayerDerivatives(StageDerivatives):
         A, B = of_states[..., 0, :, :], of_states[..., 1, :, :]
         rows = np.concatenate([A, B], axis=-1)
         return np.concatenate([rows, np.zeros_like(rows)], axis=-2)
-
-
-class _Iteration:
-    """An iteration of linear equations until the corrections stagnate; IntegrationError if they do not fall."""
-
-    def __init__(self, t: float, N: int) -> None:
-        self._stagnation, self._t, self._left, self._change = StagnationTest(N), t, MAX_ITERATIONS, np.inf
-        self._done = False
-
-    @property
-    def running(self) -> bool:
-        """Whether to iterate again."""
-        if not self._done and not self._left:
-            raise self._failure()
-        self._left -= 1
-        return not self._done
-
-    def note(self, change: float, size: float) -> None:
-        """Note a correction of matrices of this size."""
-        self._change = change
-        self._done = self._stagnation.after(change, size)
-        if not self._done and not change < DIVERGED * max(1.0, size):
-            raise self._failure()
-
-    def _failure(self) -> IntegrationError:
-        return IntegrationError(
-            "the linear equations of the stages do not converge; take a smaller step",
-            step=1,
-            time=float(self._t),
-            residual=self._change,
-        )
 
 
 def _adjoint(matrices: Matrix) -> Matrix:

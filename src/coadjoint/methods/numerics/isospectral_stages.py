@@ -6,6 +6,7 @@ step, ``M_i = V_i W U_i`` and ``P_i = stream(M_i)``. For skew-Hermitian W, U_i i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -43,27 +44,20 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, sc
     """Return the stages of a step of length h from W (N, N) at time t, with coefficients a (s, s)."""
     identity, times = np.eye(len(W)), [t + h * float(row.sum()) for row in a]
     P0 = system.stream_of(W, t)
-    V = np.stack([identity + h * row.sum() * P0 for row in a])
-    U = np.stack([identity - h * row.sum() * P0 for row in a])
-    stagnation, change = StagnationTest(len(W)), np.inf
-    for _ in range(MAX_ITERATIONS):
+
+    def update(V: Matrix, U: Matrix, *_: Matrix) -> Any:
         if system.algebra.skew:
             U = np.conj(np.swapaxes(V, -1, -2))
         M = V @ W @ U
         P = np.stack([system.stream_of(m, time) for m, time in zip(M, times, strict=True)])
         V_new, U_new = identity + h * weighted_sums(a, P @ V), identity - h * weighted_sums(a, U @ P)
         change = max(largest(V_new - V), 0.0 if system.algebra.skew else largest(U_new - U))
-        V, U = V_new, U_new
-        if stagnation.after(change, 1.0):
-            return Stages(V, U, M, P, times)
-        if not change < DIVERGED:
-            break
-    raise IntegrationError(
-        f"the stages of {scheme_name} do not converge with a step of {float(h):g}; take a smaller one",
-        step=1,
-        time=float(t),
-        residual=float(change),
-    )
+        return (V_new, U_new, M, P), change, 1.0
+
+    start = tuple(np.stack([identity + sign * h * row.sum() * P0 for row in a]) for sign in (1, -1))
+    failure = f"the stages of {scheme_name} do not converge with a step of {float(h):g}; take a smaller one"
+    V, U, M, P = iterated(update, (*start, *start), len(W), failure, t)
+    return Stages(V, U, M, P, times)
 
 
 def increment_of(stages: Stages, h: float, b: Floats) -> Matrix:
@@ -91,22 +85,24 @@ def largest(values: Matrix) -> float:
     return float(np.abs(values).max(initial=0.0))
 
 
-class StagnationTest:
-    """Test whether the corrections of an iteration stagnate at round-off."""
+def iterated(update: Callable[..., Any], start: Any, N: int, failure: str, t: float) -> Any:
+    """Iterate a state until its corrections stagnate at round-off; IntegrationError if they do not fall.
 
-    def __init__(self, N: int) -> None:
-        self._rounding = ROUND_OFF * float(np.sqrt(N))
-        self._smallest, self._stagnant_count, self._count = np.inf, 0, 0
-
-    def after(self, change: float, size: float) -> bool:
-        """Return whether to stop after a correction `change`, for entries of this size."""
-        self._count += 1
-        self._stagnant_count = 0 if change < self._smallest else self._stagnant_count + 1
-        self._smallest = min(self._smallest, change)
+    `update` takes the arrays of a state, and returns the next state with its correction and the size of its entries.
+    """
+    state, change, smallest, stagnant_count = start, np.inf, np.inf, 0
+    for count in range(1, MAX_ITERATIONS + 1):
+        state, change, size = update(*state)
+        stagnant_count = 0 if change < smallest else stagnant_count + 1
+        smallest = min(smallest, change)
         # In a slow iteration with complex eigenvalues, corrections oscillate while they shrink.
-        fast = change <= self._rounding * size and self._count < LATE_ITERATION
-        stagnant = self._stagnant_count >= (1 if fast else max(STAGNANT_CORRECTIONS, self._count // 4))
-        return change == 0.0 or (change <= ROUND_OFF_CANDIDATE * size and self._count >= FIRST_TESTED and stagnant)
+        fast = change <= ROUND_OFF * float(np.sqrt(N)) * size and count < LATE_ITERATION
+        stagnant = stagnant_count >= (1 if fast else max(STAGNANT_CORRECTIONS, count // 4))
+        if change == 0.0 or (change <= ROUND_OFF_CANDIDATE * size and count >= FIRST_TESTED and stagnant):
+            return state
+        if not change < DIVERGED * max(1.0, size):
+            break
+    raise IntegrationError(failure, step=1, time=float(t), residual=float(change))
 
 
 def as_blocks(X: Matrix) -> Matrix:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Hashable, Iterable
-from typing import NamedTuple
+from collections.abc import Hashable, Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.methods.protocol.cost_model import LANES, TERMS_PER_INVARIANT, Operations
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.system import System
 
 # Sums of up to UNROLLED_VECTORS vectors of rows are unrolled, if no products are stored behind the coordinates. Others
@@ -36,18 +35,16 @@ def series_operations(system: System, order: int, invariants: Iterable[Hamiltoni
     """
     lanes = 4 if system.dim <= 4 else LANES
     blocks = -(-system.dim // lanes)
-    products, product_blocks = (
-        vectors_of_products(system, lanes) * lanes / LANES,
-        ProductVectors(system.hamiltonian).blocks,
-    )
     factored, waiting = factored_products(system, lanes), float(blocks)
     if factored is not None:
-        vectors = factored.products * lanes / LANES
-        waiting += ENTRY_LATENCY * factored.entries
+        products, entries = factored
+        vectors = products * lanes / LANES
+        waiting += ENTRY_LATENCY * entries
     else:
-        vectors = products + product_blocks
+        product_blocks = vectors_of_gradient(system.hamiltonian)
+        vectors = vectors_of_products(system, lanes) * lanes / LANES + product_blocks
         vectors *= TABLE_FACTOR if product_blocks or blocks > UNROLLED_VECTORS else 1.0
-    rows = [ProductRows(C, system.dim, lanes).vectors for C in invariants]
+    rows = [vectors_of_invariant(C, system.dim, lanes) for C in invariants]
     invariant_terms = TERMS_PER_INVARIANT * len(rows) + sum(rows) / LANES
     return Operations(0.5 * order**2 * vectors, order * waiting, invariant_terms)
 
@@ -67,20 +64,14 @@ def vectors_of_products(system: System, lanes: int) -> float:
     return _longest_of_blocks(np.bincount(row, minlength=system.dim), lanes)
 
 
-class FactoredProducts(NamedTuple):
-    """Vectors of products of a coordinate and a sum of coordinates, and of the entries of the sums around them."""
-
-    products: int
-    entries: float
-    in_memory: bool
-
-
-def factored_products(system: System, lanes: int) -> FactoredProducts | None:
-    """Return the factored products of a quadratic energy, or None where the kernel does not factor."""
+def factored_products(system: System, lanes: int) -> tuple[int, float] | None:
+    """Return the vectors of factored products of a quadratic energy, each of a coordinate and a sum of coordinates, and
+    of the entries of the sums around them; None where the kernel does not factor.
+    """
     assert system.algebra is not None
     terms, n = system.hamiltonian.terms(), system.dim
     most = 2 * lanes if lanes == LANES else lanes
-    if n > most or not all(isinstance(term, QuadraticTerm) for term in terms):
+    if n > most or not all(term.form is not None for term in terms):
         return None
     gradient, rows = np.zeros((n, n)), np.zeros((n, n, n))
     for form in filter(None, (term.form for term in terms)):
@@ -100,7 +91,7 @@ def factored_products(system: System, lanes: int) -> FactoredProducts | None:
     in_memory = len(lengths) > most
     cost = (PRODUCT_COST if in_memory else FACTORED_COST) * products + ENTRY_COST * entries + CHAIN_COST
     worthwhile = cost + MEMORY_COST * in_memory < min(written, apart)
-    return FactoredProducts(products, entries, in_memory) if worthwhile else None
+    return (products, entries) if worthwhile else None
 
 
 def _count_factors(pairs: NDArray[np.float64], lengths: dict[Hashable, int]) -> int:
@@ -118,65 +109,34 @@ def _count_factors(pairs: NDArray[np.float64], lengths: dict[Hashable, int]) -> 
     return count
 
 
-class ProductVectors:
-    """Number of vectors of products, stored behind the coordinates, for the gradient of a Hamiltonian."""
-
-    def __init__(self, H: HamiltonianLike) -> None:
-        self._products: set[tuple[int, ...]] = set()
-        for term in H.terms():
-            term.describe_to(self)
-
-    @property
-    def blocks(self) -> int:
-        """Number of vectors; products with equal numbers of factors share vectors."""
-        return sum(-(-count // LANES) for count in Counter(map(len, self._products)).values())
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        """Do nothing: the gradient is linear."""
-
-    def polynomial(self, term: PolynomialTerm) -> None:
-        """Count the products in the derivatives of a polynomial."""
-        for exponents in term.polynomial.monomials:
-            factors = [i for i, exponent in enumerate(exponents) for _ in range(exponent)]
-            for i in set(factors):
-                remaining = list(factors)
-                remaining.remove(i)
-                self._products.update(tuple(remaining[:count]) for count in range(2, len(remaining) + 1))
-
-    def function(self, term: FunctionTerm) -> None:
-        """Do nothing: functions are not supported by series."""
+def _monomials_of(H: HamiltonianLike) -> Iterator[tuple[int, ...]]:
+    """Yield the exponents of the monomials in the polynomial terms of a Hamiltonian."""
+    for term in H.terms():
+        polynomial = getattr(term, "polynomial", None)
+        yield from () if polynomial is None else polynomial.monomials
 
 
-class ProductRows:
-    """Number of vectors of rows of the gradient of an invariant, per factor, as in ``product_rows.hpp``."""
+def vectors_of_gradient(H: HamiltonianLike) -> int:
+    """Return the number of vectors of products, stored behind the coordinates, for the gradient of a Hamiltonian."""
+    products: set[tuple[int, ...]] = set()
+    for exponents in _monomials_of(H):
+        factors = factors_of(exponents)
+        for i in set(factors):
+            remaining = list(factors)
+            remaining.remove(i)
+            products.update(tuple(remaining[:count]) for count in range(2, len(remaining) + 1))
+    # Products with equal numbers of factors share vectors.
+    return sum(-(-count // LANES) for count in Counter(map(len, products)).values())
 
-    def __init__(self, C: HamiltonianLike, dim: int, lanes: int) -> None:
-        self._lanes, self._size = lanes, dim
-        self._counts: dict[int, NDArray[np.int64]] = {}
-        for term in C.terms():
-            term.describe_to(self)
 
-    @property
-    def vectors(self) -> float:
-        """Number of vectors."""
-        vectors = (factors * _longest_of_blocks(counts, self._lanes) for factors, counts in self._counts.items())
-        return sum(vectors, 0.0)
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        """Count entries of M."""
-        self._add(1, term.rows)
-
-    def polynomial(self, term: PolynomialTerm) -> None:
-        """Count the products in the derivatives of a polynomial."""
-        for exponents in term.polynomial.monomials:
-            self._add(max(1, sum(exponents) - 1), np.flatnonzero(exponents))
-
-    def function(self, term: FunctionTerm) -> None:
-        """Do nothing: functions are not restored."""
-
-    def _add(self, factors: int, rows: NDArray[np.int64]) -> None:
-        counts = self._counts.setdefault(factors, np.zeros(self._size, dtype=np.int64))
-        counts += np.bincount(rows, minlength=self._size)
+def vectors_of_invariant(C: HamiltonianLike, dim: int, lanes: int) -> float:
+    """Return the number of vectors of rows of the gradient of an invariant, per factor, as in ``product_rows.hpp``."""
+    rows = [(1, term.form.rows) for term in C.terms() if term.form is not None]
+    rows += [(max(1, sum(exponents) - 1), np.flatnonzero(exponents)) for exponents in _monomials_of(C)]
+    counts: dict[int, NDArray[np.int64]] = {}
+    for factors, of_term in rows:
+        counts[factors] = counts.get(factors, 0) + np.bincount(of_term, minlength=dim)
+    return sum((factors * _longest_of_blocks(each, lanes) for factors, each in counts.items()), 0.0)
 
 
 def _longest_of_blocks(counts: NDArray[np.int64], lanes: int) -> float:

@@ -184,11 +184,8 @@ def linear_solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     return B
 
 
-class Evaluation(NamedTuple):
-    """The slopes L of a step, shape (s, n), and, if requested, their derivatives dL / dx, shape (s, n, n)."""
-
-    slopes: NDArray[Any]
-    derivatives: NDArray[np.float64] | None
+Evaluation = tuple[NDArray[Any], NDArray[np.float64] | None]
+"""The slopes L of a step, shape (s, n), and, if requested, their derivatives dL / dx, shape (s, n, n)."""
 
 
 def explicit(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
@@ -203,7 +200,7 @@ def explicit(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
             derivatives[j] = (
                 step.lengths[j] * step.system.jacobian(X, step.times[j]) @ step.stage_derivatives(derivatives)[j]
             )
-    return Evaluation(slopes, derivatives)
+    return slopes, derivatives
 
 
 def iterated(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
@@ -211,17 +208,17 @@ def iterated(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
     iterates = iterate(step, iterations)
     slopes = step.fields(iterates[-1])
     if not tangent:
-        return Evaluation(slopes, None)
-    return Evaluation(slopes, step.jacobians(iterates[-1]) @ iterate_tangents(step, iterates))
+        return slopes, None
+    return slopes, step.jacobians(iterates[-1]) @ iterate_tangents(step, iterates)
 
 
 def implicit(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
     """Return the slopes L_j = h b_j f(x + sum_k mu_jk L_k), and dL_j = h b_j f'(X_j) dX_j."""
     slopes = iterate_to_stagnation(step, step.fields)
     if not tangent:
-        return Evaluation(slopes, None)
+        return slopes, None
     jacobians = step.jacobians(step.points(slopes))
-    return Evaluation(slopes, step.solve_slopes(jacobians, np.zeros_like(jacobians)))
+    return slopes, step.solve_slopes(jacobians, np.zeros_like(jacobians))
 
 
 def structure_frozen(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
@@ -232,9 +229,9 @@ def structure_frozen(step: StageProblem, iterations: int, tangent: bool) -> Eval
     blocks = step.structure_hessians(frozen)
     slopes = _linear(step, frozen, blocks, lambda points: step.products(frozen, step.gradients(points)))
     if not tangent:
-        return Evaluation(slopes, None)
+        return slopes, None
     frozen_blocks = step.structure_derivatives(frozen, step.gradients(step.points(slopes)))
-    return Evaluation(slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates)))
+    return slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates))
 
 
 def gradient_frozen(step: StageProblem, iterations: int, tangent: bool) -> Evaluation:
@@ -245,9 +242,9 @@ def gradient_frozen(step: StageProblem, iterations: int, tangent: bool) -> Evalu
     blocks = step.structure_derivatives(frozen, gradients)
     slopes = _linear(step, frozen, blocks, lambda points: step.products(points, gradients))
     if not tangent:
-        return Evaluation(slopes, None)
+        return slopes, None
     frozen_blocks = step.structure_hessians(step.points(slopes), frozen)
-    return Evaluation(slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates)))
+    return slopes, step.solve_slopes(blocks, frozen_blocks @ iterate_tangents(step, iterates))
 
 
 SOLVERS: dict[str, Callable[[StageProblem, int, bool], Evaluation]] = {

@@ -1,4 +1,4 @@
-"""Taylor series of a motion in NumPy: dual numbers, and steps of variable length.
+"""Taylor series of a motion in NumPy: truncated power series, dual numbers, and steps of variable length.
 
 The variable steps are the reference with which tests compare ``taylor_variable.cpp``: `near_log2`, `near_power_of_two`
 and `logarithm_of_step` repeat the formulas of ``steps/step_length.hpp``: library functions would choose other steps.
@@ -7,16 +7,17 @@ and `logarithm_of_step` repeat the formulas of ``steps/step_length.hpp``: librar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
+from functools import reduce
+from operator import add
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.numerics.power_series import PowerSeries
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -30,6 +31,87 @@ TOO_SHORT_MESSAGE = (
     "the motion becomes so fast that steps no longer change the time: it blows up, or nearly so; "
     + TOO_MANY_STEPS_MESSAGE
 )
+
+
+class PowerSeries:
+    """The series sum_k coefficients[k] t^k, of any number type; sums and products have the known coefficients of both
+    operands.
+    """
+
+    __slots__ = ("coefficients",)
+
+    def __init__(self, coefficients: Iterable[Any]) -> None:
+        self.coefficients = list(coefficients)
+
+    @classmethod
+    def from_coefficients(cls, coefficients: Iterable[Any]) -> Self:
+        """Return the series with these coefficients; higher ones are unknown."""
+        result = cls.__new__(cls)
+        result.coefficients = list(coefficients)
+        return result
+
+    @classmethod
+    def _number(cls, value: Any) -> Any:
+        """Return a constant as a number for the coefficients, or None if it is not one."""
+        return value
+
+    def __add__(self, other: Any) -> Self:
+        """Return the sum with a series or with a constant."""
+        if isinstance(other, PowerSeries):
+            return self.from_coefficients(a + b for a, b in zip(self.coefficients, other.coefficients, strict=False))
+        number = self._number(other)
+        return (
+            NotImplemented
+            if number is None
+            else self.from_coefficients([self.coefficients[0] + number, *self.coefficients[1:]])
+        )
+
+    def _known(self, other: Any) -> int:
+        """Return the number of coefficients of a product that are known."""
+        return min(len(self.coefficients), len(other.coefficients))
+
+    def __mul__(self, other: Any) -> Self:
+        """Return the product with a series or with a constant."""
+        a = self.coefficients
+        if not isinstance(other, PowerSeries):
+            number = self._number(other)
+            return NotImplemented if number is None else self.from_coefficients(c * number for c in a)
+        b = other.coefficients
+
+        def products(k: int) -> list[Any]:
+            return [a[j] * b[k - j] for j in range(max(0, k + 1 - len(b)), min(k + 1, len(a)))]
+
+        return self.from_coefficients(reduce(add, products(k) or [0 * a[0]]) for k in range(self._known(other)))
+
+    def __pow__(self, exponent: Any) -> Self | int:
+        """Return an integer power."""
+        if isinstance(exponent, bool) or int(exponent) != exponent or exponent < 0:
+            raise TypeError(f"the exponent of a power series is {exponent!r}; give an integer of at least 0")
+        result: Any = 1
+        for _ in range(int(exponent)):
+            result = self * result
+        return result
+
+    def __pos__(self) -> Self:
+        return self
+
+    def __neg__(self) -> Self:
+        """Return the negative."""
+        return self * -1
+
+    def __sub__(self, other: Any) -> Self:
+        """Return the difference."""
+        return self + other * -1
+
+    def __rsub__(self, other: Any) -> Self:
+        """Return the difference of a constant and the series."""
+        return self * -1 + other
+
+    def __truediv__(self, other: Any) -> Self:
+        """Return the quotient by a constant."""
+        return self.from_coefficients(c / other for c in self.coefficients)
+
+    __radd__, __rmul__ = __add__, __mul__
 
 
 class Dual:
@@ -134,29 +216,24 @@ def advance_by_own_steps(
     raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=float(elapsed), residual=float(length))
 
 
-class StepMemory(NamedTuple):
-    """Largest size of a state so far, and the time unit of the terms of the next step."""
-
-    largest: float
-    scale: float
-
-
 def own_step(
     field: Callable[[NDArray[Any]], NDArray[Any]],
     x: NDArray[Any],
     h: Any,
     order: int,
     tolerance: float,
-    memory: StepMemory | None,
-) -> tuple[list[NDArray[Any]], float, float, StepMemory]:
-    """Return the terms of the motion from x, their time unit, the length of the step, and the memory for the next."""
-    largest, scale = memory or StepMemory(0.0, _time_of_change(field, x, h))
+    memory: tuple[float, float] | None,
+) -> tuple[list[NDArray[Any]], float, float, tuple[float, float]]:
+    """Return the terms of the motion from x, their time unit, the length of the step, and the memory for the next one:
+    the largest size of a state so far, and the time unit of its terms.
+    """
+    largest, scale = memory or (0.0, _time_of_change(field, x, h))
     largest = max(largest, _size(x))
     terms = expand(field, x, scale, order)
     length = scale * near_power_of_two(logarithm_of_step([_size(term) for term in terms], largest, tolerance))
     if length == 0.0:
         raise IntegrationError(TOO_SHORT_MESSAGE, step=1, time=0.0, residual=0.0)
-    return terms, scale, length, StepMemory(largest, math.copysign(2.0 ** (math.frexp(length)[1] - 1), float(h)))
+    return terms, scale, length, (largest, math.copysign(2.0 ** (math.frexp(length)[1] - 1), float(h)))
 
 
 def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[Any], h: Any) -> float:

@@ -17,7 +17,8 @@ from coadjoint.program.modified_energy.modified_series import leading_term
 from coadjoint.program.modified_energy.second_order import (
     IMPROVEMENT_FACTOR,
     MAX_ORDERED,
-    NestedBrackets,
+    bracket_gradients,
+    order_weights,
     smallest_order,
 )
 from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, candidates, decompose
@@ -99,10 +100,9 @@ class PartOrderErrors:
     """Errors of each bracket of the h^2 term along orbits; the error of any order of the parts is their combination."""
 
     def __init__(self, system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> None:
-        self._brackets = NestedBrackets(system.algebra, parts)
         self._propagated, self._square = [], [orbit.square for orbit in orbits]
         for orbit in orbits:
-            slopes = np.moveaxis(self._brackets.gradients(orbit.points), (2, 3), (0, 1))
+            slopes = np.moveaxis(bracket_gradients(system.algebra, parts, orbit.points), (2, 3), (0, 1))
             slopes = slopes.reshape(*slopes.shape[:2], -1)
             fields = np.array(
                 [_structure_times(system, x, slope) for x, slope in zip(orbit.points, slopes, strict=True)]
@@ -111,7 +111,7 @@ class PartOrderErrors:
 
     def sizes(self, orders: Sequence[tuple[int, ...]]) -> list[float]:
         """Return the largest error relative to x for several orders of the parts, root mean square over the orbits."""
-        weights = np.array([self._brackets.weights(order).ravel() for order in orders])
+        weights = np.array([order_weights(order).ravel() for order in orders])
         total = np.zeros(len(orders))
         for propagated, square in zip(self._propagated, self._square, strict=True):
             squares = np.zeros((len(propagated), len(orders)))
@@ -122,7 +122,7 @@ class PartOrderErrors:
 
     def along(self, order: tuple[int, ...]) -> list[Floats]:
         """Return the error of one order at the points of each orbit, (k + 1, n), divided by h^2."""
-        weights = self._brackets.weights(order).ravel()[None]
+        weights = order_weights(order).ravel()[None]
         return [
             np.stack([_summed(propagated[:, i], weights)[:, 0] for i in range(propagated.shape[1])], axis=1)
             for propagated in self._propagated

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_derivatives import JoinedSteps, LinearizedStep
@@ -19,8 +19,9 @@ from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
+    from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.kernels.tables.tangents import Frame
-    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -155,6 +156,14 @@ def composition_order(coefficients: Sequence[float], base_order: int) -> int:
     return highest
 
 
+def loop_over(name: str, tables: CompiledTables, referenced: Mapping[int, Any] | None = None) -> CompiledLoop:
+    """Return the loop of this name in the library with its tables, and with the memory that its scheme keeps."""
+    memory = scheme_memory(name, tables.tables)
+    return CompiledLoop(
+        name, tables.tables, tables.keepalive, memory=memory, referenced=referenced or {}, sources=tables.sources
+    )
+
+
 class SubstepMethod(Method):
     """A scheme with a step from a state; its loop supports arbitrary substeps of a step."""
 
@@ -204,7 +213,7 @@ class SubstepMethod(Method):
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
         """Return `step` evaluated in formal series: it must consist of sums, products and quotients."""
-        from coadjoint.methods.formal.formal_numbers import vector
+        from coadjoint.methods.numerics.formal_series import vector
 
         return vector(map(type(h), self.step(system, x, 0 * h, h)))
 

@@ -35,7 +35,7 @@ from coadjoint.validation import read_bool, read_choice, read_integer, read_list
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.tangents import Frame
-    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.program.interpreter import Interpreter

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, StageProblem, begin, read_tableau
-from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper
+from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper, loop_over
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from coadjoint.kernels.tables.tangents import Frame
-    from coadjoint.methods.formal.formal_numbers import FormalNumber
+    from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.systems.energy_derivatives import EnergyDerivative
@@ -75,21 +75,13 @@ class RungeKuttaMethod(SubstepMethod):
         return None
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        from coadjoint.methods.formal.formal_steps import (
-            FormalStages,
-            StagesOfCollocation,
-            StagesOfTableau,
-            formal_end,
-        )
+        from coadjoint.methods.numerics.formal_series import StagesOfCollocation, StagesOfTableau, formal_end
 
         self.properties(system)
         if not self._as_written:
             return super().formal_step(system, x, h)
-        stages: FormalStages
-        if self.collocation is None:
-            stages = StagesOfTableau(self._rational[0], x, h)
-        else:
-            stages = StagesOfCollocation(self.collocation, x, h)
+        nodes = self.collocation
+        stages = StagesOfTableau(self._rational[0], x, h) if nodes is None else StagesOfCollocation(nodes, x, h)
         return formal_end(stages, system, read_choice(self.solver, "solver", SOLVERS), self.function_iterations)
 
     @property
@@ -100,7 +92,7 @@ class RungeKuttaMethod(SubstepMethod):
     @property
     def _rational(self) -> tuple[Coefficients, float]:
         """The tableau in fractions, and their relative error."""
-        from coadjoint.methods.formal.formal_steps import rational_tableau
+        from coadjoint.methods.numerics.formal_series import rational_tableau
 
         return rational_tableau(self.coefficients)
 
@@ -131,13 +123,7 @@ class RungeKuttaMethod(SubstepMethod):
         if forecast[0] != forecast[1]:
             raise ValueError(f"forecast of {scheme} returned the shape {forecast[0]}; it must be {forecast[1]}")
         tables = runge_kutta_tables(system, self, representation, fractions)
-        return CompiledLoop(
-            RUNGE_KUTTA_LOOP,
-            tables.tables,
-            tables.keepalive,
-            memory=scheme_memory(RUNGE_KUTTA_LOOP, tables.tables),
-            sources=tables.sources,
-        )
+        return loop_over(RUNGE_KUTTA_LOOP, tables)
 
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
@@ -187,7 +173,7 @@ class RungeKuttaMethod(SubstepMethod):
         """Return one step, by the defining formulas, without compensation."""
         self.properties(system)
         step = begin(self.coefficients, system, x, t, h)
-        return np.asarray(step.x + step.coefficients.out @ self.evaluate(step).slopes)
+        return np.asarray(step.x + step.coefficients.out @ self.evaluate(step)[0])
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return one step and its exact derivative."""

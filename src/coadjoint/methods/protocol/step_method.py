@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 from coadjoint.kernels.functions.step_functions import StepFunction
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables, step_tables
-from coadjoint.methods.protocol.composed import SubstepMethod
+from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
 from coadjoint.methods.protocol.cost_model import (
     Operations,
     Work,
@@ -81,7 +81,7 @@ class StepMethod(SubstepMethod):
 
         function = StepFunction(self, system)
         tables = function_tables(system, function.address, fractions, function.compiled)
-        return CompiledLoop(STEP_LOOP, tables.tables, (*tables.keepalive, function), sources=tables.sources)
+        return loop_over(STEP_LOOP, tables._replace(keepalive=(*tables.keepalive, function)))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""
@@ -127,9 +127,7 @@ class CompiledStepMethod(SubstepMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps of this kind."""
-        tables = step_tables(system, self, representation, fractions)
-        memory = scheme_memory(STEP_LOOP, tables.tables)
-        return CompiledLoop(STEP_LOOP, tables.tables, tables.keepalive, memory=memory, sources=tables.sources)
+        return loop_over(STEP_LOOP, step_tables(system, self, representation, fractions))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the operations of a step, or of its iterations."""

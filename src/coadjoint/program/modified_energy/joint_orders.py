@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import permutations
+from dataclasses import replace
+from itertools import combinations, permutations
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,11 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, NestedBrackets, part_derivatives
+from coadjoint.program.modified_energy.second_order import (
+    IMPROVEMENT_FACTOR,
+    order_weights,
+    part_derivatives,
+)
 from coadjoint.program.parts.part import NonlinearShare, Parts, PolynomialShare
 from coadjoint.program.sources import Sources
 from coadjoint.program.sparse_rows import SparseRows
@@ -57,10 +62,10 @@ class JointOrders:
         atoms = [(p, *atom) for p, own in enumerate(self._atoms) for atom in own]
         if len(atoms) > MAX_ATOMS:
             return np.full((len(orders), members), np.inf), np.full((len(orders), members), np.inf)
-        nested = NestedBrackets(self._algebra, self._parts)
-        weights = np.array([nested.weights(order) for order in orders]).reshape(len(orders), -1)
+        pairs = list(combinations(range(len(self._parts)), 2))
+        weights = np.array([order_weights(order) for order in orders]).reshape(len(orders), -1)
         with np.errstate(over="ignore", invalid="ignore"):
-            terms, bounds = (self._brackets(atoms, nested.pairs, absolute) for absolute in (False, True))
+            terms, bounds = (self._brackets(atoms, pairs, absolute) for absolute in (False, True))
             sizes, errors = (
                 np.sqrt(np.mean((w @ one.reshape(w.shape[1], -1)).reshape(len(orders), members, -1) ** 2, axis=-1))
                 for w, one in ((weights, terms), (np.abs(weights), bounds))
@@ -125,9 +130,8 @@ def _derivatives(
         elif others:
             shares[s] = share
     weights = SparseRows(parts.weights.start, parts.weights.coordinate, filled("weight", parts.weights.value))
-    changed = parts.with_angles(filled("offset", parts.offset), weights)
-    changed.nonlinear_shares = shares
-    return part_derivatives(changed, points)
+    offset = filled("offset", parts.offset)
+    return part_derivatives(replace(parts, offset=offset, weights=weights, nonlinear_shares=shares), points)
 
 
 def _coefficients(share: NonlinearShare) -> list[float]:

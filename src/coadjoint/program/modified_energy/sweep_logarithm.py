@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import cache
-from math import comb
+from math import comb, factorial
 from operator import mul
 
 from coadjoint.algebra.exact.numbers import rational
@@ -138,7 +138,7 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
                 if factor != 0 and terms[m - 1] != 0:
                     sum_of_brackets += commutators(terms[m - 1], factor)
             adjoint_powers[k - 1].append(sum_of_brackets)
-            total += sum_of_brackets * rational(_bernoulli(k) / _factorial(k))
+            total += sum_of_brackets * rational(_bernoulli(k) / factorial(k))
         terms.append(total / n)
     return terms
 
@@ -160,10 +160,3 @@ def _bernoulli(k: int) -> Fraction:
     if k == 0:
         return Fraction(1)
     return -sum((comb(k + 1, j) * _bernoulli(j) for j in range(k)), Fraction(0)) / (k + 1)
-
-
-def _factorial(k: int) -> int:
-    result = 1
-    for factor in range(2, k + 1):
-        result *= factor
-    return result

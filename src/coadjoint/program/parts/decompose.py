@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
@@ -27,6 +27,7 @@ from coadjoint.program.shifts.shift import (
     quadratic_casimirs,
     shifted_terms,
 )
+from coadjoint.program.sparse_rows import sparse_row
 from coadjoint.short_repr import plain, short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
@@ -114,11 +115,11 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     if isinstance(choice, ChosenParts):
         return _explicit_decomposition(system, choice)
     if isinstance(choice, str) and choice in BODY_FLOW_CHOICES:
-        cache = _BODY_FLOW_CACHE[choice]
-        if system not in cache:
+        known = _BODY_FLOW_CACHE[choice]
+        if system not in known:
             parts, shift = bonds(system) if choice == "bonds" else (free_bodies(system), ())
-            cache[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
-        return cache[system]
+            known[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
+        return known[system]
     if not isinstance(choice, str) or choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
@@ -148,39 +149,54 @@ class ShiftCandidate(NamedTuple):
     parts: Parts
 
 
-def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64], t: float = 0.0) -> Decomposition:
+def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64]) -> Decomposition:
     """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n). A
     Casimir that is a sum of terms of H is always subtracted: in other units than those of the points, its flows may be
     the fastest ones, with errors that cancel only in part.
     """
     alternatives = candidates(system, len(points) > 0)
-    orders = best_orders(system, [candidate.parts for candidate in alternatives], points, t)
-    best, (order, least) = alternatives[0], orders[0]
-    for candidate, (other_order, size) in zip(alternatives[1:], orders[1:], strict=True):
-        if _leaves_out(candidate.parts, best.parts) or (
-            size < least * IMPROVEMENT_FACTOR and not _leaves_out(best.parts, candidate.parts)
-        ):
-            best, order, least = candidate, other_order, size
-    return _decomposition(best.parts, quadratic_casimirs(system), ChosenParts(order, best.shift))
+    orders = best_orders(system, [candidate.parts for candidate in alternatives], points)
+
+    @cache
+    def angles(k: int) -> list[tuple[Any, NDArray[Any]]]:
+        parts = alternatives[k].parts
+        return angles_of(parts, parts.offset, parts.weights.value)
+
+    def leaves_out(k: int, other: int) -> bool:
+        fewer = len(alternatives[k].parts.offset) < len(alternatives[other].parts.offset)
+        return fewer and bool(leave_out(angles(k), angles(other)))
+
+    best, (order, least) = 0, orders[0]
+    for k, (other_order, size) in enumerate(orders[1:], start=1):
+        if leaves_out(k, best) or (size < least * IMPROVEMENT_FACTOR and not leaves_out(best, k)):
+            best, order, least = k, other_order, size
+    shift, parts = alternatives[best]
+    return _decomposition(parts, quadratic_casimirs(system), ChosenParts(order, shift))
 
 
-def _leaves_out(fewer: Parts, more: Parts) -> bool:
-    """Return whether parts are other ones with some angles left out."""
-    if len(fewer.offset) >= len(more.offset):
-        return False
-    return _angles_of(fewer) <= _angles_of(more)
+def angles_of(parts: Parts, offset: NDArray[Any], weight: NDArray[Any]) -> list[tuple[Any, NDArray[Any]]]:
+    """Return the angles of linear shares: forms with columns of weights, and numbers (1 + k, ...), the offset first.
+
+    `offset` (angles, ...) and `weight` (entries, ...) are those of one system, or of many members.
+    """
+    found, weights = [], parts.weights
+    for angle in range(len(offset)):
+        entries = slice(int(weights.start[angle]), int(weights.start[angle + 1]))
+        coordinates, values = sparse_row(parts.forms, angle)
+        key = tuple(coordinates), tuple(values), tuple(weights.coordinate[entries].tolist())
+        found.append((key, np.concatenate([offset[angle : angle + 1], weight[entries]])))
+    return found
 
 
-def _angles_of(parts: Parts) -> set[Any]:
-    """Return the angles of linear shares, each as its form, offset and weights."""
-    rows = [
-        [rows.start[:-1].tolist(), rows.start[1:].tolist(), rows.coordinate.tolist(), rows.value.tolist()]
-        for rows in (parts.forms, parts.weights)
-    ]
-    return {
-        (offset, *(tuple(column[a[k] : b[k]]) for a, b, *columns in rows for column in columns))
-        for k, offset in enumerate(parts.offset.tolist())
-    }
+def leave_out(fewer: Sequence[tuple[Any, NDArray[Any]]], more: Sequence[tuple[Any, NDArray[Any]]]) -> Any:
+    """Return whether angles are other ones with some left out, by member if their numbers are."""
+    held: Any = np.bool_(len(fewer) < len(more))
+    for key, numbers in fewer if held else ():
+        equal: Any = np.False_
+        for other, others in more:
+            equal = equal | np.all(numbers == others, axis=0) if key == other else equal
+        held = held & equal
+    return held
 
 
 def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[ShiftCandidate]:

@@ -17,6 +17,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.program.commutation import Commutation, few_parts
 from coadjoint.program.parts.part import BodyShare, Parts
 from coadjoint.program.parts.split import NotSplittable, atoms_of
+from coadjoint.program.shifts.shift import quadratic_position
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -40,11 +41,9 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     be an input.
     """
     commutation = Commutation(system.algebra)
-    terms = _terms_by_degree(system)
-    position = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-    form = None if position is None else terms[position].form
+    form, before, after = _quadratic_term(system)
     chosen = [] if form is None else _select_triples(system.algebra, form)
-    if form is None or position is None or not chosen:
+    if form is None or not chosen:
         raise NotSplittable(
             "no three coordinates that span so(3) have an energy that is quadratic in at least two of them; take "
             'parts="auto"'
@@ -55,15 +54,27 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     for number, triple in enumerate(chosen):
         triple_of[list(triple.coordinates)] = number
     axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
-    remainder = _remainder_of_bodies(form, triple_of)
-    other_terms = [*terms[:position], *([remainder] if remainder is not None else []), *terms[position + 1 :]]
-    rest = Parts.concatenate([*axes, atoms_of(system, other_terms, commutation)])
+    remaining = ~((triple_of[form.rows] >= 0) & (triple_of[form.rows] == triple_of[form.indices]))
+    remainder = _remainder(form, remaining, np.where(triple_of >= 0, 0.0, form.linear))
+    rest = Parts.concatenate([*axes, atoms_of(system, [*before, *remainder, *after], commutation)])
     return Parts.concatenate([body, few_parts(rest, commutation)]) if len(rest) else body
 
 
-def _terms_by_degree(system: LiePoissonSystem) -> list[Term]:
-    """Return the terms of a Hamiltonian, with each polynomial split at degree two."""
-    return [piece for term in system.hamiltonian.terms() for piece in _by_degree(term)]
+def _quadratic_term(system: LiePoissonSystem) -> tuple[QuadraticTerm | None, list[Term], list[Term]]:
+    """Return the quadratic term outside of pieces, or None, with the terms before and after it; polynomials are split
+    at degree two.
+    """
+    terms = [piece for term in system.hamiltonian.terms() for piece in _by_degree(term)]
+    position = quadratic_position(terms)
+    return (None, terms, []) if position is None else (terms[position].form, terms[:position], terms[position + 1 :])
+
+
+def _remainder(form: QuadraticTerm, remaining: NDArray[np.bool_], linear: NDArray[np.float64]) -> list[Term]:
+    """Return the quadratic term of some entries of M with another linear term, in a list; empty if it vanishes."""
+    if not np.any(remaining) and not np.any(linear):
+        return []
+    indptr = np.searchsorted(form.rows[remaining], np.arange(len(linear) + 1))
+    return [QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)]
 
 
 def _by_degree(term: Term) -> Iterable[Term]:
@@ -149,17 +160,6 @@ def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
     return Parts.linear(SparseRows.of_lists([coordinates], [values]), np.ones(1), SparseRows.empty(1), np.array([0, 1]))
 
 
-def _remainder_of_bodies(form: QuadraticTerm, triple_of: Any) -> QuadraticTerm | None:
-    """Return the quadratic term without the bodies; None if it vanishes."""
-    remaining = ~((triple_of[form.rows] >= 0) & (triple_of[form.rows] == triple_of[form.indices]))
-    linear = np.where(triple_of >= 0, 0.0, form.linear)
-    if not np.any(remaining) and not np.any(linear):
-        return None
-    rows = form.rows[remaining]
-    indptr = np.searchsorted(rows, np.arange(len(linear) + 1))
-    return QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)
-
-
 class Bond(NamedTuple):
     """The energy strength z.w of two triples with momenta z and w, in units of their scale."""
 
@@ -168,24 +168,16 @@ class Bond(NamedTuple):
     strength: float
 
 
-class Bonds(NamedTuple):
-    """Parts that add up to H - sum c C, and the Casimirs C subtracted; None if these have too many terms."""
-
-    parts: Parts
-    shift: tuple[tuple[Polynomial, float], ...] | None
-
-
-def bonds(system: LiePoissonSystem) -> Bonds:
+def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, float], ...] | None]:
     """Split a Hamiltonian into exact flows of bonds and a remainder. A bond c z.w is c |z + w|^2/2 up to Casimirs, so
     both momenta rotate about z + w by c tau |z + w|; edge colouring joins bonds without a common momentum into parts.
+    Also return the Casimirs subtracted; None if these have too many terms.
     """
     commutation = Commutation(system.algebra)
-    terms = _terms_by_degree(system)
-    position = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-    form = None if position is None else terms[position].form
+    form, before, after = _quadratic_term(system)
     spins = [] if form is None else _ideals(system.algebra)
     couplings = _isotropic_couplings(form, spins) if form is not None and spins else []
-    if form is None or position is None or not couplings:
+    if form is None or not couplings:
         raise NotSplittable(
             "it has no isotropic coupling c z.w between the momenta z, w of two copies of so(3) that are ideals; take "
             'parts="auto"'
@@ -203,15 +195,14 @@ def bonds(system: LiePoissonSystem) -> Bonds:
     coloured = _shares(couplings, spins, colour)
     axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple.coordinates)]) > 1]
     remainder = _remainder_of_bonds(form, couplings, spins, axes)
-    other_terms = [*terms[:position], *([remainder] if remainder is not None else []), *terms[position + 1 :]]
     rest = Parts.concatenate(
-        [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, other_terms, commutation)]
+        [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, [*before, *remainder, *after], commutation)]
     )
     parts = Parts.concatenate([coloured, few_parts(rest, commutation)]) if len(rest) else coloured
     if not casimirs_fit(3 * len(spins), system.dim):
-        return Bonds(parts, None)
+        return parts, None
     casimir = _subtracted_casimir(couplings, spins, system.dim)
-    return Bonds(parts, ((casimir, 1.0),) if casimir.monomials else ())
+    return parts, ((casimir, 1.0),) if casimir.monomials else ()
 
 
 def colours(edges: Sequence[tuple[int, int]], count: int) -> list[int]:
@@ -305,8 +296,8 @@ def _shares(couplings: Sequence[Bond], spins: Sequence[Triple], colour: Sequence
 
 def _remainder_of_bonds(
     form: QuadraticTerm, couplings: Sequence[Bond], spins: Sequence[Triple], axes: Sequence[Triple]
-) -> QuadraticTerm | None:
-    """Return the quadratic term without the bonds and the fixed axes; None if it vanishes."""
+) -> list[Term]:
+    """Return the quadratic term without the bonds and the fixed axes."""
     triple_of, _ = _triple_of_coordinates(spins, len(form.linear))
     count = len(spins)
     bonded = np.array([k for b in couplings for k in (b.first * count + b.second, b.second * count + b.first)])
@@ -314,10 +305,7 @@ def _remainder_of_bonds(
     remaining = ~((first_triple >= 0) & (second_triple >= 0) & np.isin(first_triple * count + second_triple, bonded))
     linear = form.linear.copy()
     linear[[i for triple in axes for i in triple.coordinates]] = 0.0
-    if not np.any(remaining) and not np.any(linear):
-        return None
-    indptr = np.searchsorted(form.rows[remaining], np.arange(len(linear) + 1))
-    return QuadraticTerm(indptr, form.indices[remaining], form.values[remaining], linear, form.constant)
+    return _remainder(form, remaining, linear)
 
 
 def _subtracted_casimir(couplings: Sequence[Bond], spins: Sequence[Triple], dim: int) -> Polynomial:

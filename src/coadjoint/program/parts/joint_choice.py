@@ -16,11 +16,13 @@ from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
     ChosenParts,
     ShiftCandidate,
+    angles_of,
     candidates,
+    leave_out,
     remember,
     sample_points,
 )
-from coadjoint.program.parts.part import COMPUTED, Parts
+from coadjoint.program.parts.part import COMPUTED
 from coadjoint.program.parts.split import split
 from coadjoint.program.shifts.shift import (
     MAX_SINGULAR_DIMENSION,
@@ -29,13 +31,13 @@ from coadjoint.program.shifts.shift import (
     Rule,
     Shift,
     quadratic_casimirs,
+    quadratic_position,
     shift_rules,
     shifted_terms,
 )
 from coadjoint.program.sources import Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE
 from coadjoint.program.table import term_table
-from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.system_stacks import SystemStack, counts_of, grouped
 from coadjoint.systems.vanishing_products import without_cancelling
 
@@ -64,7 +66,7 @@ def _decisions(stack: SystemStack, choice: Any) -> list[tuple[tuple[Any, ...], S
     if isinstance(choice, ChosenParts):
         factors = {name: np.full(stack.size, factor) for name, factor in choice.shift}
         casimirs = quadratic_casimirs(stack.first)
-        if not factors.keys() <= casimirs.keys() or (factors and _shifted_term(stack.terms) is None):
+        if not factors.keys() <= casimirs.keys() or (factors and quadratic_position(stack.terms) is None):
             return []  # refused, with the name of the member
         shifted = _Shifted(stack, casimirs, factors)
         found = [(key, shifted.chosen(members)) for key, members in grouped(shifted.present)]
@@ -91,7 +93,7 @@ class _Shifted:
     ) -> None:
         self._stack = stack
         self._factors = np.array(list(factors.values()), dtype=np.float64).reshape(-1, stack.size)
-        number = _shifted_term(stack.terms) if factors else None
+        number = quadratic_position(stack.terms) if factors else None
         if number is None:
             self.present: Masks = np.zeros((0, stack.size), dtype=bool)
             self._totals = None
@@ -122,11 +124,6 @@ class _Shifted:
         return chosen._replace(split=np.concatenate([before, entries, after]))
 
 
-def _shifted_term(terms: Sequence[Term]) -> int | None:
-    """Return the number of the term from which Casimirs are subtracted."""
-    return next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
-
-
 def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
     """Make the choices of `best_decomposition` by the same comparisons, for members with the same presence."""
     system, count = stack.first, stack.size
@@ -134,7 +131,7 @@ def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
     parts = split(system, "auto")
     if np.any(parts.source == COMPUTED):
         return []
-    number = _shifted_term(stack.terms)
+    number = quadratic_position(stack.terms)
     rules: list[Rule] = list(shift_rules(parts, casimirs)) if number is not None and len(parts) > 1 else []
     if len(rules) * max(len(casimirs), 1) > MAX_RULES or _may_be_singular(stack, casimirs, rules):
         return []
@@ -165,7 +162,7 @@ def _may_be_singular(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], 
     """Return whether `candidate_shifts` may seek factors for which a completed square vanishes."""
     if len(casimirs) != 1 or stack.first.dim > MAX_SINGULAR_DIMENSION or not rules:
         return False
-    form = stack.terms[_shifted_term(stack.terms) or 0].form
+    form = stack.terms[quadratic_position(stack.terms) or 0].form
     return form is not None and bool(np.any(form.rows != form.indices))
 
 
@@ -180,21 +177,12 @@ def _factors(stack: SystemStack, rule: Rule, number: int | None) -> dict[str, ND
 
 
 class _Alternative(NamedTuple):
-    """A candidate with its coefficients, those of the terms that are split, and the sources of its parts."""
+    """A candidate with its coefficients, the sources of its parts, and its angles for all members."""
 
     candidate: ShiftCandidate
     stack: SystemStack
     sources: Sources
-
-    @property
-    def coefficients(self) -> Floats:
-        """The coefficients of the terms of all systems, (count, k)."""
-        return self.stack.split
-
-    @property
-    def parts(self) -> Parts:
-        """The parts of the first system."""
-        return self.candidate.parts
+    angles: list[tuple[Any, Floats]]
 
 
 def _ordered(
@@ -220,12 +208,15 @@ def _ordered(
         if found is None:
             return []
         alternatives.append(found)
-    fewest = len(alternatives[0].parts)
+    fewest = len(alternatives[0].candidate.parts)
     unordered = fewest < 2 or not len(points) or not has_hessians(system, stack.terms)
     if not unordered and fewest > MAX_PERMUTED:
         return []
     sized = (
-        [JointOrders(system.algebra, one.parts, one.sources, one.coefficients, points).sizes() for one in alternatives]
+        [
+            JointOrders(system.algebra, c.parts, sources, own.split, points).sizes()
+            for c, own, sources, _ in alternatives
+        ]
         if not unordered
         else [(np.zeros((1, count)), np.zeros((1, count))) for _ in alternatives]
     )
@@ -237,9 +228,8 @@ def _ordered(
         clear &= decided
         always, never = (np.zeros(count, dtype=bool) for _ in range(2))
         for b in range(k):
-            own = best == b
-            always[own] = _leaves_out(alternatives[k], alternatives[b])[own]
-            never[own] = _leaves_out(alternatives[b], alternatives[k])[own]
+            always |= (best == b) & leave_out(alternatives[k].angles, alternatives[b].angles)
+            never |= (best == b) & leave_out(alternatives[b].angles, alternatives[k].angles)
         bound = least * IMPROVEMENT_FACTOR
         with np.errstate(invalid="ignore"):  # infinite sizes, which are not clear
             decided = np.abs(size - bound) > other_error + error
@@ -275,34 +265,10 @@ def _alternative(
             return None
     chosen = _Shifted(stack, casimirs, by_name).chosen(np.arange(stack.size))
     terms = shifted_terms(stack.terms, casimirs, candidate.shift)
-    sources = sources_of_parts(term_table(candidate.parts).table(), candidate.parts, terms)
-    return None if sources.computed else _Alternative(candidate, chosen, sources)
-
-
-def _leaves_out(fewer: _Alternative, more: _Alternative) -> Masks:
-    """Return for each member whether parts are other ones with some angles left out."""
-    count = fewer.coefficients.shape[1]
-    if len(fewer.parts.offset) >= len(more.parts.offset):
-        return np.zeros(count, dtype=bool)
-    values = [_angles(one) for one in (fewer, more)]
-    held = np.ones(count, dtype=bool)
-    for key, numbers in values[0]:
-        equal = np.zeros(count, dtype=bool)
-        for other, others in values[1]:
-            if key == other:
-                equal |= np.all(numbers == others, axis=0)
-        held &= equal
-    return held
-
-
-def _angles(one: _Alternative) -> list[tuple[Any, Floats]]:
-    """Return the angles of an alternative: their coordinates and columns, and their numbers (1 + k, members)."""
-    forms, weights = one.parts.forms, one.parts.weights
-    offset = one.sources.multiples["offset"].at(one.parts.offset, one.coefficients)
-    weight = one.sources.multiples["weight"].at(weights.value, one.coefficients)
-    found = []
-    for k in range(len(offset)):
-        entries = slice(int(weights.start[k]), int(weights.start[k + 1]))
-        key = int(forms.coordinate[k]), tuple(weights.coordinate[entries].tolist())
-        found.append((key, np.concatenate([offset[k : k + 1], weight[entries]])))
-    return found
+    parts = candidate.parts
+    sources = sources_of_parts(term_table(parts).table(), parts, terms)
+    if sources.computed:
+        return None
+    constants = {"offset": parts.offset, "weight": parts.weights.value}
+    offset, weight = (sources.multiples[name].at(each, chosen.split) for name, each in constants.items())
+    return _Alternative(candidate, chosen, sources, angles_of(parts, offset, weight))

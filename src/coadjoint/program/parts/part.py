@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, overload
 
@@ -63,6 +63,7 @@ class Part:
     forms: tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]
 
 
+@dataclass(eq=False, repr=False)
 class Parts(Sequence[Part]):
     """Parts by columns: part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], each
     with one row of `forms` and the angle offset + weights.x, unless a rule in `nonlinear_shares` gives it. `source` is
@@ -70,22 +71,19 @@ class Parts(Sequence[Part]):
     floats, else -1.
     """
 
+    forms: SparseRows
+    offset: NDArray[Any]
+    weights: Rows
+    row: Integers
+    nonlinear_shares: Mapping[int, NonlinearShare]
+    share: Integers
+    timed: NDArray[np.bool_]
+    source: Integers = None  # type: ignore[assignment]
     pivots: NDArray[np.int64] | None = None
 
-    def __init__(
-        self,
-        forms: SparseRows,
-        offset: NDArray[Any],
-        weights: Rows,
-        row: Integers,
-        nonlinear_shares: Mapping[int, NonlinearShare],
-        share: Integers,
-        timed: NDArray[np.bool_],
-        source: Integers | None = None,
-    ) -> None:
-        self.forms, self.offset, self.weights = forms, offset, weights
-        self.row, self.nonlinear_shares, self.share, self.timed = row, nonlinear_shares, share, timed
-        self.source = np.full(len(row) - 1, COMPUTED) if source is None else source
+    def __post_init__(self) -> None:
+        if self.source is None:
+            self.source = np.full(len(self.row) - 1, COMPUTED)
 
     @classmethod
     def linear(
@@ -112,7 +110,10 @@ class Parts(Sequence[Part]):
         if not pieces:
             return cls.linear(SparseRows.empty(0), np.zeros(0), SparseRows.empty(0), np.zeros(1, dtype=np.int64))
         shares = np.cumsum([0] + [len(piece.row) - 1 for piece in pieces]).tolist()
-        joined = cls(
+        pivots = None
+        if any(piece.pivots is not None for piece in pieces):
+            pivots = np.concatenate([np.full((len(p.offset), 3), -1) if p.pivots is None else p.pivots for p in pieces])
+        return cls(
             SparseRows.concatenate([piece.forms for piece in pieces]),
             np.concatenate([piece.offset for piece in pieces]),
             SparseRows.concatenate([piece.weights for piece in pieces]),
@@ -125,25 +126,13 @@ class Parts(Sequence[Part]):
             joined_starts([piece.share for piece in pieces]),
             np.concatenate([piece.timed for piece in pieces]),
             np.concatenate([piece.source for piece in pieces]),
+            pivots,
         )
-        if any(piece.pivots is not None for piece in pieces):
-            placeholders = [np.full((len(piece.offset), 3), -1) for piece in pieces]
-            pivots = [
-                placeholder if piece.pivots is None else piece.pivots
-                for placeholder, piece in zip(placeholders, pieces, strict=True)
-            ]
-            joined.pivots = np.concatenate(pivots)
-        return joined
 
     @property
     def bodies(self) -> dict[int, BodyShare]:
         """The shares that are free bodies."""
         return {s: share for s, share in self.nonlinear_shares.items() if isinstance(share, BodyShare)}
-
-    def with_angles(self, offset: NDArray[Any], weights: Rows) -> Parts:
-        """Return the same forms with other angles."""
-        rest = self.row, self.nonlinear_shares, self.share, self.timed, self.source
-        return Parts(self.forms, offset, weights, *rest)
 
     def of_term(self, number: int) -> Parts:
         """Return parts of one term as those of the term of this number."""
@@ -181,7 +170,7 @@ class Parts(Sequence[Part]):
         forms, weights = self.forms.take(angles), self.weights.take(angles)
         if isinstance(weights, RepeatedRows) and getattr(self.weights, "target", None) is self.forms.coordinate:
             weights = weights.with_target(forms.coordinate)
-        selected = Parts(
+        return Parts(
             forms,
             values_at(self.offset, angles),
             weights,
@@ -190,9 +179,8 @@ class Parts(Sequence[Part]):
             starts_of(last - first),
             self.timed[chosen],
             self.source[shares],
+            None if self.pivots is None else self.pivots[angles],
         )
-        selected.pivots = None if self.pivots is None else self.pivots[angles]
-        return selected
 
     def joined(self, label: NDArray[Any]) -> Parts:
         """Join (commuting) parts with equal labels into one part each, in the order of their first members."""
@@ -203,10 +191,7 @@ class Parts(Sequence[Part]):
         begins = np.flatnonzero(run_starts(group))
         timed = np.logical_or.reduceat(ordered.timed, begins) if len(begins) else ordered.timed
         share = np.append(ordered.share[begins], ordered.share[-1])
-        angles = ordered.forms, ordered.offset, ordered.weights, ordered.row
-        joined = Parts(*angles, ordered.nonlinear_shares, share, timed, ordered.source)
-        joined.pivots = ordered.pivots
-        return joined
+        return replace(ordered, share=share, timed=timed)
 
     @overload
     def __getitem__(self, index: int) -> Part: ...

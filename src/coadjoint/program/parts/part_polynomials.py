@@ -1,9 +1,12 @@
-"""Pieces of the Hamiltonian of each part as polynomials, and the terms that rational rotations add to them."""
+"""Parts as polynomials: pieces of the Hamiltonian, terms of rational rotations, Taylor polynomials of functions."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fractions import Fraction
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -11,13 +14,24 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import exact_number, fraction, rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.algebra.polynomials.monomials import Exponents
+from coadjoint.algebra.polynomials.monomials import Exponents, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import FunctionShare, NonlinearShare, Parts, PolynomialShare
 from coadjoint.program.sparse_rows import sparse_row
+from coadjoint.program.term_table import derivative_of
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 # Completed squares may have numerators of thousands of digits; above this size floats are used, as in a run.
 MAX_BITS = 512
+
+MAX_EVALUATIONS = 2**15
+"""Largest number of evaluations on one circle, or product of circles, around a point."""
+
+RADII = tuple(2.0**-k for k in range(8))
+"""Radii of the circles, relative to the size of the point; the two with the best agreement are used."""
+
+MAX_RELATIVE_ERROR = 1e-6
+"""Relative disagreement above which a function counts as not analytic."""
 
 
 def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
@@ -139,3 +153,119 @@ def _times(left: list[Any], right: list[Any]) -> list[Any]:
         for j, y in enumerate(right):
             result[i + j] += x * y
     return result
+
+
+def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
+    """Replace functions in time-independent parts by Taylor polynomials of a degree at the point x (n,)."""
+    nonlinear_shares: dict[int, NonlinearShare] = {}
+    for s, share in parts.nonlinear_shares.items():
+        if isinstance(share, FunctionShare):
+            coordinates = share.term.coordinates
+            local = taylor_polynomial(share.term, x[coordinates], degree)
+            share = PolynomialShare(tuple(coordinates.tolist()), _expanded(local, x, coordinates.tolist()))
+        nonlinear_shares[s] = share
+    return replace(parts, nonlinear_shares=nonlinear_shares)
+
+
+def _expanded(local: dict[tuple[int, ...], float], x: NDArray[np.float64], coordinates: Sequence[int]) -> Polynomial:
+    """Return sum c (x - x0)^e as an exact polynomial in all coordinates."""
+    n = len(x)
+    distance = [Polynomial.variable(i, n) - Fraction(float(x[i])) for i in coordinates]
+    total = Polynomial({}, dim=n)
+    for exponents, value in local.items():
+        term = Polynomial({(0,) * n: Fraction(value)})
+        for factor, power in zip(distance, exponents, strict=True):
+            term = term * factor**power
+        total = total + term
+    return total
+
+
+def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -> dict[tuple[int, ...], float]:
+    """Return {exponents: coefficient} of a function at y (m,), without its constant, for degree >= 1: above degree two
+    by Fourier coefficients of the gradient on circles in the complex plane, to about 1e-10 of the largest.
+    """
+    gradient = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
+    m = len(y)
+    coefficients = {exponents_of((i,), m): float(gradient[i]) for i in range(m)}
+    if degree < 2:
+        return coefficients
+    hessian = np.asarray(derivative_of(term, 2, y, 0.0), dtype=np.float64) if term.hessian is not None else None
+    if degree > 2 or hessian is None:
+        coefficients |= _circle_coefficients(term, y, degree, gradient, hessian)
+    else:
+        for i, j in product(range(m), repeat=2):
+            if i <= j:
+                coefficients[exponents_of((i, j), m)] = float(hessian[i, j]) / (1 + (i == j))
+    return coefficients
+
+
+def _circle_coefficients(
+    term: FunctionTerm, y: NDArray[np.float64], degree: int, gradient: NDArray[np.float64], hessian: Any
+) -> dict[tuple[int, ...], float]:
+    m = len(y)
+    nodes = 2 ** int(np.ceil(np.log2(2 * degree + 2)))
+    if nodes**m > MAX_EVALUATIONS:
+        raise ValueError(
+            f"a function of {m} coordinates would be evaluated at {nodes**m} points for derivatives of order {degree}; "
+            "take a lower order, or give the Hamiltonian as a Polynomial"
+        )
+    size = max(1.0, float(np.max(np.abs(y))))
+    trials = [_coefficients(term, y, degree, nodes, size * radius) for radius in RADII]
+    keys = [e for e in trials[0] if sum(e) > 1]
+    # Coefficients of degree d are weighted by size^d.
+    weighted = np.array([[coefficients[e] * size ** sum(e) for e in keys] for coefficients in trials])
+    scale = float(np.max(np.abs(gradient), initial=0.0)) * size + np.min(np.max(np.abs(weighted), axis=1, initial=0.0))
+    differences = np.max(np.abs(np.diff(weighted, axis=0)), axis=1, initial=0.0)
+    best = int(np.argmin(np.where(np.isfinite(differences), differences, np.inf)))
+    best_coefficients = trials[best + 1]
+    errors = [
+        differences[best],
+        *(abs(best_coefficients[exponents_of((i,), m)] - gradient[i]) * size for i in range(m)),
+    ]
+    if hessian is not None:
+        errors += [
+            abs(best_coefficients[exponents_of((i, j), m)] * (1 + (i == j)) - hessian[i, j]) * size**2
+            for i, j in product(range(m), repeat=2)
+        ]
+    if not max(errors) <= MAX_RELATIVE_ERROR * scale:
+        raise ValueError(
+            f"derivatives of order {degree} of a function of the Hamiltonian cannot be computed near "
+            f"{y.tolist()}: it is not analytic on circles in the complex plane; take a lower order"
+        )
+    return {e: best_coefficients[e] for e in keys}
+
+
+def _coefficients(
+    term: FunctionTerm, y: NDArray[np.float64], degree: int, nodes: int, radius: float
+) -> dict[tuple[int, ...], float]:
+    """Return the Taylor coefficients up to a degree, from gradients on a product of circles."""
+    m = len(y)
+    circle = radius * np.exp(2j * np.pi * np.arange(nodes) / nodes)
+    values = np.empty((m,) + (nodes,) * m, dtype=np.complex128)
+    for node in np.ndindex(*values.shape[1:]):
+        values[:, *node] = _complex_gradient(term, y + circle[list(node)])
+    spectrum = np.fft.fftn(values, axes=tuple(range(1, m + 1))) / nodes**m
+    coefficients = {}
+    for exponents in product(range(degree + 1), repeat=m):
+        if 0 < sum(exponents) <= degree:
+            # Component i of the gradient has e_i times the coefficient at one power less of x_i; averaged over i.
+            estimates = []
+            for i, e in enumerate(exponents):
+                if e:
+                    lower = (*exponents[:i], e - 1, *exponents[i + 1 :])
+                    estimates.append(spectrum[(i, *lower)].real / radius ** sum(lower) / e)
+            coefficients[exponents] = float(np.mean(estimates))
+    return coefficients
+
+
+def _complex_gradient(term: FunctionTerm, y: NDArray[np.complex128]) -> Any:
+    try:
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("error")
+            return derivative_of(term, 1, y, 0.0)
+    except Exception as reason:
+        raise TypeError(
+            "a function of the Hamiltonian was given without the higher derivatives needed here, and its "
+            f"gradient rejects complex numbers ({type(reason).__name__}: {reason}); write it with NumPy's functions, "
+            "or take a lower order"
+        ) from reason

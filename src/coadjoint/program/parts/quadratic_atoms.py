@@ -13,7 +13,7 @@ from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.commutation import Commutation
 from coadjoint.program.generators import check_products
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, SparseSquares, sparse_squares
+from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, Squares, sparse_squares
 from coadjoint.program.sparse_rows import Rows, SparseRows, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
@@ -169,8 +169,8 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
     local_index[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
     matrix = _rows_of(term).take(members)
     local, linear = local_index[matrix.coordinate], term.linear[members]
-    cache: dict[Any, SparseSquares] = {}
-    squares: list[SparseSquares] = []
+    cache: dict[Any, Squares] = {}
+    squares: list[Squares] = []
     for first, last in pairwise(ends.tolist()):
         start, entries = matrix.start[first : last + 1], slice(*matrix.start[[first, last]])
         block = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
@@ -198,15 +198,11 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
     return parts, np.repeat(label[members[ends[:-1]]], counts)
 
 
-def _without_rounding(squares: SparseSquares, entries: NDArray[np.float64]) -> SparseSquares:
+def _without_rounding(squares: Squares, entries: NDArray[np.float64]) -> Squares:
     """Drop squares below the rounding of the entries, which vanish after a Casimir shift."""
     # The entries are differences, rounded twice, and each pivot twice again.
     floor = 8 * UNIT_ROUNDOFF * np.max(np.abs(entries))
     largest = np.maximum.reduceat(np.abs(squares.forms.value), squares.forms.start[:-1])
     significant = np.flatnonzero((squares.linear != 0) | (np.abs(squares.weights) * largest**2 > floor))
-    return SparseSquares(
-        squares.forms.take(significant),
-        squares.weights[significant],
-        squares.linear[significant],
-        squares.pivots[significant],
-    )
+    rest = (column[significant] for column in squares[1:])
+    return Squares(squares.forms.take(significant), *rest)

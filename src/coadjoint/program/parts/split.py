@@ -69,7 +69,8 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
         return None
     weights = model.weights
     assert isinstance(weights, SparseRows), "patterns are small"
-    return model.with_angles(term.linear[model.forms.coordinate], weights._replace(value=term.values[weights.value]))
+    weights = weights._replace(value=term.values[weights.value])
+    return replace(model, offset=term.linear[model.forms.coordinate], weights=weights)
 
 
 @lru_cache(maxsize=1024)

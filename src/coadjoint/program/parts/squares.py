@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from fractions import Fraction
 from heapq import heapify, heappop, heappush
 from math import isfinite, lcm
@@ -17,7 +18,7 @@ from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.part import NonlinearShare, Parts, PolynomialShare
-from coadjoint.program.sparse_rows import SparseRows
+from coadjoint.program.sparse_rows import SparseRows, sparse_row
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.linear_term import PLACEHOLDER_COEFFICIENT
 
@@ -33,12 +34,12 @@ Form = dict[int, float]
 
 
 class Squares(NamedTuple):
-    """Completed squares: x.M.x/2 + b.x = sum_r d_r (l_r.x)^2 / 2 + beta_r l_r.x, at most n of them. `forms` (r, n) has
-    the l_r, `weights` the d_r (zero for a form that only carries a piece of b), `linear` the beta_r. `pivots` (r, 3)
-    has the step of the reduction and its pivots, repeated if there is only one.
+    """Completed squares: x.M.x/2 + b.x = sum_r d_r (l_r.x)^2 / 2 + beta_r l_r.x, at most n of them. `forms` has the
+    l_r, dense (r, n) or as sparse rows, `weights` the d_r (zero for a form that only carries a piece of b), `linear`
+    the beta_r. `pivots` (r, 3) has the step of the reduction and its pivots, repeated if there is only one.
     """
 
-    forms: NDArray[Any]
+    forms: Any
     weights: NDArray[Any]
     linear: NDArray[Any]
     pivots: NDArray[np.int64]
@@ -121,26 +122,17 @@ def _split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
     return [(b0 * m1 - b1 * m0) / determinant, (p0 * b1 - p1 * b0) / determinant]
 
 
-class SparseSquares(NamedTuple):
-    """Forms l_r (sparse), factors d_r and beta_r, and pivots, as in `Squares`."""
-
-    forms: SparseRows
-    weights: NDArray[Any]
-    linear: NDArray[Any]
-    pivots: NDArray[np.int64]
-
-
-def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> SparseSquares:
+def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> Squares:
     """Complete the square of linear.x + x.M.x/2 for sparse symmetric M, with the numbers of `complete_squares`."""
     size = len(linear)
     if size > MAX_RATIONAL_SIZE and len(matrix.value) < DENSE_ROW * size:
         return _Reduction(matrix, linear).squares()
     dense = np.zeros((size, size))
     dense[matrix.owner, matrix.coordinate] = matrix.value
-    forms, weights, betas, pivots = complete_squares(dense, linear)
-    row, column = np.nonzero(forms != 0)
-    start = np.searchsorted(row, np.arange(len(forms) + 1)).astype(np.int64)
-    return SparseSquares(SparseRows(start, column.astype(np.uint32), forms[row, column]), weights, betas, pivots)
+    squares = complete_squares(dense, linear)
+    row, column = np.nonzero(squares.forms != 0)
+    start = np.searchsorted(row, np.arange(len(squares.forms) + 1)).astype(np.int64)
+    return squares._replace(forms=SparseRows(start, column.astype(np.uint32), squares.forms[row, column]))
 
 
 class _Reduction:
@@ -159,7 +151,7 @@ class _Reduction:
         # Each of n pivots rounds an entry three times.
         self.floor = 4.0 * len(linear) * UNIT_ROUNDOFF * float(np.max(np.abs(matrix.value), initial=0.0))
 
-    def squares(self) -> SparseSquares:
+    def squares(self) -> Squares:
         forms: list[Form] = []
         weights: list[float] = []
         betas: list[float] = []
@@ -189,7 +181,7 @@ class _Reduction:
             [sorted(form) for form in forms], [[form[k] for k in sorted(form)] for form in forms]
         )
         pivoted = np.array(steps, dtype=np.int64).reshape(-1, 3)
-        return SparseSquares(sparse, np.array(weights), np.array(betas), pivoted)
+        return Squares(sparse, np.array(weights), np.array(betas), pivoted)
 
     def _pivots(self) -> tuple[int, ...] | None:
         """Return the coordinate of the next square, or two coupled ones; None if the residual vanishes."""
@@ -327,7 +319,7 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduct
         clusters.setdefault(int(label[angle]), []).append(angle)
     result: list[tuple[list[int], ExactSums | ReductionSteps]] = []
     for cluster in clusters.values():
-        rows = [_row(parts, angle) for angle in cluster]
+        rows = [dict(zip(*sparse_row(parts.forms, angle), strict=True)) for angle in cluster]
         coordinates = sorted({k for row in rows for k in row})
         if len(coordinates) > MAX_RATIONAL_SIZE and parts.pivots is not None:
             result.append((cluster, _reduced(rows, parts.pivots[cluster])))
@@ -355,8 +347,7 @@ def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:
         offset[angles] = sums.at(linear)
     offset[parts.offset == PLACEHOLDER_COEFFICIENT] = 0.0
     nonlinear_shares = {s: _without_placeholders(share) for s, share in parts.nonlinear_shares.items()}
-    shares = parts.row, nonlinear_shares, parts.share, parts.timed, parts.source
-    return Parts(parts.forms, offset, parts.weights, *shares)
+    return replace(parts, offset=offset, nonlinear_shares=nonlinear_shares, pivots=None)
 
 
 def _without_placeholders(share: NonlinearShare) -> NonlinearShare:
@@ -364,11 +355,6 @@ def _without_placeholders(share: NonlinearShare) -> NonlinearShare:
         return share
     monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PLACEHOLDER_COEFFICIENT}
     return PolynomialShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
-
-
-def _row(parts: Parts, angle: int) -> dict[int, Any]:
-    entries = slice(int(parts.forms.start[angle]), int(parts.forms.start[angle + 1]))
-    return dict(zip(parts.forms.coordinate[entries].tolist(), parts.forms.value[entries].tolist(), strict=True))
 
 
 def _inverse(rows: list[dict[int, Any]], coordinates: list[int]) -> ExactSums:

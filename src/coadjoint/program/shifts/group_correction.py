@@ -20,7 +20,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.generators import BasisMatrices, Generators
 from coadjoint.program.shifts.shift import quadratic_entries
-from coadjoint.program.sparse_rows import SparseRows, layers, order_by, run_starts, starts_of
+from coadjoint.program.sparse_rows import Pattern, SparseRows, layers, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 SubtractedCasimir = tuple[Polynomial, float]
@@ -105,10 +105,8 @@ class _Component(NamedTuple):
         return np.asarray(flat.reshape(self.width, self.width).T)
 
 
-class _Kind(NamedTuple):
-    turn: Turn
-    order: int = 0
-    metric: NDArray[np.float64] | None = None
+Kind = tuple[Turn, int, NDArray[np.float64] | None]
+"""Closed form of a component, its `order`, and the form that it preserves."""
 
 
 def unshift_tables(
@@ -121,16 +119,18 @@ def unshift_tables(
     casimirs = tuple(shift)
     if (algebra.dim**2 if representation is None else representation.size) > MAX_CACHED_SIZE:
         return _tables(algebra, representation, sign, casimirs)
-    if representation is None:
-        return _cached_tables(algebra, None, (), sign, casimirs)
-    return _cached_tables(algebra, representation.tobytes(), representation.shape, sign, casimirs)
+    columns = [] if representation is None else [representation]
+    return _cached_tables(algebra, Pattern(representation, *columns), sign, casimirs)
 
 
 @lru_cache(maxsize=64)
 def _cached_tables(
-    algebra: LieAlgebra, numbers: bytes | None, shape: tuple[int, ...], sign: int, shift: tuple[Any, ...]
+    algebra: LieAlgebra,
+    representation: Pattern[NDArray[np.float64] | None],
+    sign: int,
+    shift: tuple[SubtractedCasimir, ...],
 ) -> UnshiftTables:
-    return _tables(algebra, None if numbers is None else np.frombuffer(numbers).reshape(shape), sign, shift)
+    return _tables(algebra, representation.source, sign, shift)
 
 
 def _tables(
@@ -140,14 +140,15 @@ def _tables(
     shift: Sequence[SubtractedCasimir],
 ) -> UnshiftTables:
     matrices = BasisMatrices.on_group(algebra, representation)
-    entries = [_scaled(casimir, factor) for casimir, factor in shift]
+    quadratic = [(quadratic_entries(casimir), factor) for casimir, factor in shift]
+    entries = [(found[0], found[1], factor * found[2]) for found, factor in quadratic if found is not None]
     generators = _generators(matrices, algebra.dim, sign, entries)
     samples = np.random.default_rng(SEED).integers(-8, 9, (SAMPLES, algebra.dim)).astype(np.float64) + 0.5
     components = list(_components(matrices.size, generators))
     kinds = [_kind_of(component, samples, entries if representation is None else []) for component in components]
     cells = [run_starts(component.cell) for component in components]
-    metrics = [kind.metric.ravel() for kind in kinds if kind.metric is not None]
-    metric_start = starts_of([0 if kind.metric is None else kind.metric.size for kind in kinds])
+    metrics = [metric for *_, metric in kinds]
+    metric_start = starts_of([0 if metric is None else metric.size for metric in metrics])
 
     def joined(pieces: Sequence[NDArray[Any]], kind: type = np.uint32) -> NDArray[Any]:
         return np.concatenate([np.zeros(0, dtype=kind), *pieces]).astype(kind)
@@ -157,9 +158,9 @@ def _tables(
         size=matrices.size,
         dim=algebra.dim,
         components=len(components),
-        kind=np.array([kind.turn for kind in kinds], dtype=np.uint8),
+        kind=np.array([turn for turn, *_ in kinds], dtype=np.uint8),
         leaning=np.array([representation is None and not component.skew for component in components], dtype=np.uint8),
-        order=np.array([kind.order for kind in kinds], dtype=np.uint32),
+        order=np.array([order for _, order, _ in kinds], dtype=np.uint32),
         begin=starts_of([component.width for component in components]).astype(np.uint32),
         coordinate=joined([component.coordinates for component in components]),
         form=starts_of([int(np.count_nonzero(begins)) for begins in cells]).astype(np.uint32),
@@ -168,16 +169,10 @@ def _tables(
         column=joined([component.momentum for component in components]),
         weight=joined([component.weight for component in components], np.float64),
         metric=np.array(
-            [-1 if kind.metric is None else int(metric_start[b]) for b, kind in enumerate(kinds)], dtype=np.int64
+            [-1 if metric is None else metric_start[b] for b, metric in enumerate(metrics)], dtype=np.int64
         ),
-        metrics=joined(metrics, np.float64),
+        metrics=joined([metric.ravel() for metric in metrics if metric is not None], np.float64),
     )
-
-
-def _scaled(casimir: Polynomial, factor: float) -> Entries:
-    entries = quadratic_entries(casimir)
-    assert entries is not None
-    return entries[0], entries[1], factor * entries[2]
 
 
 def _generators(matrices: BasisMatrices, dim: int, sign: int, entries: Sequence[Entries]) -> Generators:
@@ -208,30 +203,30 @@ def _components(size: int, generators: Generators) -> Any:
         yield _Component(members, local[row[selected]], local[column[selected]], momentum[selected], weight[selected])
 
 
-def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> _Kind:
+def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> Kind:
     """Classify a component for all momenta by the properties it has at a few generic ones."""
     m = component.width
     layer = layers(m, component.column[run_starts(component.cell)], component.row[run_starts(component.cell)])
     if layer.min() >= 0:
-        return _Kind(Turn.NILPOTENT, int(layer.max()))
+        return Turn.NILPOTENT, int(layer.max()), None
     if m <= 2:
-        return _Kind(Turn.PLANE)
+        return Turn.PLANE, 0, None
     if component.skew and m > 4:
-        return _Kind(Turn.SKEW)
+        return Turn.SKEW, 0, None
     matrices = [component.at(x) for x in samples]
     powers = [(D, D @ D, D @ D @ D) for D in matrices]
     bounds = [(abs(D), abs(D) @ abs(D), abs(D) @ abs(D) @ abs(D)) for D in matrices]
     for order in (1, 2):
         if all(_vanishes(p[order], 8 * m * (order + 1) * b[order]) for p, b in zip(powers, bounds, strict=True)):
-            return _Kind(Turn.NILPOTENT, order)
+            return Turn.NILPOTENT, order, None
     ranks = [_rank_of_cubic(p, b) for p, b in zip(powers, bounds, strict=True)]
     if ranks[0] and ranks.count(ranks[0]) == len(ranks):
-        return _Kind(Turn.CUBIC, ranks[0])
+        return Turn.CUBIC, ranks[0], None
     if component.skew:
-        return _Kind(Turn.PAIR if m == 4 else Turn.SKEW)
+        return (Turn.PAIR if m == 4 else Turn.SKEW), 0, None
     metrics = (_metric(component, entry) for entry in casimirs)
     metric = next((form for form in metrics if form is not None), None)
-    return _Kind(Turn.GENERAL) if metric is None else _Kind(Turn.SKEW, 0, metric)
+    return (Turn.GENERAL if metric is None else Turn.SKEW), 0, metric
 
 
 def _vanishes(matrix: NDArray[np.float64], bound: NDArray[np.float64]) -> bool:

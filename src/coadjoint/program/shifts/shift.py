@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from functools import lru_cache
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
@@ -81,6 +81,11 @@ def _compute_entries(casimir: Polynomial) -> Entries | None:
 _cached_entries = lru_cache(maxsize=256)(_compute_entries)
 
 
+def quadratic_position(terms: Sequence[Term]) -> int | None:
+    """Return the index of the quadratic term outside of pieces, from which Casimirs are subtracted, or None."""
+    return next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+
+
 def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir], shift: Shift) -> tuple[Term, ...]:
     """Subtract multiples of quadratic Casimirs from the quadratic term of a Hamiltonian."""
     if not shift:
@@ -88,7 +93,7 @@ def shifted_terms(terms: Sequence[Term], casimirs: Mapping[str, QuadraticCasimir
     unknown = [name for name, _ in shift if name not in casimirs]
     if unknown:
         raise ValueError(f"the shift names {unknown[0]!r}; the quadratic Casimirs are {', '.join(map(repr, casimirs))}")
-    index = next((k for k, term in enumerate(terms) if term.form is not None and term.piece is None), None)
+    index = quadratic_position(terms)
     if index is None:
         raise ValueError("a shift needs a quadratic term in the Hamiltonian, outside the pieces of a SplitHamiltonian")
     term = terms[index].form
@@ -244,39 +249,11 @@ def _definiteness(entries: bytes, size: int) -> tuple[int, float]:
 
 
 def _determinant(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> list[int]:
-    """Return integer coefficients of a multiple of det(M - c C), by interpolation at c = 0, 1, ..., n."""
-    size = len(matrix)
-    pairs = [Fraction(value) for value in [*matrix.ravel().tolist(), *casimir.ravel().tolist()]]
-    scale = math.lcm(*(value.denominator for value in pairs))
-    integers = [int(value * scale) for value in pairs]
-    M, C = (np.array(part, dtype=object).reshape(size, size) for part in (integers[: size**2], integers[size**2 :]))
-    values = [_bareiss((M - c * C).tolist()) for c in range(size + 1)]
-    # Newton's forward differences, times n!: sum_k d_k c (c - 1) ... (c - k + 1) n!/k!
-    coefficients, falling = [0] * (size + 1), [1]
-    for k in range(size + 1):
-        factor = math.factorial(size) // math.factorial(k) * values[0]
-        for power, value in enumerate(falling):
-            coefficients[power] += factor * value
-        values = [b - a for a, b in pairwise(values)]
-        falling = [a - k * b for a, b in zip([0, *falling], [*falling, 0], strict=True)]
-    return coefficients
+    """Return integer coefficients of a multiple of det(M - c C), the characteristic polynomial of C^-1 M."""
+    from flint import fmpq_mat
 
-
-def _bareiss(rows: list[list[int]]) -> int:
-    """Return the determinant of an integer matrix by fraction-free elimination (Bareiss 1968)."""
-    sign, previous_pivot = 1, 1
-    for k in range(len(rows) - 1):
-        pivot = next((r for r in range(k, len(rows)) if rows[r][k]), None)
-        if pivot is None:
-            return 0
-        if pivot != k:
-            rows[k], rows[pivot], sign = rows[pivot], rows[k], -sign
-        for r in range(k + 1, len(rows)):
-            rows[r] = [
-                (a * rows[k][k] - rows[r][k] * b) // previous_pivot for a, b in zip(rows[r], rows[k], strict=True)
-            ]
-        previous_pivot = rows[k][k]
-    return sign * rows[-1][-1]
+    M, C = (fmpq_mat([[rational(value) for value in row] for row in each.tolist()]) for each in (matrix, casimir))
+    return [int(value) for value in C.solve(M).charpoly().numer().coeffs()]
 
 
 def _zeros_below(polynomial: list[int], point: float) -> int:

@@ -14,8 +14,8 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.cotangents import FlowCotangents
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.methods.forced import Forced
-from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-from coadjoint.methods.protocol.stepwise_derivatives import (
+from coadjoint.methods.protocol.derivative_tables import (
+    DerivativeTables,
     StepwiseDerivatives,
     nearby_parameters,
     stepwise_derivatives,

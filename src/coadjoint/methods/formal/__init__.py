@@ -1,1 +1,0 @@
-"""Evaluation of schemes in formal power series."""
