@@ -1,0 +1,125 @@
+"""Quantities over time: velocities and momenta of bodies, observed quantities, and the distance from a closed form."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from coadjoint.pictures.curves import draw_members, from_start
+from coadjoint.pictures.plot_data import PlottedRun, spread
+from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.pictures.style import colour, legend, plain_axes, symbol
+from coadjoint.systems.bodies.body_states import FRAMES
+from coadjoint.validation import read_choice
+
+MAX_LINES = 8  # as many as there are colours
+
+MAX_OBSERVED = 8  # as many as there are colours
+
+MAX_TIMES = 400  # points of a curve; a closed form each, which takes time
+
+
+@kind("angular velocity", over_time=True)
+def angular_velocity(drawn: PlottedRun, frame: str = "body") -> Paint:
+    """Show the components of the angular velocity of bodies, at most eight.
+
+    Parameters
+    ----------
+    frame : {"body", "space"}
+        Frame of the components; space needs the attitude.
+    """
+    return _paint(drawn, "angular_velocity", r"\Omega", frame)
+
+
+@kind("angular momentum", over_time=True)
+def angular_momentum(drawn: PlottedRun, frame: str = "body") -> Paint:
+    """Show the components of the angular momentum of bodies, at most eight.
+
+    Parameters
+    ----------
+    frame : {"body", "space"}
+        Frame of the components; space needs the attitude.
+    """
+    return _paint(drawn, "angular_momentum", "L", frame)
+
+
+def _paint(drawn: PlottedRun, name: str, letter: str, frame: str) -> Paint:
+    chosen, solution, title = read_choice(frame, "frame", FRAMES), drawn.solution, name.replace("_", " ")
+    try:
+        vectors = getattr(solution, name)
+        if chosen == "space":
+            vectors = solution.in_space(vectors)
+    except (TypeError, ValueError) as error:
+        raise CannotShow(str(error)) from None
+    series = drawn.select(vectors)
+    series = series.reshape(*series.shape[:2], -1, 3)
+    several = series.shape[2] > 1
+    components = list(product(range(series.shape[2]), range(3)))
+    lines = {
+        f"${letter}_{i + 1}$" + (f" [{k + 1}]" if several else ""): np.asarray(series[:, :, k, i])
+        for k, i in components[:MAX_LINES]
+    }
+    lines, note = from_start(lines)
+
+    def paint(axes: Any) -> None:
+        for number, (label, members) in enumerate(lines.items()):
+            draw_members(axes, drawn.t, members, drawn.dense, colour(number), label)
+        shown = f" ({len(lines)} of {len(components)})" if len(lines) < len(components) else ""
+        where = "the body" if chosen == "body" else "space"
+        axes.set(xlabel="time $t$", ylabel=title + note, title=f"{title} in the frame of {where}{shown}")
+        plain_axes(axes)
+        legend(axes, beside=True)
+
+    return paint
+
+
+@kind("observed", over_time=True)
+def observed(drawn: PlottedRun) -> Paint:
+    """Show the observed quantities (``observe=``) that are numbers, at most the first eight."""
+    series = {name: drawn.select(values) for name, values in drawn.solution.observed.items()}
+    numbers = {name: values for name, values in series.items() if values.ndim == 2 and values.dtype.kind in "fiub"}
+    if not numbers:
+        raise CannotShow("nothing was observed; integrate with observe={name: function}")
+    lines = {name: values.astype(np.float64) for name, values in list(numbers.items())[:MAX_OBSERVED]}
+    lines, note = from_start(lines)
+
+    def paint(axes: Any) -> None:
+        for i, (name, members) in enumerate(lines.items()):
+            draw_members(axes, drawn.t, members, drawn.dense, colour(i), symbol(name))
+        title = "observed" + (f" ({len(lines)} of {len(numbers)})" if len(lines) < len(numbers) else "")
+        axes.set(xlabel="time $t$", ylabel="observed quantity" + note, title=title)
+        plain_axes(axes)
+        legend(axes, beside=True)
+
+    return paint
+
+
+@kind("error", over_time=True)
+def error(drawn: PlottedRun) -> Paint:
+    """Show the distance from the closed form, relative to the size of the initial state, at up to 400 times.
+
+    For a motion that stays on its orbit it is the phase error. Batches are not supported.
+    """
+    system = drawn.system
+    if system.closed_form is None or drawn.solution.system.is_batch:
+        raise CannotShow(f"no closed form is known for {drawn.solution.system.name}")
+    indices = spread(len(drawn.t), MAX_TIMES)
+    t = drawn.t[indices]
+    errors_of_members = []
+    for states, x0 in zip(drawn.x, drawn.x0, strict=True):
+        exact = np.asarray(system.exact(x0, t - drawn.solution.t_span[0]))
+        size = float(np.linalg.norm(x0)) or 1.0
+        errors_of_members.append(np.linalg.norm(states[indices] - exact, axis=-1) / size)
+    errors = np.array(errors_of_members)
+
+    def paint(axes: Any) -> None:
+        # Zero errors have no logarithm, and leave gaps.
+        draw_members(axes, t, np.where(errors > 0.0, errors, np.nan), drawn.dense, colour(0), None)
+        axes.set(xlabel="time $t$", ylabel="relative error", title="distance from the closed form")
+        if np.any(errors > 0.0):
+            axes.set_yscale("log")
+        plain_axes(axes)
+
+    return paint
