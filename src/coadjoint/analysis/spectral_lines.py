@@ -88,14 +88,14 @@ def refine_lines(
     w = frequency.copy()
     bin_width, last, count = math.pi, math.inf, w.shape[1]
     for _ in range(iterations):
-        fit = _amplitudes(s, values, w, weight)
-        moments = np.einsum("msa,msc->mac", fit.columns.conj() * weight[:, None], fit.residual)
-        inner = fit.columns.shape[2] // 2 + 1  # columns of B; the columns s B follow, without s itself
-        eliminated = np.linalg.solve(fit.gram[:, :inner, :inner], fit.gram[:, :inner])
-        schur = fit.gram - np.swapaxes(eliminated.conj(), 1, 2) @ fit.gram[:, :inner]
+        columns, gram, amplitude, _, residual = _fitted(s, values, w, weight)
+        moments = np.einsum("msa,msc->mac", columns.conj() * weight[:, None], residual)
+        inner = columns.shape[2] // 2 + 1  # columns of B; the columns s B follow, without s itself
+        eliminated = np.linalg.solve(gram[:, :inner, :inner], gram[:, :inner])
+        schur = gram - np.swapaxes(eliminated.conj(), 1, 2) @ gram[:, :inner]
         reduced = moments - np.swapaxes(eliminated.conj(), 1, 2) @ moments[:, :inner]
         schur, reduced = schur[:, inner:, inner:], reduced[:, inner:]
-        slopes = _slopes(fit.amplitude, real=not np.iscomplexobj(values))
+        slopes = _slopes(amplitude, real=not np.iscomplexobj(values))
         matrix = np.einsum("mkac,mab,mlbc->mkl", slopes.conj(), schur, slopes, optimize=True).real
         rhs = np.einsum("mkac,mac->mk", slopes.conj(), reduced).real
         matrix = np.where(present[:, :, None] & present[:, None], matrix, np.eye(count))
@@ -108,8 +108,8 @@ def refine_lines(
         if largest <= UNIT_ROUNDOFF or (largest >= last and largest < 2.0**-36):
             break
         last = largest
-    fit = _amplitudes(s, values, w, weight)
-    return Lines(w, fit.amplitude, fit.mean, fit.residual, present)
+    _, _, amplitude, mean, residual = _fitted(s, values, w, weight)
+    return Lines(w, amplitude, mean, residual, present)
 
 
 def frequency_uncertainty(lines: Lines, s: Floats, power: int) -> Floats:
@@ -134,16 +134,10 @@ def frequency_uncertainty(lines: Lines, s: Floats, power: int) -> Floats:
         return np.asarray(np.sqrt(spread * np.sum(intensity * variance, axis=2)) / total)
 
 
-class _Fit(NamedTuple):
-    columns: NDArray[Any]
-    gram: NDArray[Any]
-    amplitude: NDArray[np.complex128]
-    mean: NDArray[Any]
-    residual: NDArray[Any]
-
-
-def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _Fit:
-    """Return the least-squares amplitudes of frequencies w, and the residual."""
+def _fitted(
+    s: Floats, values: NDArray[Any], w: Floats, weight: Floats
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[np.complex128], NDArray[Any], NDArray[Any]]:
+    """Return columns, Gram matrix, amplitudes, mean and residual of the least-squares fit at frequencies w."""
     exponentials = np.exp(1j * s[:, None] * w[:, None, :])
     real = not np.iscomplexobj(values)
     waves = np.concatenate([exponentials.real, exponentials.imag], axis=2) if real else exponentials
@@ -160,7 +154,7 @@ def _amplitudes(s: Floats, values: NDArray[Any], w: Floats, weight: Floats) -> _
     k = w.shape[1]
     of_waves = coefficients[:, 1:]
     amplitude = of_waves[:, :k] - 1j * of_waves[:, k:] if real else of_waves
-    return _Fit(columns, gram, np.asarray(amplitude, complex), coefficients[:, 0], values - model @ coefficients)
+    return columns, gram, np.asarray(amplitude, complex), coefficients[:, 0], values - model @ coefficients
 
 
 def _slopes(amplitude: NDArray[np.complex128], real: bool) -> NDArray[Any]:

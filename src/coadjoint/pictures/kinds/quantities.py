@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from coadjoint.pictures.curves import draw_members, from_start
 from coadjoint.pictures.plot_data import PlottedRun, spread
@@ -14,9 +16,9 @@ from coadjoint.pictures.style import colour, legend, plain_axes, symbol
 from coadjoint.systems.bodies.body_states import FRAMES
 from coadjoint.validation import read_choice
 
-MAX_LINES = 8  # as many as there are colours
+Floats = npt.NDArray[np.float64]
 
-MAX_OBSERVED = 8  # as many as there are colours
+MAX_LINES = 8  # as many as there are colours
 
 MAX_TIMES = 400  # points of a curve; a closed form each, which takes time
 
@@ -56,19 +58,23 @@ def _paint(drawn: PlottedRun, name: str, letter: str, frame: str) -> Paint:
     series = drawn.select(vectors)
     series = series.reshape(*series.shape[:2], -1, 3)
     several = series.shape[2] > 1
-    components = list(product(range(series.shape[2]), range(3)))
-    lines = {
+    vectors_by_name = {
         f"${letter}_{i + 1}$" + (f" [{k + 1}]" if several else ""): np.asarray(series[:, :, k, i])
-        for k, i in components[:MAX_LINES]
+        for k, i in product(range(series.shape[2]), range(3))
     }
-    lines, note = from_start(lines)
+    where = "the body" if chosen == "body" else "space"
+    return _paint_lines(drawn, vectors_by_name, title, f"{title} in the frame of {where}")
+
+
+def _paint_lines(drawn: PlottedRun, series: Mapping[str, Floats], ylabel: str, title: str) -> Paint:
+    """Return what draws the first `MAX_LINES` series (members, k) over time."""
+    lines, note = from_start(dict(list(series.items())[:MAX_LINES]))
+    shown = f" ({len(lines)} of {len(series)})" if len(lines) < len(series) else ""
 
     def paint(axes: Any) -> None:
         for number, (label, members) in enumerate(lines.items()):
             draw_members(axes, drawn.t, members, drawn.dense, colour(number), label)
-        shown = f" ({len(lines)} of {len(components)})" if len(lines) < len(components) else ""
-        where = "the body" if chosen == "body" else "space"
-        axes.set(xlabel="time $t$", ylabel=title + note, title=f"{title} in the frame of {where}{shown}")
+        axes.set(xlabel="time $t$", ylabel=ylabel + note, title=title + shown)
         plain_axes(axes)
         legend(axes, beside=True)
 
@@ -82,18 +88,8 @@ def observed(drawn: PlottedRun) -> Paint:
     numbers = {name: values for name, values in series.items() if values.ndim == 2 and values.dtype.kind in "fiub"}
     if not numbers:
         raise CannotShow("nothing was observed; integrate with observe={name: function}")
-    lines = {name: values.astype(np.float64) for name, values in list(numbers.items())[:MAX_OBSERVED]}
-    lines, note = from_start(lines)
-
-    def paint(axes: Any) -> None:
-        for i, (name, members) in enumerate(lines.items()):
-            draw_members(axes, drawn.t, members, drawn.dense, colour(i), symbol(name))
-        title = "observed" + (f" ({len(lines)} of {len(numbers)})" if len(lines) < len(numbers) else "")
-        axes.set(xlabel="time $t$", ylabel="observed quantity" + note, title=title)
-        plain_axes(axes)
-        legend(axes, beside=True)
-
-    return paint
+    lines = {symbol(name): values.astype(np.float64) for name, values in numbers.items()}
+    return _paint_lines(drawn, lines, "observed quantity", "observed")
 
 
 @kind("error", over_time=True)
