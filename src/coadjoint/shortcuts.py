@@ -11,7 +11,7 @@ SHORTCUTS = {
     "check_speed": "coadjoint.files.output.output_files:check_speed",
     "choose": "coadjoint.choosing.accuracy:choose",
     "dataset_of": "coadjoint.files.datasets.export:dataset_of",
-    "draw_certificate": "coadjoint.pictures.certificate:draw_certificate",
+    "draw_certificate": "coadjoint.pictures.analysis_figures:draw_certificate",
     "draw_crossings": "coadjoint.pictures.kinds.section:draw_crossings",
     "draw_phase_drift": "coadjoint.pictures.analysis_figures:draw_phase_drift",
     "draw_solution": "coadjoint.pictures.solution:draw_solution",

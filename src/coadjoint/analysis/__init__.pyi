@@ -1,9 +1,8 @@
 # Public names of `co.analysis`; lazy_loader and type checkers read this file.
 
 from .frequencies import Combinations as Combinations
-from .line_drift import line_drift as line_drift
 from .phase_drift import drift_of_series as drift_of_series
-from .phase_drift import phase_error as phase_error
+from .phase_error import phase_error as phase_error
 from .poisson_defect import PoissonDefect as PoissonDefect
 from .poisson_defect import defect_of_tangent as defect_of_tangent
 from .poisson_defect import poisson_defect as poisson_defect
@@ -22,5 +21,6 @@ from .round_off import orthogonality as orthogonality
 from .round_off import random_walk as random_walk
 from .round_off import round_off as round_off
 from .round_off import spatial_momentum as spatial_momentum
+from .spectral_lines import line_drift as line_drift
 
 __all__: list[str]

@@ -293,7 +293,7 @@ def _newton_step(system: Any, orbit: Orbit, x: Floats, field: Floats, direction:
     """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
     tangents = tangents_of(system, x)
     gradient = tangents.basis.T @ field
-    components = _solved(second_variation(system, x, system.hamiltonian, tangents), gradient, direction)
+    components = _solved(second_variation(system, x, system.hamiltonian, tangents, 0.0), gradient, direction)
     v = tangents.basis @ components
     size = orbit.norm(v)
     length = min(1.0, MAX_ANGLE / size) if size > 0.0 else 1.0
@@ -304,7 +304,7 @@ def _newton_step(system: Any, orbit: Orbit, x: Floats, field: Floats, direction:
 
 def _is_semidefinite(system: Any, x: Floats, direction: float) -> bool:
     """Return whether no eigenvalue of the second variation has the sign against the direction, but for zero ones."""
-    matrix = direction * second_variation(system, x, system.hamiltonian, tangents_of(system, x))
+    matrix = direction * second_variation(system, x, system.hamiltonian, tangents_of(system, x), 0.0)
     try:
         np.linalg.cholesky(matrix + ZERO * np.linalg.norm(matrix, 1) * np.eye(len(matrix)))
     except np.linalg.LinAlgError:
@@ -334,13 +334,13 @@ def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
 
 def _is_definite(system: Any, orbit: Orbit, x: Floats, tangents: TangentSpace) -> bool:
     """Return whether the second variation of H plus multiples of the critical integrals is definite."""
-    variations = [second_variation(system, x, system.hamiltonian, tangents)]
+    variations = [second_variation(system, x, system.hamiltonian, tangents, 0.0)]
     for integral in system.integrals.values():
         u = np.asarray(integral.gradient(x), dtype=np.float64)
         field = orbit.product(x, u)
         flat = np.max(np.abs(field)) <= np.sqrt(UNIT_ROUNDOFF) * np.max(orbit.absolute_product(x, u), initial=0.0)
         if flat and hasattr(integral, "hessian"):
-            variations.append(second_variation(system, x, _Integral(integral), tangents))
+            variations.append(second_variation(system, x, integral, tangents))
     sizes = [float(np.max(np.abs(variation))) for variation in variations]
     used = [variation / size for variation, size in zip(variations, sizes, strict=True) if size > 0.0]
     if not sizes[0]:
@@ -366,16 +366,3 @@ def _has_positive_sum(matrices: list[Floats]) -> bool:
         options: Any = {"maxfev": MAX_SHIFTS * (len(matrices) - 1), "xatol": ZERO, "fatol": ZERO}
         multipliers = minimize(height, multipliers, method="Nelder-Mead", options=options).x
     return bool(-height(multipliers) > ZERO * np.max(np.abs(total(multipliers))))
-
-
-class _Integral:
-    """An integral with the signatures of a Hamiltonian."""
-
-    def __init__(self, integral: Any) -> None:
-        self._integral = integral
-
-    def gradient(self, x: Floats, t: float) -> Any:
-        return self._integral.gradient(x)
-
-    def hessian(self, x: Floats, t: float) -> Any:
-        return self._integral.hessian(x)

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities
-from coadjoint.errors import MAX_LISTED_NAMES, IntegrationError, unknown_name
+from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities, check_determined
+from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
@@ -22,7 +22,6 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.parameters import Parameter, parameters_at, parameters_of
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
@@ -31,13 +30,6 @@ MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momen
 FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
-
-# Half the distance of the states between which the derivative of the energy is differentiated; exact for quadratics.
-DISTANCE = 2.0**-10
-# Singular values, relative to the largest, of unknowns that Jacobians with central differences do not determine.
-BY_DIFFERENCES = 2.0**-26
-# Largest field of a Casimir, relative to the field of other directions of H.
-CASIMIR = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -223,7 +215,7 @@ def fit(
     fitted = problem.run.prepared_at(parameters)
     solution = fitted.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
     final, freedom = -squares.residuals_of(problem.outputs()), squares.degrees_of_freedom
-    if _Names(ready, attitude, run, unknown, squares, observe).are_rates(moved["x0"]):
+    if _are_rates(ready, attitude, unknown, squares, observe):
         warn_caller(
             'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
             'them "angular_velocity"',
@@ -285,55 +277,46 @@ class _Squares(NamedTuple):
         )
 
 
-class _Names(NamedTuple):
-    """Fits of measured momenta of a body under other names, whose first state is unknown."""
+def _are_rates(
+    ready: PreparedRun, attitude: Any, unknown: Mapping[str, Any], squares: _Squares, observe: Mapping[str, Any]
+) -> bool:
+    """Test whether the measured momenta of a body are its angular velocities, whatever sigma is."""
+    # For normal errors of any size, a ratio of likelihoods in favour of the wrong name exceeds 1 / p with a
+    # probability of at most p.
+    known, n, fitted = Quantities.names_of(ready, observe), ready.system.dim, squares.problem
+    targets, x0 = squares.targets, fitted.values["x0"]
+    if "x" not in targets or n != 3 or "angular_velocity" in targets or "angular_velocity" not in known:
+        return False
+    of_x = squares.weights["x"] * targets["x"]
 
-    ready: PreparedRun
-    attitude: Any
-    run: ParametrizedRun
-    unknown: Mapping[str, Any]
-    squares: _Squares
-    observe: Mapping[str, Any]
-
-    def variance(self, name: str, x0: Floats) -> float:
+    def variance(name: str, start: Floats) -> float:
         """Return the mean square of the residuals for a name of "x"; NaN without a fit, or for half of the digits."""
-        given, of_x = self.squares, self.squares.weights["x"] * self.squares.targets["x"]
-        targets, weights = (
-            {name if key == "x" else key: one for key, one in values.items()}
-            for values in (given.targets, given.weights)
+        renamed, weights = (
+            {name if key == "x" else key: one for key, one in values.items()} for values in (targets, squares.weights)
         )
         try:
-            problem = FitProblem.of(self.ready, x0, self.attitude, self.run, {**self.unknown, "x0": True})
-            squares = _Squares(problem.measuring(self.ready, targets, self.observe), weights, targets)
+            problem = FitProblem.of(ready, start, attitude, fitted.run, {**unknown, "x0": True})
+            tried = _Squares(problem.measuring(ready, renamed, observe), weights, renamed)
             with warnings.catch_warnings():  # of trial steps, which the user did not ask for
                 warnings.simplefilter("ignore")
-                end = squares.minimum(squares.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
+                end = tried.minimum(tried.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
             return math.nan
-        if squares.degrees_of_freedom <= 0:
+        if tried.degrees_of_freedom <= 0:
             return math.nan
-        return 2.0 * float(end.cost) / squares.degrees_of_freedom + UNIT_ROUNDOFF * float(np.mean(of_x**2))
+        return 2.0 * float(end.cost) / tried.degrees_of_freedom + UNIT_ROUNDOFF * float(np.mean(of_x**2))
 
-    def are_rates(self, x0: Floats) -> bool:
-        """Test whether the momenta of a body are its angular velocities, whatever sigma is, from the fitted x0."""
-        # For normal errors of any size, a ratio of likelihoods in favour of the wrong name exceeds 1 / p with a
-        # probability of at most p.
-        known, n, targets = Quantities.names_of(self.ready, self.observe), self.ready.system.dim, self.squares.targets
-        if "x" not in targets or n != 3 or "angular_velocity" in targets or "angular_velocity" not in known:
-            return False
-        units = np.concatenate([np.zeros((1, n)), np.eye(n)])
-        rates = Quantities(self.ready, ["angular_velocity"], np.zeros(1), x0, {})
-        at = rates.values(units, self.squares.problem.values)["angular_velocity"]
-        first = targets["x"][0]
-        as_rates = self.variance(
-            "angular_velocity", np.linalg.solve((at[1:] - at[0]).T, (first - at[0])[..., None])[..., 0]
-        )
-        enough = as_rates * math.exp(-2.0 * math.log(CONTRADICTION) / targets["x"].size)
-        residuals = self.squares.residuals_of(self.squares.problem.outputs())
-        freedom = self.squares.degrees_of_freedom
-        if not (freedom > 0 and float(residuals @ residuals) / freedom > enough):
-            return False
-        return self.variance("x", x0) > enough
+    units = np.concatenate([np.zeros((1, n)), np.eye(n)])
+    rates = Quantities(ready, ["angular_velocity"], np.zeros(1), x0, {})
+    at = rates.values(units, fitted.values)["angular_velocity"]
+    as_rates = variance(
+        "angular_velocity", np.linalg.solve((at[1:] - at[0]).T, (targets["x"][0] - at[0])[..., None])[..., 0]
+    )
+    enough = as_rates * math.exp(-2.0 * math.log(CONTRADICTION) / targets["x"].size)
+    residuals, freedom = squares.residuals_of(fitted.outputs()), squares.degrees_of_freedom
+    if not (freedom > 0 and float(residuals @ residuals) / freedom > enough):
+        return False
+    return variance("x", x0) > enough
 
 
 def _without_rotations(name: str, value: Any) -> Any:
@@ -395,56 +378,3 @@ def _weights(
         except ValueError:
             raise ValueError(f"sigma of {name} has the shape {deviation.shape}; it must broadcast to {shape}") from None
     return weights
-
-
-def check_determined(J: Floats, problem: Any) -> None:
-    """Raise ValueError if the Jacobian has directions without influence on the measurements."""
-    from scipy.linalg import qr
-
-    unknowns = problem.unknowns
-    if len(J) < len(unknowns):
-        raise ValueError(f"{len(J)} numbers were measured for {len(unknowns)} unknowns; measure more")
-    scale = np.linalg.norm(J, axis=0)
-    scaled = J / np.where(scale > 0, scale, 1.0)
-    _, values, vectors = np.linalg.svd(scaled, full_matrices=False)
-    exact = problem.quantities is None
-    free = values <= (16 * max(J.shape) * UNIT_ROUNDOFF if exact else BY_DIFFERENCES) * values[0]
-    if free.any():
-        directions = np.abs(vectors[free] / np.where(scale > 0, scale, 1.0))
-        involved = np.flatnonzero((directions > 1e-3 * directions.max(axis=1, keepdims=True)).any(axis=0))
-        names = " and ".join(dict.fromkeys(unknowns[k][0] for k in involved))
-        # Without the last columns of a pivoted factorization, the others are independent.
-        order = qr(scaled, mode="r", pivoting=True)[1]
-        omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
-        reason = _casimirs_among(vectors[free] / np.where(scale > 0, scale, 1.0), problem)
-        raise ValueError(
-            f"the measurements do not determine all unknown entries of {names}{reason}; omit, for instance, {omitted}"
-        )
-
-
-def _casimirs_among(directions: Floats, problem: Any) -> str:
-    """Return the number of directions without influence that change H by a Casimir, in words for a message."""
-    system = problem.system.unforced
-    x = np.random.default_rng(1).standard_normal((4, system.dim))
-    of_energy = parameters_of(system)
-    named = {name: problem.values[name] for name in problem.chosen if name in of_energy}
-    parameters, rows = parameters_at(system, named), []
-    for z in directions:
-        moved, rest = problem.split(z, named)
-        gradients = _energy_gradients(parameters, moved, x)
-        fields = [system.structure_matrix(point) @ gradient for point, gradient in zip(x, gradients, strict=True)]
-        rows.append(np.concatenate([np.ravel(fields), rest]) / np.abs(z).max())
-    count = len(rows) - int(np.linalg.matrix_rank(np.array(rows), CASIMIR))
-    if not count:
-        return ""
-    return f" (in {count} of {len(rows)} free directions H changes by a Casimir, which moves nothing)"
-
-
-def _energy_gradients(parameters: Mapping[str, Parameter], directions: Mapping[str, Floats], x: Floats) -> Floats:
-    """Return the gradients at states (points, n) of the derivative of the energy along directions of parameters."""
-    n = x.shape[-1]
-    shifted = x[:, None, None] + DISTANCE * np.array([np.eye(n), -np.eye(n)])
-    along = np.zeros(shifted.shape[:-1])
-    for name, direction in directions.items():
-        along += parameters[name].energy().at(shifted) @ direction.ravel()
-    return (along[:, 0] - along[:, 1]) / (2 * DISTANCE)

@@ -22,7 +22,6 @@ from coadjoint.analysis.weak_form import (
     equations_of,
     exponents_of,
     first_noise,
-    in_basis,
     polynomial_of,
     whitened_equations,
 )
@@ -188,17 +187,18 @@ def identify(
     needed = 8 * len(exponents) * (3 * rows + 4 * STRIDES * GROUPED * radii[-1] * algebra.dim + 4 * len(exponents))
     check_available_memory(needed, f"an identification of {len(exponents)} monomials", "take a lower degree")
     complement = complement_of_casimirs(algebra, exponents)
-    best: _Estimate | None = None
+    found: list[_Estimate] = []
     for k, r in enumerate(radii):
-        found = _estimate(data, exponents, complement, r)
-        if found is not None and (best is None or found.better_than(best)):
-            best = found
+        estimate = _estimate(data, exponents, complement, r)
+        found += [] if estimate is None else [estimate]
         note_progress("estimates with longer test functions", (k + 1) / len(radii))
-    if best is None:
+    if not found:
         raise ValueError(
             f"{data.x.shape[0]} trajectories of {data.x.shape[1]} samples give fewer equations than there are unknowns "
             f"({complement.shape[1]}), or do not move; give more samples, or a lower degree"
         )
+    # More directions are determined, or as many with less uncertainty.
+    best = max(found, key=lambda one: (one.V.shape[1], -float(np.trace(one.covariance))))
     return _result(data, exponents, complement, best)
 
 
@@ -212,15 +212,10 @@ class _Estimate(NamedTuple):
     noise: Floats
     radius: int
 
-    def better_than(self, other: _Estimate) -> bool:
-        """Whether more directions are determined, or as many with less uncertainty."""
-        own, others = self.V.shape[1], other.V.shape[1]
-        return own > others or (own == others and np.trace(self.covariance) < np.trace(other.covariance))
-
 
 def _estimate(data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, r: int) -> _Estimate | None:
     """Solve the equations, weighted by the covariance of their errors at the solution, by iteration."""
-    equations = [in_basis(group, complement) for group in equations_of(data, exponents, r)]
+    equations = [group._replace(A=group.A @ complement) for group in equations_of(data, exponents, r)]
     count = sum(group.b.size for group in equations)
     if count < complement.shape[1] + 1:
         return None

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -202,13 +202,13 @@ def lyapunov(
     times = _with_saved_steps(times_of(t_span, step, 1), transient, save_every, len(start.momenta) * count)
     frame = Frame(frame_of(count, system.dim), every)
     workers = min(len(start.momenta), workers or os.cpu_count() or 1)
-    measured = stretching(system, scheme, times, start, frame, workers)
-    stretches = measured.logarithms - measured.logarithms[0]
+    logarithms, by, run = stretching(system, scheme, times, start, frame, workers)
+    stretches = logarithms - logarithms[0]
     if start.single:
         stretches = stretches[:, 0]
-    result = LyapunovExponents(times.at(times.saved), stretches, system.dim, measured.by)
-    if measured.run.failed_count:
-        raise measured.run.failure(result)
+    result = LyapunovExponents(times.at(times.saved), stretches, system.dim, by)
+    if run.failed_count:
+        raise run.failure(result)
     if not np.all(np.isfinite(result.exponents)):
         raise ValueError(
             "the tangent vectors at the end of the run could no longer be distinguished; give a smaller "
@@ -253,18 +253,14 @@ def frame_of(count: int, size: int) -> NDArray[np.float64]:
     return np.ascontiguousarray(vectors.T)
 
 
-class Stretching(NamedTuple):
-    """Logarithms of the stretching factors since the start, (points, members, k), NaN after a failure."""
-
-    logarithms: NDArray[np.float64]
-    by: str
-    run: Run
-
-
 def stretching(
     system: System | Batch, method: Method, times: Times, start: Start, frame: Frame, workers: int
-) -> Stretching:
-    """Carry the orthonormal tangent vectors of `frame` along a run of every member."""
+) -> tuple[NDArray[np.float64], str, Run]:
+    """Carry the orthonormal tangent vectors of `frame` along a run of every member.
+
+    Return the logarithms of the stretching factors since the start, (points, members, k), NaN after a failure, how the
+    tangent was computed, and the run.
+    """
     systems = tuple(system) if system.is_batch else (system,)
     prepared = []
     for m, member in enumerate(systems):
@@ -289,12 +285,12 @@ def stretching(
         note_progress(f"step {number} of {times.steps}", number / times.steps)
         running = run.state["status"] == 0
         logarithms[point, running] = stretch_logarithms(run.state["memory"][running], len(frame.vectors))
-    return Stretching(logarithms, "compiled", run)
+    return logarithms, "compiled", run
 
 
 def _step_by_step(
     system: System | Batch, systems: Sequence[System], method: Method, times: Times, start: Start, frame: Frame
-) -> Stretching:
+) -> tuple[NDArray[np.float64], str, Run]:
     """Take the steps in the loop of the scheme, then evaluate their tangents in Python."""
     numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
     check_available_memory(8 * numbers, f"the states of {short(times.steps)} steps, for tangents in Python,")
@@ -312,7 +308,7 @@ def _step_by_step(
         if failed:
             run.mark_failed(m, failed, "PARALLEL")
     by = method.tangent_by(systems[0], start.momenta[0], times.t0, times.h)
-    return Stretching(logarithms, by, run)
+    return logarithms, by, run
 
 
 def _follow(

@@ -66,9 +66,9 @@ class ScaledSystem:
             constants, system.dim, system.algebra.basis, system.algebra.name, None, {}
         )
         self.name, self.dim, self.sign, self.units, self._system = system.name, system.dim, system.sign, units, system
-        self.hamiltonian = ScaledFunction(system.hamiltonian, units, True)
+        self.hamiltonian = ScaledFunction(system.hamiltonian, units)
         integrals = {name: one for name, one in system.integrals.items() if hasattr(one, "hessian")}
-        self.integrals = {name: ScaledFunction(one, units, False) for name, one in integrals.items()}
+        self.integrals = {name: ScaledFunction(one, units) for name, one in integrals.items()}
 
     def energy(self, y: Floats) -> Any:
         return self._system.energy(self.units * y)
@@ -84,16 +84,16 @@ class ScaledSystem:
 
 
 class ScaledFunction:
-    """Derivatives of a Hamiltonian, `timed`, or of an integral in coordinates y = x / units."""
+    """Derivatives of a Hamiltonian, at a time, or of an integral in coordinates y = x / units."""
 
-    def __init__(self, function: Any, units: Floats, timed: bool) -> None:
-        self._function, self._units, self._time = function, units, (0.0,) if timed else ()
+    def __init__(self, function: Any, units: Floats) -> None:
+        self._function, self._units = function, units
 
-    def gradient(self, y: Floats, t: float = 0.0) -> Floats:
-        return np.asarray(self._units * self._function.gradient(self._units * y, *self._time))
+    def gradient(self, y: Floats, *time: float) -> Floats:
+        return np.asarray(self._units * self._function.gradient(self._units * y, *time))
 
-    def hessian(self, y: Floats, t: float = 0.0) -> Floats:
-        curvature = np.asarray(self._function.hessian(self._units * y, *self._time))
+    def hessian(self, y: Floats, *time: float) -> Floats:
+        curvature = np.asarray(self._function.hessian(self._units * y, *time))
         return np.asarray(self._units[:, None] * curvature * self._units)
 
 
@@ -134,11 +134,11 @@ def tangents_of(system: Any, x: Floats) -> TangentSpace:
     return TangentSpace(P, basis, blocks)
 
 
-def second_variation(system: Any, x: Floats, function: Any, tangents: TangentSpace) -> Floats:
+def second_variation(system: Any, x: Floats, function: Any, tangents: TangentSpace, *time: float) -> Floats:
     """Return the second derivatives of F(exp(D_v) x) by v, at v = 0, in the basis of the tangent space."""
     P, U, blocks = tangents
-    u = np.asarray(function.gradient(x, 0.0), dtype=np.float64)
-    hessian = np.asarray(function.hessian(x, 0.0), dtype=np.float64)
+    u = np.asarray(function.gradient(x, *time), dtype=np.float64)
+    hessian = np.asarray(function.hessian(x, *time), dtype=np.float64)
     D = system.sign * np.asarray(system.algebra.coadjoint(u), dtype=np.float64)
     PU = np.zeros_like(U)
     for rows, columns in blocks:

@@ -156,10 +156,11 @@ def predicted_drift(
         )
     if not system.has_structure_constants or not acts_by_rotations(system):
         raise TypeError(f"{system.name} has no attitude of a body, 3 x 3")
-    exact, computed = (_attitude_motion(system, slope, start) for slope in (system.hamiltonian.gradient, gradient))
-    slope = exact.time / computed.time - 1.0
-    psi = float(np.remainder(computed.psi - exact.psi + np.pi, 2.0 * np.pi) - np.pi)
-    return PredictedDrift(slope, psi / computed.time + exact.speed * slope, exact.time, computed.time)
+    exact_period, exact_psi, speed = _attitude_motion(system, system.hamiltonian.gradient, start)
+    modified_period, modified_psi, _ = _attitude_motion(system, gradient, start)
+    slope = exact_period / modified_period - 1.0
+    psi = float(np.remainder(modified_psi - exact_psi + np.pi, 2.0 * np.pi) - np.pi)
+    return PredictedDrift(slope, psi / modified_period + speed * slope, exact_period, modified_period)
 
 
 def _at_step(system: Any, modified: Any, step: Any) -> tuple[Function | None, Function | None]:
@@ -197,14 +198,11 @@ def _validated(function: Function, n: int, name: str) -> Function:
     return validated
 
 
-class _AttitudeMotion(NamedTuple):
-    time: float
-    psi: float  # rotation about the momentum in space in one period, modulo 2 pi
-    speed: float  # mean angular velocity about it
+def _attitude_motion(system: LiePoissonSystem, gradient: Function, start: Floats) -> tuple[float, float, float]:
+    """Integrate momentum, attitude, from the unit matrix, and angle about the momentum in space, over one period.
 
-
-def _attitude_motion(system: LiePoissonSystem, gradient: Function, start: Floats) -> _AttitudeMotion:
-    """Integrate the momentum, the attitude from the unit matrix, and the angle about the momentum, over one period."""
+    Return the period, the rotation about the momentum in it modulo 2 pi, and the mean angular velocity about it.
+    """
     representation = system.representation
     assert representation is not None
     along = start / np.linalg.norm(start)
@@ -220,7 +218,7 @@ def _attitude_motion(system: LiePoissonSystem, gradient: Function, start: Floats
 
     motion = period(field_with_attitude, start, np.append(np.eye(3).ravel(), 0.0))
     psi = twist(motion.carried[:9].reshape(3, 3), np.eye(3), start)
-    return _AttitudeMotion(motion.time, float(psi), float(motion.carried[9]) / motion.time)
+    return motion.time, float(psi), float(motion.carried[9]) / motion.time
 
 
 class Period(NamedTuple):

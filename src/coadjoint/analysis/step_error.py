@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ NUMBERS = 2**20
 
 def step_error(solution: Solution) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
-    return _Measured(solution, None).worst().error
+    return _Measured(solution, None).worst()[0]
 
 
 def step_errors_of_groups(solution: Solution) -> dict[str, float]:
@@ -77,33 +77,6 @@ def loses_digits(solution: Solution) -> bool:
     if method.own_steps or system.has_noise:
         return False
     return _Measured(solution, None).lossy
-
-
-class Worst(NamedTuple):
-    """The largest error of a step among the members; `truncation` is the part that shorter steps reduce."""
-
-    # Of a run at rest `total` is such an error in each of its steps, relative to the state, else infinite.
-
-    error: float
-    truncation: float
-    member: int
-    total: float
-
-
-class StepErrors(NamedTuple):
-    """Errors of a step by its length, changes in it, and differences by rounding, (..., members, groups)."""
-
-    errors: Floats
-    changes: Floats
-    rounding: Floats
-
-
-class Rounded(NamedTuple):
-    """The largest error of a group by rounding, relative to its size, with the group and the member."""
-
-    error: float
-    group: int
-    member: int
 
 
 class _Measured:
@@ -134,26 +107,28 @@ class _Measured:
         runs: tuple[Preparation, ...] = (self.prepared, self.alone)
         states = [states for _, states, _ in points]
         if any(one.hamiltonian.timed or one.forces for one in prepared.system.distinct):
-            step = StepErrors(*map(np.stack, zip(*(self._step(runs, x, t) for t, x, _ in points), strict=True)))
+            step = np.stack([self._step(runs, x, t) for t, x, _ in points], axis=1)
         else:
             # The members at all points side by side.
             if system.is_batch:
                 repeated = np.tile(np.arange(len(members)), len(points))
                 runs = tuple(run.sampled(repeated) for run in dict.fromkeys(runs))
             step = self._step(runs, np.concatenate(states), points[0][0])
-            step = StepErrors(*(part.reshape(len(points), -1, self.groups.count) for part in step))
+            step = step.reshape(3, len(points), -1, self.groups.count)
         norms = self.groups.norms(states[0][None] if len(points) == 1 else np.stack(states))
         held = np.stack([held for _, _, held in points])
         if not held.all():
-            step, norms = StepErrors(*(np.where(held[..., None], part, 0.0) for part in step)), norms * held[..., None]
-        self.step, self.starts, self.sizes = step, norms[0], norms.max(axis=0)
-        self.rounding = step.rounding.max(axis=0)
+            step, norms = np.where(held[..., None], step, 0.0), norms * held[..., None]
+        # By point, member and group: errors of a step by its length, changes in it, and differences by rounding.
+        self.errors, self.changes, self.rounding_at_points = step
+        self.starts, self.sizes, self.rounding = norms[0], norms.max(axis=0), self.rounding_at_points.max(axis=0)
         self.weights = self._weights()
 
     def _step(
         self, runs: tuple[Preparation, ...], states: Floats, t: float, known_rounding: Floats | None = None
-    ) -> StepErrors:
-        """Measure a step from states, zero if it cannot be repeated; rounding by the last run unless it is known."""
+    ) -> Floats:
+        """Return errors, changes and rounding of a step, (3, members, groups), zero if it cannot be repeated."""
+        # Rounding is measured by the last run, unless it is known.
         h, groups, prepared = self.h, self.groups, runs[0]
         middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
         change = groups.norms(middle - states)
@@ -178,7 +153,7 @@ class _Measured:
         errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
         failed = ~np.isfinite(errors + changes).all(axis=1)
         errors[failed], changes[failed] = 0.0, 0.0
-        return StepErrors(errors, changes, rounding)
+        return np.stack([errors, changes, rounding])
 
     @property
     def lossy(self) -> bool:
@@ -200,23 +175,26 @@ class _Measured:
     @ignore_overflow
     def errors_of_groups(self) -> Floats:
         """Return the error of a step with its rounding, relative to the change of the group, the largest of members."""
-        errors = np.sum(self.step.errors**2 + self._excess() ** 2, axis=0)
-        return _ratios(errors, np.sum(self.step.changes**2, axis=0)).max(axis=0)
+        errors = np.sum(self.errors**2 + self._excess() ** 2, axis=0)
+        return _ratios(errors, np.sum(self.changes**2, axis=0)).max(axis=0)
 
     def _excess(self) -> Floats:
         """Return the rounding of the steps beyond that of a group that keeps its digits."""
-        return np.maximum(0.0, self.step.rounding - EXCESS * self.sizes)
+        return np.maximum(0.0, self.rounding_at_points - EXCESS * self.sizes)
 
     @ignore_overflow
-    def worst(self) -> Worst:
-        """Return the member with the largest error of a step."""
+    def worst(self) -> tuple[float, float, int, float]:
+        """Return the largest error of a step, the part of it that shorter steps reduce, its member, and its total.
+
+        Of a run at rest the total is such an error in each of its steps, relative to the state, else infinite.
+        """
         solution, system, weights = self.solution, self.system, self.weights
 
         def total(part: Floats) -> Floats:
             squares: Floats = (part * weights) ** 2
             return squares.sum(axis=(0, 2))
 
-        errors, changes = total(self.step.errors), total(self.step.changes)
+        errors, changes = total(self.errors), total(self.changes)
         relative = _ratios(errors, changes)
         with_rounding = _ratios(errors + total(self._excess()), changes) if self.lossy else relative
         worst = int(np.argmax(relative))
@@ -228,15 +206,15 @@ class _Measured:
             if np.linalg.norm(self.scaled(field, worst)) * abs(self.h) <= AT_REST * mean:
                 sizes = [np.sum(self.scaled(state, worst) ** 2) for state in known]
                 rest = self.step_count(worst) * mean / (math.sqrt(np.mean(sizes)) or 1.0)
-        largest = Worst(float(with_rounding.max()), float(relative[worst]), int(self.members[worst]), rest)
+        largest = float(with_rounding.max()), float(relative[worst]), int(self.members[worst]), rest
         if solution._in_memory and len(solution.t) > 1:
             passage, closest = self._passages()
             found = [] if passage is None else [(self._error_of_passage(*passage), passage[0])]
             found += self._error_inside(closest)
             for fastest, m in found:
-                if FASTEST * fastest > largest.truncation:
-                    error = max(largest.error, FASTEST * fastest)
-                    largest = Worst(error, FASTEST * fastest, int(self.members[m]), math.inf)
+                if FASTEST * fastest > largest[1]:
+                    error = max(largest[0], FASTEST * fastest)
+                    largest = error, FASTEST * fastest, int(self.members[m]), math.inf
         return largest
 
     def step_count(self, m: int) -> float:
@@ -246,8 +224,11 @@ class _Measured:
         return abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
 
     @ignore_overflow
-    def rounded_group(self) -> Rounded | None:
-        """Return the group that rounding changes most in the run of a member, relative to its size; None if little."""
+    def rounded_group(self) -> tuple[float, int, int] | None:
+        """Return the largest change of a group by rounding in the run of a chosen member, that member, and the group.
+
+        The change is relative to the size of the group; None if it is small.
+        """
         # If a step loses so many digits that the run could, the run of that member is repeated, or the part of it that
         # few steps reach, with rounding up and down in turns. Groups that are zero but for rounding are left out.
         if not self.lossy:
@@ -278,17 +259,11 @@ class _Measured:
         errors = np.nan_to_num(errors, nan=0.0, posinf=0.0) * math.sqrt(max(1.0, whole / steps))
         # The group that loses most digits is named, others follow it.
         group = int(np.argmax(np.where(errors > ROUNDED, ratios[m], -1.0)))
-        return Rounded(float(errors[group]), group, int(self.members[m])) if errors[group] > ROUNDED else None
+        return (float(errors[group]), m, group) if errors[group] > ROUNDED else None
 
-    def is_beside_larger(self, rounded: Rounded) -> bool:
-        """Test whether a group is smaller than another one, and rounding is not what an unstable run has amplified."""
-        m = int(np.flatnonzero(self.members == rounded.member)[0])
-        return rounded.error < 1.0 and bool(self.sizes[m, rounded.group] < self.sizes[m].max())
-
-    def radians_in_step(self, rounded: Rounded) -> float:
+    def radians_in_step(self, m: int, group: int) -> float:
         """Return the angle by which a step turns a group if its rounding is that of the angle, otherwise 0."""
-        m, group, system = int(np.flatnonzero(self.members == rounded.member)[0]), rounded.group, self.system
-        one, moves = system.of_member(rounded.member), [0.0]
+        one, moves = self.system.of_member(int(self.members[m])), [0.0]
         for t, states, held in self.points:
             if held[m]:
                 field = one.rows_of(one.vector_field(one.states_of(states[m]), t))
@@ -367,8 +342,8 @@ class _Measured:
 
     def _error_of(self, m: int, state: Floats, t: float) -> float:
         """Return the error of a step of a chosen member from a state (1, n), relative to the change in it."""
-        step = self._step((self._of_member(m),), state, t, self.rounding[m])
-        errors, changes = (np.sum((part * self.weights[m]) ** 2, axis=1) for part in (step.errors, step.changes))
+        step = self._step((self._of_member(m),), state, t, self.rounding[m : m + 1])
+        errors, changes = np.sum((step[:2] * self.weights[m]) ** 2, axis=2)
         return float(_ratios(errors, changes)[0])
 
 
@@ -406,13 +381,18 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
         too_large = truncation > WARNED and total > WARNED
         # Where rounding is most of the error of a step, two half steps differ by rounding too.
         rounded = None if too_large and error < 2.0 * truncation else measured.rounded_group()
-        if too_large and rounded is not None and not measured.is_beside_larger(rounded):
-            rounded = None
+        if too_large and rounded is not None:
+            change, m, group = rounded
+            # An unstable run amplifies rounding.
+            if change >= 1.0 or measured.sizes[m, group] >= measured.sizes[m].max():
+                rounded = None
     except Exception:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
         return
     solution.__dict__["_step_error"] = error
-    member = member if rounded is None else rounded.member
+    if rounded is not None:
+        change, m, group = rounded
+        member = int(measured.members[m])
     motion = "this motion" if solution.failed is None else f"the motion of member {member}"
     if too_large and rounded is None:
         suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.scheme.order)
@@ -423,7 +403,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
             LargeStepWarning,
         )
     elif rounded is not None:
-        radians = measured.radians_in_step(rounded)
+        radians = measured.radians_in_step(m, group)
         reason = (
             f"since a step turns it by about {radians:.1g} radians, and float64 has 16 digits; shorter steps do not "
             "help, a shorter span does"
@@ -432,7 +412,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
             "coordinates or terms of the Hamiltonian in which they cancel exactly do"
         )
         warn_caller(
-            f"rounding changes {measured.groups.names()[rounded.group]} in {motion} by about {rounded.error:.1g} of "
+            f"rounding changes {measured.groups.names()[group]} in {motion} by about {change:.1g} of "
             f"its size, {reason}",
             RoundingWarning,
         )

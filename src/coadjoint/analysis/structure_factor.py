@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -145,8 +145,8 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     lattice, shape = _lattice(solution)
     signal = sampled(solution, None, MIN_TIMES)
     members, count, n = signal.values.shape
-    line = reciprocal_path(lattice, shape, path)
-    k = len(line.q)
+    q, distance, corners = reciprocal_path(lattice, shape, path)
+    k = len(q)
     check_available_memory(
         BYTES_PER_VALUE * k * count + 16 * k * n,
         f"the structure factor at {k} wave vectors and {count} times",
@@ -154,7 +154,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     )
     weight = _window(window, count)
     spacing = float(signal.t[-1] - signal.t[0]) / (count - 1)
-    phase = 2.0 * np.pi * (line.q @ cell_coordinates(lattice, shape).T)
+    phase = 2.0 * np.pi * (q @ cell_coordinates(lattice, shape).T)
     scale = abs(spacing) / (2.0 * np.pi * (n // 3) * np.sum(weight**2))
     mean, square, static = np.zeros((3, k, count)), np.zeros((k, count)), np.zeros(k)
     for member, rows in enumerate(signal.values):
@@ -173,9 +173,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     order = np.argsort(np.fft.fftfreq(count), kind="stable")
     omega = 2.0 * np.pi * np.fft.fftfreq(count, abs(spacing))[order]
     spectrum = mean[:, :, order]
-    return StructureFactor(
-        line.q, omega, spectrum.sum(axis=0), error[:, order], spectrum, static, line.distance, line.corners
-    )
+    return StructureFactor(q, omega, spectrum.sum(axis=0), error[:, order], spectrum, static, distance, corners)
 
 
 def _lattice(solution: Solution) -> tuple[str, Any]:
@@ -231,16 +229,11 @@ def _amplitudes(rows: Floats, phase: Floats) -> NDArray[np.complex128]:
     return result
 
 
-class ReciprocalPath(NamedTuple):
-    """Wave vectors (k, axes) in units of the reciprocal edges, their distances along the path (k,), and corners."""
+def reciprocal_path(lattice: str, shape: Any, path: Any) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Return the wave vectors that fit the lattice on straight lines between corners; None is the usual path.
 
-    q: Floats
-    distance: Floats
-    corners: NDArray[np.int64]
-
-
-def reciprocal_path(lattice: str, shape: Any, path: Any) -> ReciprocalPath:
-    """Return the wave vectors that fit the lattice on straight lines between corners; None is the usual path."""
+    They are (k, axes), in units of the reciprocal edges, with distances along the path (k,) and the numbers of corners.
+    """
     sizes = np.array(sizes_of(shape))
     given = CELL_GEOMETRY[lattice].path if path is None else path
     corners = read_finite(given, "path")
@@ -271,4 +264,4 @@ def reciprocal_path(lattice: str, shape: Any, path: Any) -> ReciprocalPath:
     q = np.concatenate(points) / sizes
     steps = np.linalg.norm(np.diff(q, axis=0) @ reciprocal_edges(lattice), axis=1)
     ends = np.cumsum([len(part) for part in points]) - 1
-    return ReciprocalPath(q, np.concatenate([[0.0], np.cumsum(steps)]), np.unique(ends))
+    return q, np.concatenate([[0.0], np.cumsum(steps)]), np.unique(ends)

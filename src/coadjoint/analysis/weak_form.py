@@ -155,11 +155,6 @@ def equations_of(data: TrajectorySamples, exponents: NDArray[np.int64], r: int) 
             yield WeakEquations(np.tensordot(psi, fields, 1), -of_slope @ x, x, psi, of_slope)
 
 
-def in_basis(group: WeakEquations, complement: Floats) -> WeakEquations:
-    """Return equations for the coefficients in a basis."""
-    return group._replace(A=group.A @ complement)
-
-
 def whitened_equations(
     data: TrajectorySamples, group: WeakEquations, H: Polynomial | None, noise: Floats
 ) -> tuple[Floats, Floats]:

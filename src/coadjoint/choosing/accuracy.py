@@ -200,7 +200,8 @@ def _choose(
     if t0 == t1:
         return Choice(candidates[0].method, 1.0, required, 0.0, 0.0, 0.0)
     pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, required)
-    _check_rounding(pilot, candidates)
+    if least_roundoff(pilot) >= ROUNDING_SHARE:
+        raise _none_reached(candidates, abs(pilot.span))
     candidates = [with_measured_work(pilot, each) for each in candidates]
     first_trials = _first_trials(pilot, candidates, required)
     fits = _fits_of_constant_steps(pilot, candidates, required, first_trials)
@@ -237,12 +238,6 @@ def _target_error(candidate: Candidate, required: float) -> float:
     if candidate.method.own_steps:
         return required / SAFETY_FACTOR
     return max(required / (SAFETY_FACTOR * max(1.0, candidate.method.order / MODERATE_ORDER) ** 2), MIN_GOAL)
-
-
-def _check_rounding(pilot: Pilot, candidates: Sequence[Candidate]) -> None:
-    """Raise ValueError if the rounding error of every scheme reaches half the size of the motion."""
-    if least_roundoff(pilot) >= ROUNDING_SHARE:
-        raise _none_reached(candidates, abs(pilot.span))
 
 
 def _first_trials(pilot: Pilot, candidates: Sequence[Candidate], required: float) -> FirstTrials:
@@ -311,7 +306,10 @@ def _fits_with_acceptable_roundoff(
     """Return the fits with acceptable rounding; raise ValueError if there are none."""
     time = abs(pilot.span)
     if not fits:
-        raise _too_expensive(candidates, required, time)
+        raise ValueError(
+            f"no step of {_scheme_text(candidates)} reaches the accuracy {required:g} over the time {time:g} at "
+            "an acceptable cost; ask for a larger error, or for a shorter time"
+        )
     accurate = [adjusted for each in fits if (adjusted := _with_acceptable_roundoff(each, required)) is not None]
     if not accurate:
         compensated = [(each, each.candidate.compensated()) for each in fits]
@@ -351,14 +349,6 @@ def _choice_of_fit(fitted: StepFit, required: float) -> Choice:
     span = abs(fitted.pilot.span)
     error = fitted.error + fitted.roundoff
     return Choice(fitted.candidate.method, span / fitted.steps, required, error, fitted.roundoff, fitted.cost)
-
-
-def _too_expensive(candidates: Sequence[Candidate], accuracy: float, time: float) -> ValueError:
-    """Return the error for schemes without a step of acceptable cost."""
-    return ValueError(
-        f"no step of {_scheme_text(candidates)} reaches the accuracy {accuracy:g} over the time {time:g} at "
-        "an acceptable cost; ask for a larger error, or for a shorter time"
-    )
 
 
 def _below_rounding(candidates: Sequence[Candidate], accuracy: float, time: float, reachable: float) -> ValueError:

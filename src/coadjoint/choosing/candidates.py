@@ -154,49 +154,41 @@ def _is_uncounted(method: Method) -> bool:
 
 def _measured_cost(pilot: Pilot, method: Method) -> float | None:
     """Return the cost of a step in rotations; None if a run fails."""
-    timed = [_Timed(pilot, method), _Timed(pilot, REFERENCE)]
-    if not all(each.find_count() for each in timed):
+    own_count, reference_count = (_count_to_time(pilot, one) for one in (method, REFERENCE))
+    if own_count is None or reference_count is None:
         return None
     ratios = []
     for _ in range(PAIRS):
-        own, reference = (each.run() for each in timed)
+        own, reference = _timed(pilot, method, own_count), _timed(pilot, REFERENCE, reference_count)
         if own is None or reference is None:
             return None
-        own_time, reference_time = (each.seconds / each.count for each in timed)
-        ratios.append(own_time / reference_time)
-    assert reference is not None
-    iterations, evaluations = (
-        int(reference.state[name].sum()) / timed[1].count for name in ("iterations", "evaluations")
-    )
+        (_, own_count, own_seconds), (run, reference_count, seconds) = own, reference
+        ratios.append((own_seconds / own_count) / (seconds / reference_count))
+    iterations, evaluations = (int(run.state[name].sum()) / reference_count for name in ("iterations", "evaluations"))
     return median(ratios) * REFERENCE.work(pilot.system).cost(iterations, evaluations)
 
 
-class _Timed:
-    """Runs of a scheme at the start of a window, of the first member, with `count` steps in total."""
+def _timed(pilot: Pilot, method: Method, count: int) -> tuple[Run, int, float] | None:
+    """Take about `count` steps from the first member; return the run, their number and seconds, None if they fail."""
+    # The steps of a first trial, as in `fit`, from several copies of the state if the window is short.
+    step = min(pilot.natural_step * method.order / REFERENCE.order, pilot.window)
+    steps = min(count, max(1, math.floor(pilot.window / step)))
+    copies = count // steps
+    momenta, length = np.repeat(pilot.momenta[:1], copies, axis=0), math.copysign(steps * step, pilot.span)
+    run = short_run(pilot.system, method, momenta, pilot.t0, length, steps, steps, advanced=False)
+    begun = time.process_time()  # less disturbed by other programs than the time of a clock
+    run.advance()
+    seconds = time.process_time() - begun
+    return None if np.any(run.state["status"]) else (run, copies * steps, seconds)
 
-    def __init__(self, pilot: Pilot, method: Method) -> None:
-        self._pilot, self._method = pilot, method
-        # The steps of a first trial, as in `fit`.
-        self._step = min(pilot.natural_step * method.order / REFERENCE.order, pilot.window)
-        self._longest = max(1, math.floor(pilot.window / self._step))
-        self.count, self.seconds = 1, 0.0
 
-    def run(self) -> Run | None:
-        """Take the steps, from several copies of the state if the window is short; None if they fail."""
-        pilot, steps = self._pilot, min(self.count, self._longest)
-        copies = self.count // steps
-        self.count = copies * steps
-        momenta = np.repeat(pilot.momenta[:1], copies, axis=0)
-        length = math.copysign(steps * self._step, pilot.span)
-        run = short_run(pilot.system, self._method, momenta, pilot.t0, length, steps, steps, advanced=False)
-        begun = time.process_time()  # less disturbed by other programs than the time of a clock
-        run.advance()
-        self.seconds = time.process_time() - begun
-        return None if np.any(run.state["status"]) else run
-
-    def find_count(self) -> bool:
-        """Double the steps until they take `MIN_SECONDS`; return whether they succeed."""
-        self.run()  # compiles
-        while (run := self.run()) is not None and self.seconds < MIN_SECONDS and self.count < MAX_STEPS:
-            self.count *= 2
-        return run is not None
+def _count_to_time(pilot: Pilot, method: Method) -> int | None:
+    """Return a number of steps that take `MIN_SECONDS`, by doubling; None if they fail."""
+    count = 1
+    _timed(pilot, method, count)  # compiles
+    while (found := _timed(pilot, method, count)) is not None:
+        _, count, seconds = found
+        if seconds >= MIN_SECONDS or count >= MAX_STEPS:
+            return count
+        count *= 2
+    return None

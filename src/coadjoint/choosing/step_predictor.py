@@ -27,21 +27,8 @@ MIN_ORDER_DIFFERENCE = 4  # of two series, so that rounding of their fits hardly
 MIN_ERROR = 2.0**-1000  # relative error in place of zero, of which no logarithm exists
 
 
-class SeriesErrorModel:
-    """Error model c (h / r)^p of series, fitted to two: ``log N = log(T / r) + (log c - log goal) / p``."""
-
-    def __init__(self, first: StepFit, second: StepFit) -> None:
-        p, q = first.candidate.method.order, second.candidate.method.order
-        at_p, at_q = (
-            math.log(fit.steps) + math.log(max(fit.error, MIN_ERROR)) / p for fit, p in ((first, p), (second, q))
-        )
-        self._amount = (at_p - at_q) / (1.0 / p - 1.0 / q)
-        self._rate = at_p - self._amount / p
-
-    def steps(self, order: int, goal: float) -> float:
-        """Return the steps over the whole span that a series of this order needs for an error."""
-        exponent = self._rate + (self._amount - math.log(goal)) / order
-        return math.exp(min(exponent, 700.0))
+SeriesErrorModel = Callable[[int, float], float]
+"""Function of an order and an error that returns the steps of a series."""
 
 
 class StepPredictor:
@@ -69,7 +56,7 @@ class StepPredictor:
         related = self._related_fits(candidate)
         if related:
             return self._steps(self._error_model, candidate, related[0])
-        return self._error_model.steps(candidate.method.order, self._goal_of(candidate)) / TYPICAL_ADVANTAGE
+        return self._error_model(candidate.method.order, self._goal_of(candidate)) / TYPICAL_ADVANTAGE
 
     def _steps_from_trial(self, candidate: Candidate) -> float | None:
         """Estimate the steps of a series of high order from a trial with variable steps."""
@@ -91,7 +78,7 @@ class StepPredictor:
         if related:
             return min(self._related_cost(self._error_model, candidate, each) for each in related) / RELATED_DIVISOR
         order = candidate.method.order
-        steps = self._error_model.steps(order, self._goal_of(candidate)) / MAX_ADVANTAGE
+        steps = self._error_model(order, self._goal_of(candidate)) / MAX_ADVANTAGE
         return steps * _step_cost(
             candidate, min(float(order), MIN_ITERATIONS), order / 2
         )  # no tableau of s stages is above 2 s
@@ -112,8 +99,8 @@ class StepPredictor:
 
     def _steps(self, error_model: SeriesErrorModel, candidate: Candidate, related: StepFit) -> float:
         """Predict the steps of a scheme from those of a related one, scaled by the model."""
-        related_steps = error_model.steps(related.candidate.method.order, self._goal_of(related.candidate))
-        return related.steps * error_model.steps(candidate.method.order, self._goal_of(candidate)) / related_steps
+        related_steps = error_model(related.candidate.method.order, self._goal_of(related.candidate))
+        return related.steps * error_model(candidate.method.order, self._goal_of(candidate)) / related_steps
 
     def _related_cost(self, error_model: SeriesErrorModel, candidate: Candidate, related: StepFit) -> float:
         """Predict the cost of a scheme from a related one; reduced if that was extrapolated far."""
@@ -129,11 +116,22 @@ def _step_cost(candidate: Candidate, iterations: float, stages: float) -> float:
 
 
 def series_error_model(fits: Sequence[StepFit]) -> SeriesErrorModel | None:
-    """Return the model by the first two series with sufficiently different orders; None if there are none."""
+    """Fit the error model c (h / r)^p to the first two series with sufficiently different orders; None without them.
+
+    It returns the steps N over the whole span that a series of order p needs for an error:
+    ``log N = log(T / r) + (log c - log goal) / p``.
+    """
     series = [each for each in fits if _is_series(each.candidate.method)]
     for second, first in ((a, b) for k, a in enumerate(series) for b in series[:k]):
-        if abs(first.candidate.method.order - second.candidate.method.order) >= MIN_ORDER_DIFFERENCE:
-            return SeriesErrorModel(first, second)
+        p, q = first.candidate.method.order, second.candidate.method.order
+        if abs(p - q) >= MIN_ORDER_DIFFERENCE:
+            at_p, at_q = (
+                math.log(fit.steps) + math.log(max(fit.error, MIN_ERROR)) / order
+                for fit, order in ((first, p), (second, q))
+            )
+            amount = (at_p - at_q) / (1.0 / p - 1.0 / q)
+            rate = at_p - amount / p
+            return lambda order, goal: math.exp(min(rate + (amount - math.log(goal)) / order, 700.0))
     return None
 
 

@@ -26,15 +26,26 @@ def view_of(points: Floats) -> tuple[float, float]:
     return (float(np.degrees(np.arctan2(y, x))) + VIEW_OFFSET, VIEW[1]) if np.hypot(x, y) > 0.15 else VIEW
 
 
+def unit_vectors(longitude: Floats, latitude: Floats) -> Floats:
+    """Return the unit vectors (..., 3) at longitudes and latitudes in radians."""
+    return np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
+    )
+
+
+def view_frame(view: tuple[float, float]) -> Floats:
+    """Return the rotation whose rows are the axes of a picture: to the right, upwards, and towards the viewer."""
+    around, above = np.radians(view)
+    towards, right = unit_vectors(around, above), np.array([-np.sin(around), np.cos(around), 0.0])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
 class Globe:
     """Sphere of a given radius in flat axes of equal aspect, with labels for its three axes and a view as `VIEW`."""
 
     def __init__(self, axes: Any, names: Any, view: tuple[float, float] = VIEW, radius: float = 1.0) -> None:
         self.axes, self.radius = axes, radius
-        around, above = np.radians(view)
-        towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
-        right = np.array([-np.sin(around), np.cos(around), 0.0])
-        self.frame = np.stack([right, np.cross(towards, right), towards])
+        self.frame = view_frame(view)
         self._draw_ball()
         self._draw_axes(names)
         axes.set_aspect("equal")

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from mpl_toolkits.mplot3d.art3d import Line3D
 
-from coadjoint.pictures.globe import FAR_ALPHA
+from coadjoint.pictures.globe import FAR_ALPHA, view_frame
 from coadjoint.pictures.level_surface import values_at
 from coadjoint.pictures.style import paper
 
@@ -52,8 +52,7 @@ class FadingLine(Line3D):  # type: ignore[misc]
 
 def towards_viewer(axes: Any) -> Floats:
     """Return the direction to the viewer of three-dimensional axes, in the coordinates of the data."""
-    above, around = np.radians(axes.elev), np.radians(axes.azim)
-    towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
+    towards = view_frame((axes.azim, axes.elev))[2]
     size = np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1)
     return np.asarray(towards * size / axes._box_aspect)
 

@@ -64,10 +64,8 @@ class PlottedRun:
         self.solution = solution
         chosen = None if members is None else _read_members(solution, members)
         self.single = solution.failed is None
-        # Complex matrices are drawn as interleaved real and imaginary parts.
         states = np.ascontiguousarray(solution.x)
-        self._type = states.dtype
-        states = states.view(np.float64) if np.iscomplexobj(states) else states
+        self._type, states = states.dtype, _as_real(states)
         self.n = int(np.prod(solution.system.of_member(0).shape)) * (self._type.itemsize // states.dtype.itemsize)
         states = states.reshape(len(solution.t), -1, self.n)
         self.member_count = states.shape[1]  # of the run
@@ -116,9 +114,8 @@ class PlottedRun:
         copied = copy.copy(self)
         for name in ("attitude", "rotation", "curve_indices", "joined", "axis_joined", "dense", "refined"):
             copied.__dict__.pop(name, None)
-        states = np.ascontiguousarray(interpolated.x)
-        states = states.view(np.float64) if np.iscomplexobj(states) else states
-        copied.t, copied.x = times, self._select_members(states.reshape(len(times), -1, self.n))
+        copied.t = times
+        copied.x = self._select_members(_as_real(interpolated.x).reshape(len(times), -1, self.n))
         has_attitude = self.solution.carried == "representation" and interpolated.attitude is not None
         copied.__dict__["attitude"] = self.select(interpolated.attitude) if has_attitude else None
         copied.__dict__["refined"] = copied
@@ -157,9 +154,7 @@ class PlottedRun:
     @property
     def x0(self) -> Floats:
         """The initial states (members, n), which `t_eval` may not save; real and imaginary parts as in `x`."""
-        states = np.ascontiguousarray(self.solution.x0)
-        states = states.view(np.float64) if np.iscomplexobj(states) else states
-        return states.reshape(-1, self.n)[self._chosen]
+        return _as_real(self.solution.x0).reshape(-1, self.n)[self._chosen]
 
     @property
     def initial_energies(self) -> Floats:
@@ -301,6 +296,12 @@ class PlottedRun:
         state = self._shaped(x)
         field = np.ascontiguousarray(self.system_of(m).vector_field(state, t), dtype=self._type)
         return field.view(np.float64).ravel()
+
+
+def _as_real(states: npt.ArrayLike) -> Floats:
+    """Return states as real numbers; complex matrices as interleaved real and imaginary parts."""
+    values = np.ascontiguousarray(states)
+    return values.view(np.float64) if np.iscomplexobj(values) else values
 
 
 def _read_members(solution: Solution, members: Any) -> npt.NDArray[np.int64]:

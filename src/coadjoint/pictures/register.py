@@ -1,4 +1,4 @@
-"""Registry of the kinds of pictures; each kind is one file in the folder `kinds`."""
+"""Registry of the kinds of pictures, which are functions in the files of the folder `kinds`."""
 
 from __future__ import annotations
 

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.analysis.certificates.claims import scheme_and_claims
-from coadjoint.analysis.checks import attitude, invariants, poisson, subject, symmetry
-from coadjoint.analysis.checks.convergence import allowed_error
-from coadjoint.analysis.checks.invariants import size_of
-from coadjoint.analysis.checks.norm import Norm
-from coadjoint.analysis.checks.reference import motion, natural_time
-from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.certificates import attitude, invariants, step_map, subject
+from coadjoint.analysis.certificates.certify import scheme_and_claims
+from coadjoint.analysis.certificates.convergence import allowed_error
+from coadjoint.analysis.certificates.invariants import size_of
+from coadjoint.analysis.certificates.reference import Norm, motion, natural_time
+from coadjoint.analysis.certificates.subject import Subject
 from rounding import UNIT_ROUNDOFF as U
 
 Properties = co.methods.Properties
@@ -30,7 +29,7 @@ def test_a_state_rests_up_to_its_threshold(speed, rests):
 def subject_of(system, method, states, h, steps=32, **said):
     scheme, claims = scheme_and_claims(system, method, said.get("order"), said.get("properties"), said.get("symmetric"))
     states = np.atleast_2d(np.asarray(states, dtype=float))
-    return Subject(system, scheme, claims, h, states, steps, compiled=isinstance(method, co.methods.Method))
+    return Subject(system, scheme, h, states, steps, isinstance(method, co.methods.Method), **claims)
 
 
 @pytest.mark.thinned(2)
@@ -235,7 +234,7 @@ def test_the_defect_along_directions_is_about_that_of_the_matrices(dear):
     P, Q = there.tangent(x), back.tangent(y)
     defect = np.linalg.norm(P @ system.structure_matrix(x) - system.structure_matrix(y) @ Q.T)
     assert row.measured.startswith("defect")
-    found, bound, _ = poisson._directional_defect(subject_of(system, scheme, x, h, 1), x, h)
+    found, bound, _ = step_map._directional_defect(subject_of(system, scheme, x, h, 1), x, h)
     assert 0.5 * defect < found < 2.0 * defect and bound < 1e-6 * defect
 
 
@@ -256,15 +255,14 @@ def test_the_long_run_has_as_many_steps_as_take_seconds(monkeypatch):
 @pytest.mark.long
 def test_matrices_that_would_be_too_large_are_not_needed_for_dear_steps(dear, monkeypatch):
     """Neither J nor P is made as a matrix; a lattice of more coordinates is not read flow by flow."""
-    for module in (poisson, symmetry):
-        monkeypatch.setattr(module, "MAX_DENSE_DIM", 16)
+    monkeypatch.setattr(step_map, "MAX_DENSE_DIM", 16)
     g = co.algebras.so(7)
     system = co.LiePoissonSystem(g, co.Quadratic(np.linspace(1.0, 2.0, g.dim)))
     monkeypatch.setattr(type(system), "structure_matrix", None)
     x0 = RNG.normal(size=g.dim) / np.sqrt(g.dim)
     found = co.certify(system, co.Splitting(), x0, 0.05, steps=4)
     assert [found[key].verdict for key in ("symmetry", "poisson")] == ["holds", "holds"]
-    monkeypatch.setattr(poisson, "MAX_DIRECTIONAL_DIM", 20)
+    monkeypatch.setattr(step_map, "MAX_DIRECTIONAL_DIM", 20)
     assert co.certify(system, co.Splitting(), x0, 0.05, steps=4)["poisson"].verdict == "not decidable here"
 
 

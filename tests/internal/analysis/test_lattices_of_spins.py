@@ -52,11 +52,11 @@ def test_sum_over_frequencies_is_the_equal_time_structure_factor(name, window):
 
 
 def test_paths_take_every_wave_vector_on_their_lines():
-    line = reciprocal_path("square", (12, 6), [(0, 0), (0.5, 0), (0.5, 0.5), (0, 0)])
-    assert (line.q * (12, 6)).round(12).tolist()[:8] == [[k, 0] for k in range(7)] + [[6, 1]]
-    assert line.corners.tolist() == [0, 6, 9, 12] and np.allclose(np.diff(line.distance)[:6], np.pi / 6)
-    assert len(reciprocal_path("chain", 9, None).q) == 10 and reciprocal_path("ring", 6, [0.5]).q.tolist() == [[0.5]]
-    assert reciprocal_path("triangular", (6, 6), None).q.shape == (7, 2)
+    q, distance, corners = reciprocal_path("square", (12, 6), [(0, 0), (0.5, 0), (0.5, 0.5), (0, 0)])
+    assert (q * (12, 6)).round(12).tolist()[:8] == [[k, 0] for k in range(7)] + [[6, 1]]
+    assert corners.tolist() == [0, 6, 9, 12] and np.allclose(np.diff(distance)[:6], np.pi / 6)
+    assert len(reciprocal_path("chain", 9, None)[0]) == 10 and reciprocal_path("ring", 6, [0.5])[0].tolist() == [[0.5]]
+    assert reciprocal_path("triangular", (6, 6), None)[0].shape == (7, 2)
     K = (2 / 3, 1 / 3) @ geometry.reciprocal_edges("triangular")
     assert np.allclose(np.linalg.norm(K), 4 * np.pi / 3)
     for shape, path, words in (
@@ -72,9 +72,9 @@ def test_paths_take_every_wave_vector_on_their_lines():
 @pytest.mark.parametrize(("lattice", "edge"), [("triangular", 1.0), ("honeycomb", np.sqrt(3.0)), ("kagome", 2.0)])
 def test_distances_along_a_path_are_those_in_space(lattice, edge):
     """Gamma, M, K, Gamma: the reciprocal edges are oblique, and sqrt(3) times as long as the sides of the zone."""
-    line, reciprocal = reciprocal_path(lattice, (6, 6), None), 4.0 * np.pi / np.sqrt(3.0) / edge
+    (_, distance, corners), reciprocal = reciprocal_path(lattice, (6, 6), None), 4.0 * np.pi / np.sqrt(3.0) / edge
     lengths = reciprocal * np.array([1.0 / 2.0, 1.0 / np.sqrt(12.0), 1.0 / np.sqrt(3.0)])
-    assert np.allclose(np.diff(line.distance[line.corners]), lengths, rtol=1e-14)
+    assert np.allclose(np.diff(distance[corners]), lengths, rtol=1e-14)
 
 
 def test_random_numbers_belong_to_sites():

@@ -211,7 +211,7 @@ def predictor_of(*fits, goal=lambda candidate: 1e-6):
 def test_the_error_model_needs_two_distant_orders_and_reproduces_their_law():
     model = series_error_model([fit_of(p, 80.0 + p, 3.0 * (50.0 / (80.0 + p)) ** p) for p in (16, 8)])
     for p, goal in ((6, 1e-3), (12, 1e-9), (24, 1e-12)):
-        assert model.steps(p, goal) == pytest.approx(law(p, goal), rel=1e-9)
+        assert model(p, goal) == pytest.approx(law(p, goal), rel=1e-9)
     near = [fit_of(16, 100, 1e-9), fit_of(14, 110, 1e-9)]
     others = [fit_of(16, 100, 1e-9, co.GaussLegendre(8)), fit_of(8, 300, 1e-9, co.GaussLegendre(4))]
     own = fit_of(8, 300, 1e-9, co.Taylor(8, tolerance=1e-6))

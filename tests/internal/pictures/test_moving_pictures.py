@@ -16,7 +16,7 @@ from PIL import Image
 import coadjoint as co
 from coadjoint.files.output.output_files import check_speed, write_movie
 from coadjoint.pictures.globe import Globe
-from coadjoint.pictures.kinds import body as module
+from coadjoint.pictures.kinds import bodies as module
 from coadjoint.pictures.movie import default_picture, frames_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture
@@ -89,7 +89,7 @@ def test_the_box_turns_with_the_body_in_every_frame(view):
     globe = Globe(Figure().add_subplot(), ("", "", ""), view)
     update = kinds()["body"].prepare(PlottedRun(run, [1]), at=1.0, view=view, axis=1)(axes)
     half = module.BOX_SIZE * sides / np.linalg.norm(sides)
-    light = module.DIRECTION_OF_LIGHT
+    light = module.LIGHT
     for k in (len(run.t) - 1, 12, 0, 5):
         update(k)
         A = run.attitude[k, 1]

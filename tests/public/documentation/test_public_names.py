@@ -134,6 +134,6 @@ def test_namespaces_are_lazy_and_name_what_is_near(space):
 
 
 def test_a_function_is_not_shadowed_by_its_module():
-    """Loading the module `line_drift` leaves the function of that name in `co.analysis`."""
-    assert "coadjoint.analysis.line_drift" in loaded_after("import coadjoint; coadjoint.analysis.line_drift")
-    assert callable(co.analysis.line_drift) and callable(co.analysis.round_off)
+    """Loading the module `phase_error` leaves the function of that name in `co.analysis`."""
+    assert "coadjoint.analysis.phase_error" in loaded_after("import coadjoint; coadjoint.analysis.phase_error")
+    assert callable(co.analysis.phase_error) and callable(co.analysis.round_off)

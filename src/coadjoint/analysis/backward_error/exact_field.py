@@ -15,9 +15,8 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomi
 from coadjoint.algebra.polynomials.monomials import ProductSum, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import readable_latex
-from coadjoint.analysis.backward_error.field_of_step import Field, size_of
 from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
-from coadjoint.analysis.backward_error.step_series import ExactSystem
+from coadjoint.analysis.backward_error.step_series import ExactSystem, Field, size_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short

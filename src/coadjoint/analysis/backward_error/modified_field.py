@@ -10,9 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.backward_error.exact_field import ExactField
-from coadjoint.analysis.backward_error.field_of_step import field_at, field_of_series, size_of
 from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
-from coadjoint.analysis.backward_error.step_series import ExactSystem, check_at_a_point, scale_of_motion
+from coadjoint.analysis.backward_error.step_series import (
+    ExactSystem,
+    check_at_a_point,
+    field_at,
+    field_of_series,
+    scale_of_motion,
+    size_of,
+)
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.methods.numerics.formal_series import vector

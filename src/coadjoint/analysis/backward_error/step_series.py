@@ -1,25 +1,29 @@
-"""Systems and steps in exact polynomials, and the check of a power series against the step."""
+"""Power series of steps, formal vector fields of steps (Lemma 6.1), and systems in exact polynomials."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.numbers import rational
-from coadjoint.algebra.polynomials.exact_polynomials import Exact
+from coadjoint.algebra.exact.numbers import fraction, rational
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.analysis.backward_error.field_of_step import Field, plain_ring, size_of
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.formal_series import NODE, FormalNumber, formal_numbers, vector
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 from coadjoint.systems.system import System
+
+Field = list[Exact]
+"""The n polynomials of a vector field."""
 
 BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
 MAX_MONOMIALS = 10**5  # of a field; products of larger ones take minutes
@@ -33,7 +37,7 @@ class ExactSystem:
     def __init__(self, system: System) -> None:
         self.system = system
         _check_monomials(system)
-        self.ring = plain_ring(system.dim, (NODE,))
+        self.ring = ExactPolynomials(LieAlgebra([], dim=system.dim), (NODE,))  # with zero bracket
         self._number = formal_numbers(self.ring, 1)
         self.energy = self.value_of(system.energy)
         self.field: Field = self._polynomials(system.vector_field(self._point))
@@ -147,3 +151,64 @@ def scale_of_motion(exact: ExactSystem, count: int) -> list[float]:
         term = [exact.ring.along(exact.field, F) / k for F in term]
         scales.append(max(map(size_of, term)))
     return scales
+
+
+def field_of_series(ring: ExactPolynomials, series: Sequence[Field]) -> list[Field]:
+    """Return f_0, f_1, ... with exp(h (f_0 + h f_1 + ...)) = the series of a step, as polynomials of h^0, h^1, ..."""
+    # S. Reich 1993, Lemma 6.1, where the indices of the fields Y are too low by one. With D the derivative along
+    # h f_0 + h^2 f_1 + ..., the flow is sum_m D^m x / m!, in which f_k first occurs in the coefficient of h^(k+1).
+    fields: list[Field] = []
+    # powers[m - 1][q] is the coefficient of h^q in D^m x, q >= m.
+    powers: list[dict[int, Field]] = [{}]
+    for k in range(len(series) - 1):
+        power = k + 1
+        field = list(series[power])
+        for m in range(2, power + 1):
+            if len(powers) < m:
+                powers.append({})
+            total = [ring.zero] * ring.dim
+            for q, inner in powers[m - 2].items():
+                j = power - q - 1
+                if 0 <= j < len(fields):
+                    total = [a + ring.along(fields[j], F) for a, F in zip(total, inner, strict=True)]
+            powers[m - 1][power] = total
+            field = [a - b / math.factorial(m) for a, b in zip(field, total, strict=True)]
+        fields.append(field)
+        powers[0][power] = field
+    return fields
+
+
+def size_of(polynomial: Exact) -> float:
+    """Return the largest absolute coefficient."""
+    largest = max((abs(value) for value in polynomial.coeffs()), default=0)
+    return float(fraction(largest)) if largest else 0.0
+
+
+def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: Sequence[Any]) -> NDArray[Any]:
+    """Return f_0(x), ..., f_(r-1)(x), (r, n), from steps ``step(x, h)`` of r different lengths, in the numbers of x."""
+    # X(h) = (1/h) sum_(m=1)^r (-1)^(m+1)/m (step - 1)^m x is f_0 + h f_1 + ... + O(h^r). The terms are the coefficients
+    # of the interpolation polynomial in h through the r values of X.
+    count = len(steps)
+    values = []
+    for h in steps:
+        points = [x]
+        for _ in range(count):
+            points.append(np.asarray(step(points[-1], h)))
+        total, differences = 0 * x, points
+        for m in range(1, count + 1):
+            differences = [b - a for a, b in pairwise(differences)]
+            total = total + differences[0] * (1 if m % 2 else -1) / m
+        values.append(total / h)
+    # Newton's divided differences, expanded in powers of h.
+    table = list(values)
+    for level in range(1, count):
+        for i in reversed(range(level, count)):
+            table[i] = (table[i] - table[i - 1]) / (steps[i] - steps[i - level])
+    terms = [table[-1]]
+    for i in reversed(range(count - 1)):
+        shifted = [0 * x, *terms]
+        for k, term in enumerate(terms):
+            shifted[k] = shifted[k] - steps[i] * term
+        shifted[0] = shifted[0] + table[i]
+        terms = shifted
+    return np.array(terms, dtype=object)

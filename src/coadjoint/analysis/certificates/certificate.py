@@ -91,6 +91,13 @@ def verdict(claimed: bool, holds: bool | None) -> str:
     return (HOLDS if holds else FAILS) if claimed else (UNDECLARED_PRESERVED if holds else UNDECLARED_LOST)
 
 
+def checked(
+    key: str, what: str, declared: str, claimed: bool, holds: bool | None, measured: str = "-", **rest: Any
+) -> Row:
+    """Return the row of a check with its verdict; `holds` is None if the measurement does not decide."""
+    return Row(key, what, declared, measured, verdict(claimed, holds), claimed, **rest)
+
+
 @dataclass(frozen=True, repr=False)
 class Certificate:
     """The result of `certify`: a row for each property, and whether every declared property holds.

@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
+import inspect
 import platform
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
 import coadjoint
+from coadjoint.analysis.certificates.attitude import attitude_rows
 from coadjoint.analysis.certificates.certificate import Certificate, Row
-from coadjoint.analysis.certificates.claims import scheme_and_claims
-from coadjoint.analysis.checks.attitude import attitude_rows
-from coadjoint.analysis.checks.convergence import convergence_rows
-from coadjoint.analysis.checks.invariants import invariant_rows, long_run, run_row, steps_of
-from coadjoint.analysis.checks.poisson import poisson_row
-from coadjoint.analysis.checks.study import study
-from coadjoint.analysis.checks.subject import Subject
-from coadjoint.analysis.checks.symmetry import reversibility_row, symmetry_row
+from coadjoint.analysis.certificates.convergence import convergence_rows, study
+from coadjoint.analysis.certificates.invariants import invariant_rows, long_run, run_row, steps_of
+from coadjoint.analysis.certificates.step_map import poisson_row, reversibility_row, symmetry_row
+from coadjoint.analysis.certificates.subject import Subject
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, warn_if_long
-from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_method import StepMethod
 from coadjoint.methods.registry import description_of, read_method
 from coadjoint.runs.start import momenta_of
+from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
-from coadjoint.validation import read_integer, read_number
+from coadjoint.validation import read_bool, read_integer, read_number
 
-MAX_STEPS = 10**7
+NO_PROPERTIES = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
+MAX_ORDER, MAX_STEPS = 256, 10**7
 ALLOWED_SIZES = (1e-75, 1e75)
 """Allowed sizes of the largest entry of a state."""
 
@@ -122,7 +124,7 @@ def certify(
             f"from {ALLOWED_SIZES[0]} to {ALLOWED_SIZES[1]}"
         )
     with np.errstate(all="ignore"), long_operation("certify"):
-        subject = Subject(system, scheme, claims, h, states, count, compiled=isinstance(method, Method))
+        subject = Subject(system, scheme, h, states, count, isinstance(method, Method), **claims)
         if count is not None:
             seconds = subject.seconds * len(subject.states) * count
             warn_if_long(
@@ -176,3 +178,70 @@ def _description(method: Method) -> Any:
         return description_of(method)
     except TypeError:
         return None
+
+
+@dataclass(frozen=True)
+class FunctionStep(StepMethod):
+    """A function ``step(x, h)``, or ``step(x, t, h)`` if `timed`, as a scheme."""
+
+    function: Callable[..., Any]
+    timed: bool = False
+
+    order = 1
+    explicit = False
+    symmetric = False
+    offered: ClassVar[bool] = False
+    compiles: ClassVar[bool] = False
+
+    def __str__(self) -> str:
+        """Name the function."""
+        return f"the function {getattr(self.function, '__name__', type(self.function).__name__)}"
+
+    def properties(self, system: System) -> Properties:
+        return NO_PROPERTIES
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
+        return np.asarray(self.function(x, t, h) if self.timed else self.function(x, h))
+
+
+def scheme_and_claims(
+    system: System, method: Any, order: int | None, properties: Properties | None, symmetric: bool | None
+) -> tuple[Method, dict[str, Any]]:
+    """Return the scheme to be certified, with its own claims or, for a function, the claims in the arguments."""
+    arguments: dict[str, Any] = {"order": order, "properties": properties, "symmetric": symmetric}
+    if isinstance(method, Method):
+        for name, value in arguments.items():
+            if value is not None:
+                raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; omit {name}")
+        # The error of a scheme with its own step size does not depend on the step of the run.
+        own_order = None if method.own_steps else method.order
+        declared = declared_properties(method, system)
+        return method, {"order": own_order, "properties": declared, "symmetric": method.symmetric}
+    if isinstance(method, type) or not callable(method):
+        raise TypeError(
+            f"method is {short(method)}; it must be a scheme such as Splitting(order=2), or a function step(x, h)"
+        )
+    if order is not None:
+        arguments["order"] = read_integer(order, "order", 1, MAX_ORDER)
+    if symmetric is not None:
+        arguments["symmetric"] = read_bool(symmetric, "symmetric")
+    if not isinstance(properties, Properties | None):
+        raise TypeError(f"properties is {short(properties)}; give co.methods.Properties(...), or None")
+    if properties is not None and properties.attitude != "none":
+        raise ValueError(
+            f'properties has attitude="{properties.attitude}", but a function step(x, h) moves the momentum only; '
+            'give attitude="none"'
+        )
+    return FunctionStep(method, _takes_time(method)), arguments
+
+
+def _takes_time(function: Callable[..., Any]) -> bool:
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return False
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    needed = sum(p.kind in kinds and p.default is inspect.Parameter.empty for p in parameters)
+    if needed not in (2, 3):
+        raise TypeError(f"{short(function)} takes {needed} arguments; a step is a function of (x, h), or of (x, t, h)")
+    return needed == 3

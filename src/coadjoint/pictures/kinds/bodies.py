@@ -1,4 +1,4 @@
-"""Several bodies in space at one time: sites of molecules as discs, other bodies as boxes."""
+"""Bodies in space at one time: one with the path of an axis, or several, as boxes or as the sites of molecules."""
 
 from __future__ import annotations
 
@@ -7,21 +7,120 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.curves import PathUpdate
+from coadjoint.pictures.globe import Globe, view_frame, view_of
+from coadjoint.pictures.kinds.body_axis import axis_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, ink, set_title, thickness
 
 Floats = npt.NDArray[np.float64]
 
-VIEW = (-60.0, 20.0)
+BOX_COLOUR = np.array([0.72, 0.80, 0.88])
+BOX_SIZE = 0.62
+"""Half of the diagonal of the box, in units of the radius of the sphere."""
+BODY_THINNEST, THINNEST = 0.12, 0.1
+"""Smallest side of a box relative to the longest: of one body, and of several."""
+DEFAULT_SIDES = (0.35, 0.6, 1.0)
+"""Sides of the box of a body without principal moments."""
 LIGHT = np.array([0.3, 0.5, 0.81])
 """Direction of the light in the frame of the picture: to the right, upwards, and towards the viewer."""
-THINNEST = 0.1
-"""Smallest side of a box relative to the longest."""
+VIEW = (-60.0, 20.0)
 SITE_RADIUS, OTHER_RADIUS = 0.3, 0.18
 """Radius of a site relative to its diameter sigma, and of sites without one relative to the largest."""
 CORNERS = 40
 MARGIN = 1.08
+
+
+@kind("body", moves=True)
+def body(
+    drawn: PlottedRun,
+    at: float = 1.0,
+    axis: Any = 2,
+    up: Any = None,
+    vertical: str = "",
+    view: tuple[float, float] | None = None,
+) -> Paint:
+    """Show the body in space at one time, with the path of one of its axes up to then; needs a run with attitude.
+
+    The body is a box with the principal moments of the system, of the first member.
+
+    Parameters
+    ----------
+    at : float
+        The time as a fraction of the span: 0 is the start, 1 the end.
+    axis : int or array_like
+        Number of the axis, 0 to 2, or a direction in the body.
+    up : sequence of three ints or str, optional
+        Coordinates of a body vector that is constant in space; it points up in the picture.
+    vertical : str
+        Label of that vector.
+    view : (float, float), optional
+        Direction of view in degrees: around the vertical, and above the horizon. By default from the side of the path.
+    """
+    k, fine = drawn.index_at(at), drawn.refined
+    path, name = axis_in_space(fine, axis, up)
+    frames = np.stack([axis_in_space(drawn, i, up)[0][0] for i in range(3)], axis=-1)
+    if not np.isfinite(frames[k]).all():
+        raise CannotShow(f"the first member has failed before t = {drawn.t[k]:g}")
+    sides = _sides(drawn.unforced)
+    ends = axis_in_space(drawn, axis, up)[0][0]
+
+    def paint(axes: Any) -> Update:
+        from matplotlib.collections import PolyCollection
+
+        globe = Globe(axes, ("$X$", "$Y$", f"$Z$\n{vertical}" if vertical else "$Z$"), view or view_of(path[0]))
+        title = f"body{drawn.of_member} in space, with {name}"
+        trail = PathUpdate(drawn, axes, title)
+        curve = path[0][fine.curve_indices]
+        lines = globe.path(curve, colour(0), fine.axis_joined)
+        end = globe.mark(ends[k], ink(), marker="s", size=4.0)
+        trail.add(lines, fine.t[fine.curve_indices], globe.project(curve)[0], end)
+        box = PolyCollection([], edgecolors=ink(), linewidths=thickness(0.5), zorder=4)
+        axes.add_collection(box, autolim=False)
+        (shaft,) = axes.plot([], [], color=colour(1), linewidth=thickness(1.4), zorder=4.5)
+        set_title(axes, title)
+
+        def update(j: int) -> None:
+            attitude = frames[j] if np.isfinite(frames[j]).all() else np.eye(3)
+            corners, brightness = _visible_faces(globe.frame @ (attitude * sides))
+            box.set_verts(list(corners[..., :2]))
+            box.set_facecolor(brightness[:, None] * BOX_COLOUR)
+            flat, depth = globe.project(np.stack([0.0 * ends[j], ends[j]]))
+            shaft.set_data(*flat.T)
+            shaft.set_zorder(4.5 if depth[1] >= 0.0 else 3.5)
+            trail(j)
+
+        update(k)
+        return update
+
+    return paint
+
+
+def _sides(system: Any) -> Floats:
+    """Return the half sides of a homogeneous box with the principal moments of a system, scaled to the picture."""
+    moments = np.asarray((system.parameters or {}).get("inertia", ()), dtype=np.float64)
+    sides = np.array(DEFAULT_SIDES)
+    if moments.shape == (3,) and np.all(moments > 0.0):
+        # The moment about an axis is the sum of the squares of the other two sides, but for a factor.
+        squares = moments.sum() / 2.0 - moments
+        sides = np.sqrt(np.maximum(squares, 0.0))
+    sides = np.maximum(sides, BODY_THINNEST * sides.max())
+    return np.asarray(BOX_SIZE * sides / np.linalg.norm(sides))
+
+
+def _visible_faces(edges: Floats) -> tuple[Floats, Floats]:
+    """Return the corners (3, 4, 3) of the faces of a box towards the viewer, and their brightness.
+
+    `edges` has the half edges in columns, in the frame of the picture, with the origin in the middle of the box.
+    """
+    corners, brightness = [], []
+    for i in range(3):
+        normal = edges[:, i] * (1.0 if edges[2, i] >= 0.0 else -1.0)
+        across, up = edges[:, (i + 1) % 3], edges[:, (i + 2) % 3]
+        corners.append([normal + a * across + b * up for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))])
+        brightness.append(0.55 + 0.45 * max(0.0, float(normal @ LIGHT) / float(np.linalg.norm(normal))))
+    return np.array(corners), np.array(brightness)
 
 
 @kind("bodies", moves=True)
@@ -43,10 +142,7 @@ def bodies(drawn: PlottedRun, at: float = 1.0, view: tuple[float, float] = VIEW)
         raise CannotShow(f"the states of {system.name} have no positions of bodies, as those of co.systems.bodies have")
     if not np.isfinite(drawn.x[0]).all():
         raise CannotShow(f"the first member has failed before t = {drawn.t[-1]:g}")
-    around, above = np.radians(view)
-    towards = np.array([np.cos(above) * np.cos(around), np.cos(above) * np.sin(around), np.sin(above)])
-    right = np.array([-np.sin(around), np.cos(around), 0.0])
-    frame = np.stack([right, np.cross(towards, right), towards])
+    frame = view_frame(view)
     shapes = _Sites(system, frame) if hasattr(system, "tables") else _Boxes(system, frame)
     flat = shapes.centres(drawn.x[0])[..., :2] if len(drawn.t) else np.zeros((1, 1, 2))
     low, high = (end((0, 1)) for end in (flat.min, flat.max))
@@ -136,11 +232,7 @@ class _Boxes:
         centres, faces, colours = self.centres(x), [], []
         turned = np.einsum("ij,kjl,klm->kim", self.frame, self.system.attitudes(x), self.edges)
         for k in np.argsort(centres[:, 2], kind="stable").tolist():
-            for i in range(3):
-                normal = turned[k][:, i] * (1.0 if turned[k][2, i] >= 0.0 else -1.0)
-                across, up = turned[k][:, (i + 1) % 3], turned[k][:, (i + 2) % 3]
-                corners = [centres[k] + normal + a * across + b * up for a, b in ((1, 1), (1, -1), (-1, -1), (-1, 1))]
-                faces.append(np.stack(corners)[:, :2])
-                bright = 0.55 + 0.45 * max(0.0, float(normal @ LIGHT) / float(np.linalg.norm(normal)))
-                colours.append(bright * _rgb(k))
-        return np.array(faces), np.array(colours)
+            corners, brightness = _visible_faces(turned[k])
+            faces.append((centres[k] + corners)[..., :2])
+            colours.append(brightness[:, None] * _rgb(k))
+        return np.concatenate(faces), np.concatenate(colours)

@@ -1,4 +1,4 @@
-"""Path of a body axis in space, on the sphere of directions."""
+"""Paths of body axes: on the sphere of directions, as nutation, and along the path of a body through space."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.curves import MemberColours, PathUpdate
 from coadjoint.pictures.globe import Globe, view_of
-from coadjoint.pictures.paths import MemberColours, PathUpdate
-from coadjoint.pictures.plot_data import PlottedRun
+from coadjoint.pictures.kinds.coadjoint_orbit import frame_space
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour, ink, legend, set_title
+from coadjoint.pictures.style import colour, dots, ink, legend, plain_axes, set_title, thickness
 from coadjoint.validation import read_finite, read_integer
 
 Floats = npt.NDArray[np.float64]
+
+MAX_ATTITUDES = 40
+"""Largest number of attitudes drawn along the path."""
 
 
 @kind("body axis", moves=True)
@@ -94,3 +98,91 @@ def _rotation_to_vertical(vertical: Floats) -> Floats:
     v = np.array([u[1], -u[0], 0.0])  # u x e3
     hat = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     return np.eye(3) + hat + hat @ hat / (1.0 + u[2])
+
+
+@kind("nutation")
+def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.5) -> Paint:
+    """Show the inclination of a body axis to the vertical over its azimuth, both in degrees; needs attitude.
+
+    Parameters
+    ----------
+    axis : int or array_like
+        Number of the axis, 0 to 2, or a direction in the body.
+    up : sequence of three ints or str, optional
+        Coordinates of the body vector that is the vertical in space; by default that of the ready-made system, or else
+        the third axis of space.
+    turns : float
+        Number of revolutions of the axis after which the curve ends.
+    """
+    saved, drawn = drawn, drawn.refined
+    declared, vertical = declared_vertical(drawn)
+    path, name = axis_in_space(drawn, axis, declared if up is None else up)
+    vertical = "vertical" if up is not None else vertical if declared is not None else "third axis of space"
+
+    def paint(axes: Any) -> None:
+        shades = MemberColours(saved)
+        truncated = False
+        for m, directions in enumerate(path):
+            points = directions[drawn.curve_indices]
+            azimuth = np.degrees(np.unwrap(np.arctan2(points[:, 1], points[:, 0])))
+            azimuth -= azimuth[0]
+            inclination = np.degrees(np.arctan2(np.hypot(points[:, 0], points[:, 1]), points[:, 2]))
+            beyond = np.flatnonzero(np.abs(azimuth) > 360.0 * turns)
+            last = int(beyond[0]) if beyond.size else len(azimuth)
+            truncated |= bool(beyond.size)
+            style: dict[str, Any] = {"linewidth": thickness(1.1)} if drawn.axis_joined else dots(len(points))
+            curve = np.stack([azimuth[:last], inclination[:last]], axis=-1)
+            axes.plot(*curve.T, color=shades[m], **style)
+            axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1))
+        axes.invert_yaxis()
+        axes.set(xlabel="azimuth [degrees]", ylabel=f"inclination to the {vertical} [degrees]")
+        extent = f", for the first {360.0 * turns:g} degrees" if truncated else ""
+        set_title(axes, f"nutation of {name}{extent} (dot: start)")
+        plain_axes(axes)
+        shades.add_bar(axes)
+
+    return paint
+
+
+@kind("path in space", projection="3d", moves=True)
+def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
+    """Show the position in the group element of SE(3), and a body axis at evenly spaced times.
+
+    Needs the attitude of a system whose group element has a position, such as a body in a fluid.
+
+    Parameters
+    ----------
+    axis : int
+        The body axis drawn, 0 to 2.
+    """
+    number = read_integer(axis, "axis", 0, 2)
+    saved, drawn = drawn, drawn.refined
+    g = drawn.attitude
+    if g is None or g.shape[-1] != 4:
+        raise CannotShow("the run has no group element of SE(3); integrate with attitude=True")
+    points = g[:, drawn.curve_indices]
+    positions, directions = points[..., :3, 3], points[..., :3, number]
+
+    def paint(axes: Any) -> Update:
+        shades, update = MemberColours(saved), PathUpdate(saved, axes, "path of the body in space")
+        times = drawn.t[drawn.curve_indices]
+        low, high = np.nanmin(positions, axis=(0, 1)), np.nanmax(positions, axis=(0, 1))
+        reach = 0.09 * float(np.max(high - low)) or 1.0
+        for m, (path, direction) in enumerate(zip(positions, directions, strict=True)):
+            style: dict[str, Any] = {"linewidth": thickness(1.2)} if drawn.axis_joined else dots(len(path))
+            update.add(axes.plot(*path.T, color=shades[m], **style), times, path)
+            k = spread(len(path), MAX_ATTITUDES)
+            ends = np.stack([path[k], path[k] + reach * direction[k], np.full((len(k), 3), np.nan)], axis=1)
+            label, width = f"body axis {number + 1}", thickness(0.9)
+            (strokes,) = axes.plot(*ends.reshape(-1, 3).T, color=colour(1), linewidth=width, label=label)
+            update.add([strokes], np.repeat(times[k], 3))
+            axes.plot(*path[:1].T, "o", markersize=4, color=ink(), label="start")
+            if m == 0:
+                legend(axes, loc="upper right")
+        middle, half = 0.5 * (low + high), np.maximum(0.5 * (high - low), 0.15 * float(np.max(high - low))) + reach
+        frame_space(axes, np.stack([middle - half, middle + half], axis=1), ("$X$", "$Y$", "$Z$"))
+        axes.set_box_aspect(tuple(half), zoom=0.93)
+        set_title(axes, "path of the body in space")
+        return update
+
+    return paint

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.pictures.curves import MemberColours, PathUpdate
 from coadjoint.pictures.level_surface import level_surface
-from coadjoint.pictures.paths import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, dots, ink, set_title, setting, symbol, thickness

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.paths import MemberColours
+from coadjoint.pictures.curves import MemberColours, draw_members, draw_series, from_start
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import Paint, Update, kind
-from coadjoint.pictures.series import draw_members, draw_series, from_start
 from coadjoint.pictures.style import colour, coordinate, ink, legend, plain_axes, setting, thickness
 
 MAX_COMPONENTS = 8  # as many as there are colours

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.curves import MemberColours, PathUpdate
 from coadjoint.pictures.globe import Globe, view_of
-from coadjoint.pictures.paths import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, legend, set_title

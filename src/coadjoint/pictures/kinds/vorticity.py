@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.fluids import fluid_of, part_on_grid
-from coadjoint.pictures.globe import VIEW, Globe
+from coadjoint.pictures.globe import VIEW, Globe, unit_vectors, view_frame
+from coadjoint.pictures.kinds.fluid_spectra import fluid_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, ink, plain_axes, set_title, thickness
+from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
 from coadjoint.validation import read_choice, read_number, read_positive
 
 Floats = npt.NDArray[np.float64]
@@ -97,6 +98,20 @@ def vorticity(
         return update
 
     return paint
+
+
+def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, int]) -> Floats:
+    """Evaluate a part of the vorticity, the stream function or the carried field of a state on a grid."""
+    if part == "carried":
+        # Of constant spectrum: the first of two fields.
+        return fluid.to_grid(np.asarray(state)[0], shape)
+    W = vorticity_of(state)
+    shown = fluid.relative(W)
+    if part != "all":
+        P = fluid.stream_of(W)
+        large = large_scales(P, shown)
+        shown = {"stream": P, "large": large, "small": shown - large}[part]
+    return fluid.to_grid(shown, shape)
 
 
 def _title(drawn: PlottedRun, part: str, k: int) -> str:
@@ -248,19 +263,9 @@ class Projection:
         return np.where(crosses, np.nan, x), y
 
 
-def unit_vectors(longitude: Floats, latitude: Floats) -> Floats:
-    """Return the unit vectors (..., 3) at longitudes and latitudes in radians."""
-    return np.stack(
-        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)], axis=-1
-    )
-
-
 def turned(centre: tuple[float, float]) -> Floats:
     """Return the rotation whose rows are the axes of the map: towards its centre, to the right, and upward."""
-    longitude, latitude = np.radians(centre)
-    middle = unit_vectors(longitude, latitude)
-    right = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
-    return np.stack([middle, right, np.cross(middle, right)])
+    return np.roll(view_frame(centre), 1, axis=0)
 
 
 def _mollweide_project(longitude: Floats, latitude: Floats) -> ArrayPair:

@@ -1,4 +1,4 @@
-"""Subject of a certificate: system, scheme with its claims, step, and states along the motion."""
+"""Subject of a certificate: system, scheme with its declarations, step, and states along the motion."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.certificates.claims import Claims
-from coadjoint.analysis.checks.norm import Norm
-from coadjoint.analysis.checks.reference import motion, natural_time
+from coadjoint.analysis.certificates.reference import Norm, motion, natural_time
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.input_derivatives import StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
@@ -41,18 +40,20 @@ SEED = 1993  # of directions; fixed, so that a certificate is repeated to the bi
 
 @dataclass(frozen=True)
 class Subject:
-    """A system, a scheme with its claims, a signed step h, and the given states (k, n)."""
+    """A system, a scheme, a signed step h, the given states (k, n), and what the scheme declares (None: nothing)."""
 
     system: System
     method: Method
-    claims: Claims
     h: float
     given: Floats
     steps: int | None
     compiled: bool = True
-    _prepared: dict[Any, PreparedRun] = field(default_factory=dict)
-    _conditions: dict[Any, float] = field(default_factory=dict)
-    _tangents: dict[float, StepTangents | None] = field(default_factory=dict)
+    order: int | None = None
+    properties: Properties | None = None
+    symmetric: bool | None = None
+    _prepared: dict[Any, PreparedRun] = field(default_factory=dict, init=False)
+    _conditions: dict[Any, float] = field(default_factory=dict, init=False)
+    _tangents: dict[float, StepTangents | None] = field(default_factory=dict, init=False)
 
     @cached_property
     def states(self) -> Floats:

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, verdict
-from coadjoint.analysis.checks.norm import Norm
-from coadjoint.analysis.checks.reference import motion
-from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, checked
+from coadjoint.analysis.certificates.reference import Norm, motion
+from coadjoint.analysis.certificates.subject import Subject
 from coadjoint.analysis.powers import growth
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.properties import Properties
@@ -84,19 +83,18 @@ def run_row(subject: Subject, run: LongRun) -> Row:
         seconds = subject.seconds * len(subject.states) * STEPS
         reason = f"a step takes about {subject.seconds:.1g} s; steps={STEPS} would take about {seconds:.2g} s"
     steps = f"{count} steps of {subject.h:g} from {len(subject.states)} states"
-    claims = subject.claims
-    declares = any(claim is not None for claim in (claims.order, claims.symmetric, claims.properties))
+    declares = any(claim is not None for claim in (subject.order, subject.symmetric, subject.properties))
     if not run.failed:
-        return Row(key, what, declared, steps, verdict(declares, True), claimed=declares, reason=reason)
+        return checked(key, what, declared, declares, True, steps, reason=reason)
     if motion(subject.system, subject.states, run.until + subject.h) is None:
         reason = "an independent code cannot compute the motion so far either"
         return Row(key, what, declared, run.failed, UNDECIDED, reason=reason)
-    return Row(key, what, declared, run.failed, verdict(declares, False), claimed=declares)
+    return checked(key, what, declared, declares, False, run.failed)
 
 
 def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[Row]:
     """Return a row for the energy, and one for each Casimir; `coarse_step` is the larger step that is tested."""
-    system, properties = subject.system, subject.claims.properties
+    system, properties = subject.system, subject.properties
     single = _single_steps(subject, coarse_step)
     rows = []
     for name, invariant in {"energy": system.hamiltonian, **system.casimirs}.items():
@@ -165,13 +163,13 @@ def _row(
     if not finite or len(finite) < len(measurements):
         return Row(**{**vars(row), "verdict": UNDECIDED, "reason": run.failed or "its value is not finite"})
     value, bound, _, source = max(finite, key=lambda entry: entry[0] / entry[1] if entry[1] else np.inf * entry[0])
-    return Row(
+    return checked(
         row.key,
         row.what,
         row.declared,
+        row.claimed,
+        value <= bound,
         ", ".join(text for _, _, text, _ in finite),
-        verdict(row.claimed, value <= bound),
-        claimed=row.claimed,
         value=value,
         bound=bound,
         source=source,

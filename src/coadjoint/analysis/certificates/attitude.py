@@ -10,12 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.representation import invariant_form
-from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, verdict
-from coadjoint.analysis.checks.convergence import allowed_error
-from coadjoint.analysis.checks.norm import worst_group
-from coadjoint.analysis.checks.reference import motion
-from coadjoint.analysis.checks.study import Study
-from coadjoint.analysis.checks.subject import Subject
+from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, checked, verdict
+from coadjoint.analysis.certificates.convergence import Study, allowed_error
+from coadjoint.analysis.certificates.reference import motion, worst_group
+from coadjoint.analysis.certificates.subject import Subject
 from coadjoint.analysis.powers import FLOOR_FACTOR
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -42,7 +40,7 @@ Measurement = tuple[float, float, str]
 
 def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row]:
     """Return the rows on the group element over at most `steps` steps, or one row with the reason if there is none."""
-    system, properties = subject.system, subject.claims.properties
+    system, properties = subject.system, subject.properties
     kind = "none" if properties is None else properties.attitude
     reason = ""
     if system.algebra is None:
@@ -76,7 +74,7 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
                 )
             )
     # Without a declared order the rate of convergence of the element is unknown.
-    if study is not None and subject.claims.order is not None and system.dim <= MAX_REFERENCE_DIM:
+    if study is not None and subject.order is not None and system.dim <= MAX_REFERENCE_DIM:
         rows.append(_row(subject, "attitude", "limit of the element", kind, True, lambda: _limit(subject, study)))
     return rows
 
@@ -90,12 +88,12 @@ def _row(
     except IntegrationError as error:
         measurement, reason = None, str(error)
     if measurement is None:
-        return Row(key, what, kind, "-", verdict(claimed, None), claimed=claimed, reason=reason)
+        return checked(key, what, kind, claimed, None, reason=reason)
     defect, bound, text = measurement
     source = "round-off of the run, 4 d u each evaluation"
     if key == "attitude":
         source = "6 times the error that the last change of the step implies, and round-off"
-    return Row(key, what, kind, text, verdict(claimed, defect <= bound), claimed, defect, bound, source)
+    return checked(key, what, kind, claimed, defect <= bound, text, value=defect, bound=bound, source=source)
 
 
 def _affordable(subject: Subject, representation: Any) -> int:
@@ -232,4 +230,4 @@ def _limit(subject: Subject, study: Study) -> Measurement | None:
     change = float(_norm(subject.norm.matrix(elements[1] - elements[0]))) / size
     floor = FLOOR_FACTOR * (2 * reference.error + UNIT_ROUNDOFF * (8 + 2 * np.sqrt(runs[1].stats.evaluations)))
     text = f"error {error:.2g} at the step {abs(study.span) / (2 * count):.3g}, against {reference.by}"
-    return error, floor + allowed_error(change, 0.5 ** (subject.claims.order or 1)), text
+    return error, floor + allowed_error(change, 0.5 ** (subject.order or 1)), text

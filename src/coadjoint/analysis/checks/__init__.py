@@ -1,1 +1,0 @@
-"""Checks of a certificate, one file for each kind."""

@@ -1,0 +1,228 @@
+"""Phase errors of states against a reference motion: a closed form, a function of time, or an interpolated run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.runs.results.solution import Solution
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_vector_states
+from coadjoint.systems.user_functions import check_arguments
+from coadjoint.validation import check_finite, read_finite, read_numbers
+
+Floats = npt.NDArray[np.float64]
+Motion = Callable[[Floats], Floats]
+
+NODES = 8  # saved points around a time; with their slopes they define a polynomial of degree 15
+FEWER_NODES = 6  # for the comparison that estimates the error
+TOLERANCE = 2.0**-30  # largest difference of the polynomials of both degrees, relative to the largest state
+
+MAX_ITERATIONS = 30  # of Newton's method, which needs some five
+FIRST_POINTS = 4  # points with initial guess zero; then the number of points is doubled, by extrapolation
+
+
+@suggest_keywords
+def phase_error(
+    system: System, x0: npt.ArrayLike, t: npt.ArrayLike, x: npt.ArrayLike, reference: Any = None
+) -> npt.NDArray[np.float64]:
+    """Return the signed phase error of computed states: the time by which they are ahead of the exact motion.
+
+    Parameters
+    ----------
+    system : LiePoissonSystem or PoissonSystem
+        The system; without a reference it needs a closed form.
+    x0 : array_like, shape (n,)
+        The state of the closed form at time zero.
+    t : array_like, shape (k,)
+        Times.
+    x : array_like, shape (k, n)
+        Computed states.
+    reference : callable or Solution, optional
+        The reference motion: a function of times (k,) that returns states (k, n), or a run by a more accurate scheme or
+        with a smaller step, with saved points dense enough for interpolation. None is the closed form.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        The lead d for which right(t + d) is the point nearest to x, in units of time; positive is early, negative late.
+        NaN if no nearest point is found, or the reference ends too early. For ordered times leads are continued from
+        the first one and may exceed a period; otherwise they are less than half a period.
+
+    Raises
+    ------
+    ValueError
+        The states do not match the times, or the saved points of the reference are too far apart.
+    TypeError
+        No closed form is known.
+
+    Notes
+    -----
+    Gauss-Newton on ``|x - right(t + d)|^2``: d changes by ``f . (x - y) / |f|^2`` at y = right(t + d), with f the
+    vector field there. A motion of several angles has a phase error in each of them, and the lead is an average; see
+    `line_drift`.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> body, t = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([1.0, 2.0])
+    >>> early = body.exact((1.0, 2.0, 0.5), t + 0.01)
+    >>> phase_error(body, (1.0, 2.0, 0.5), t, early).round(12)
+    array([0.01, 0.01])
+    """
+    check_vector_states(system, "phase errors are available for states that are vectors")
+    times, states = read_finite(t, "t"), read_finite(x, "x")
+    if times.ndim != 1 or states.shape != (len(times), system.dim):
+        raise ValueError(
+            f"x has the shape {states.shape}; it must be ({times.size}, {system.dim}), a state for each time"
+        )
+    return leads(system, motion_of(system, reference, x0), times, states)
+
+
+@ignore_overflow
+def leads(system: System, motion_at: Motion, times: Floats, states: Floats) -> Floats:
+    """Return the leads of states relative to a motion, continued if the times are in order; see `phase_error`."""
+    ordered = len(times) > FIRST_POINTS and (np.all(np.diff(times) > 0.0) or np.all(np.diff(times) < 0.0))
+    if not ordered:
+        return _solve_leads(system, motion_at, times, states, np.zeros(len(times)))
+    lead = np.full(len(times), np.nan)
+    first, last = 0, FIRST_POINTS
+    while first < len(times):
+        lead[first:last] = _solve_leads(
+            system, motion_at, times[first:last], states[first:last], _extrapolated(times, lead, first, last)
+        )
+        first, last = last, min(2 * last, len(times))
+    return lead
+
+
+def _extrapolated(times: Floats, lead: Floats, first: int, last: int) -> Floats:
+    """Extrapolate the later half of the known leads to the next times, by a least-squares line."""
+    known = np.flatnonzero(np.isfinite(lead[:first]))
+    known = known[len(known) // 2 :]
+    if len(known) < 2:
+        return np.zeros(last - first)
+    slope, at_zero = np.polyfit(times[known], lead[known], 1)
+    return np.asarray(slope * times[first:last] + at_zero)
+
+
+def _solve_leads(
+    system: System,
+    motion_at: Motion,
+    times: Floats,
+    states: Floats,
+    lead: Floats,
+) -> Floats:
+    change = np.full(len(times), np.inf)
+    for _ in range(MAX_ITERATIONS):
+        # Points without a state or a lead are evaluated somewhere, and stay without one.
+        moments = times + np.where(np.isfinite(lead), lead, 0.0)
+        y = motion_at(moments)
+        f = field_along(system, y, moments)
+        # Off the orbit Gauss-Newton converges linearly, down to the round-off of the exact motion.
+        change = np.einsum("ki,ki->k", f, states - y) / np.einsum("ki,ki->k", f, f)
+        lead = lead + change
+        if np.all(np.isnan(change)) or np.nanmax(np.abs(change)) <= 2.0**-40 * max(1.0, float(np.max(np.abs(times)))):
+            break
+    settled = np.isfinite(lead) & (np.abs(change) <= 2.0**-20 * np.maximum(1.0, np.abs(times)))
+    return np.where(settled, lead, np.nan)
+
+
+def motion_of(system: System, reference: Any, x0: npt.ArrayLike, member: int | None = None) -> Motion:
+    """Return the motion of a closed form (None), a function or a run, as a function of times; NaN outside of a run."""
+    if reference is None:
+        if system.algebra is None or system.closed_form is None:
+            raise TypeError(
+                f"no closed form is known for {system.name}; give a reference: a better run, or a function of t"
+            )
+        return lambda t: np.asarray(system.exact(x0, t))  # type: ignore[union-attr]
+    if isinstance(reference, Solution):
+        return _interpolated(system, reference, member)
+    if not callable(reference):
+        raise TypeError(
+            f"reference is {short(reference)}; give a Solution, a function of t, or None for the closed form"
+        )
+
+    check_arguments(reference, "reference", "t")
+
+    def validated(t: Floats) -> Floats:
+        states = read_numbers(reference(t), "what reference(t) returned")
+        if states.shape != (len(t), system.dim):
+            raise ValueError(f"reference(t) has the shape {states.shape}; it must be ({len(t)}, {system.dim})")
+        check_finite(states, "what reference(t) returned")
+        return states
+
+    return validated
+
+
+def check_same_times(reference: Floats, run: Floats) -> None:
+    """Raise ValueError if a reference has other saved times than a run."""
+    if not np.array_equal(reference, run):
+        raise ValueError("the reference has other saved times than the run; save both at the same times")
+
+
+def field_along(system: System, states: Floats, times: Floats) -> Floats:
+    """Return the vector field at states of shape (k, n), each at its time."""
+    values = [system.vector_field(state, t) for state, t in zip(states, times.tolist(), strict=True)]
+    return np.array(values).reshape(states.shape)
+
+
+def _interpolated(system: System, run: Solution, member: int | None) -> Motion:
+    """Return a run as a function of time, by Hermite interpolation of its points and their slopes."""
+    states = run.x if member is None or run.x.ndim == 2 else run.x[:, member]
+    if states.ndim != 2:
+        raise ValueError(
+            f"the reference has states of the shape {run.x.shape}; it must be one run, or members as the run has"
+        )
+    if states.shape[1] != system.dim:
+        raise ValueError(f"the reference has {states.shape[1]} coordinates; the system has {system.dim}")
+    t = run.t
+    if len(t) < NODES:
+        raise ValueError(f"the reference has {len(t)} saved points; {NODES} are needed to interpolate")
+    slopes = field_along(system, states, t)
+    largest = float(np.max(np.abs(states)))
+    direction = 1.0 if t[-1] > t[0] else -1.0
+    ascending = direction * t
+
+    def at(times: Floats) -> Floats:
+        tolerance = (ascending[-1] - ascending[0]) * 2.0**-20
+        inside = (direction * times >= ascending[0] - tolerance) & (direction * times <= ascending[-1] + tolerance)
+        values = np.full((len(times), system.dim), np.nan)
+        values[inside] = interpolate(times[inside])
+        return values
+
+    def interpolate(times: Floats) -> Floats:
+        after = np.searchsorted(ascending, direction * times)
+        fine, coarse = (_hermite(t, states, slopes, times, after, count) for count in (NODES, FEWER_NODES))
+        # The polynomial of more points is more accurate than this difference by orders of magnitude.
+        difference = float(np.max(np.abs(fine - coarse), initial=0.0))
+        if difference > TOLERANCE * largest:
+            raise ValueError(
+                f"the saved points of the reference are too far apart for interpolation, with an error of about "
+                f"{difference:.1e}; save it more often"
+            )
+        return fine
+
+    return at
+
+
+def _hermite(t: Floats, x: Floats, slopes: Floats, times: Floats, after: npt.NDArray[np.int64], count: int) -> Floats:
+    """Interpolate states at times, each by the `count` saved points around index `after` and their slopes."""
+    first = np.clip(after - count // 2, 0, len(t) - count)
+    index = first[:, None] + np.arange(count)
+    unit = abs(t[-1] - t[0]) / (len(t) - 1)
+    s = (t[index] - t[first][:, None]) / unit
+    u = (times - t[first]) / unit
+    distances = s[:, :, None] - s[:, None] + np.eye(count)
+    from_node = u[:, None] - s
+    factors = np.where(np.eye(count, dtype=bool), 1.0, from_node[:, None, :] / distances)
+    basis = np.prod(factors, axis=2)
+    basis_slopes = np.sum(np.where(np.eye(count, dtype=bool), 0.0, 1.0 / distances), axis=2)
+    values = (1.0 - 2.0 * basis_slopes * from_node) * basis**2
+    tangents = from_node * basis**2 * unit
+    return np.asarray(np.einsum("kj,kjn->kn", values, x[index]) + np.einsum("kj,kjn->kn", tangents, slopes[index]))
