@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from coadjoint.algebra.families.classical import gl, sl, sp, su, u
-from coadjoint.algebra.families.low_dimensional import A3_7, entries, low_dimensional
+from coadjoint.algebra.families.low_dimensional import A3_7, check_names, entries, low_dimensional
 from coadjoint.algebra.families.orthogonal import e, se, so
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
@@ -133,7 +133,7 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
         compact = "heisenberg(n)" if parameters else "heisenberg(1)"
     if compact in _FAMILIES:
         build, required = _FAMILIES[compact]
-        _check_parameters(name, required, parameters)
+        check_names(name, required, parameters)
         return build(*(parameters[key] for key in required))
     match = re.fullmatch(r"([a-z]+)\(([0-9]{1,4000})(?:,([0-9]{1,4000}))?\)", compact)
     if match is None or match[1] not in {pattern.split("(")[0] for pattern in _FAMILIES}:
@@ -142,16 +142,6 @@ def get(name: str, **parameters: Any) -> LieAlgebra:
         raise unknown_name("algebra", name, near)
     if match[3] is not None and match[1] != "so":
         raise unknown_name("algebra", name, names())
-    _check_parameters(name, (), parameters)
+    check_names(name, (), parameters)
     numbers = [int(number) for number in match.groups()[1:] if number is not None]
     return sp(*numbers) if match[1] == "sp" else _FAMILIES[f"{match[1]}(n)"][0](*numbers)
-
-
-def _check_parameters(name: str, required: tuple[str, ...], parameters: Mapping[str, Any]) -> None:
-    missing = [key for key in required if key not in parameters]
-    if missing:
-        raise ValueError(f"algebra {name!r} needs the parameter {missing[0]!r}, as in get({name!r}, {missing[0]}=...)")
-    extra = sorted(set(parameters) - set(required))
-    if extra:
-        accepted = ", ".join(required) or "none"
-        raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")

@@ -273,15 +273,8 @@ class LieAlgebra(Structure, metaclass=Constructors):
 
         given = read_matrices(matrices)
         names = read_basis(basis, len(given.entries))
-        found = spanned(given, names if basis is not None else [f"A{k + 1}" for k in range(len(names))])
-        return cls(
-            found.constants,
-            dim=len(names),
-            basis=names,
-            name=name,
-            representation=found.representation,
-            casimirs=casimirs,
-        )
+        constants, rho = spanned(given, names if basis is not None else [f"A{k + 1}" for k in range(len(names))])
+        return cls(constants, dim=len(names), basis=names, name=name, representation=rho, casimirs=casimirs)
 
     @classmethod
     def closure(cls, matrices: Any, *, basis: Sequence[str] | None = None, name: str | None = None) -> LieAlgebra:
@@ -323,17 +316,12 @@ class LieAlgebra(Structure, metaclass=Constructors):
         given = read_matrices(matrices)
         first = read_basis(basis, len(given.entries))
         labels = list(first) if basis is not None else [f"A{k + 1}" for k in range(len(first))]
-        found = closed(given, labels)
-        names = [*first, *(f"e{len(first) + k + 1}" for k in range(len(found.added)))]
-        added = (f"{names[len(first) + k]} = [{names[i]}, {names[j]}]" for k, (i, j) in enumerate(found.added))
-        title = ", and ".join([f"{len(first)} matrices", *(", ".join(added),) * bool(found.added)])
-        return cls(
-            found.constants,
-            dim=len(names),
-            basis=names,
-            name=truncate_title(title) if name is None else name,
-            representation=found.representation,
-        )
+        constants, rho, pairs = closed(given, labels)
+        names = [*first, *(f"e{len(first) + k + 1}" for k in range(len(pairs)))]
+        added = (f"{names[len(first) + k]} = [{names[i]}, {names[j]}]" for k, (i, j) in enumerate(pairs))
+        title = ", and ".join([f"{len(first)} matrices", *(", ".join(added),) * bool(pairs)])
+        name = truncate_title(title) if name is None else name
+        return cls(constants, dim=len(names), basis=names, name=name, representation=rho)
 
     @property
     def dim(self) -> int:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -34,6 +34,7 @@ BYTES_PER_NUMBER = 300  # of an exact number in a dictionary
 
 Roots = dict[int, Number]
 Entries = dict[tuple[int, int], Roots]
+Constants = list[tuple[int, int, int, float]]
 
 
 class Matrices(NamedTuple):
@@ -46,14 +47,6 @@ class Matrices(NamedTuple):
     hermitian: bool
     recognized: bool
     certain: bool
-
-
-class Algebra(NamedTuple):
-    """Constants (i, j, k, c), and the representation; `added` has the pair of each commutator that was added."""
-
-    constants: list[tuple[int, int, int, float]]
-    representation: Floats
-    added: list[tuple[int, int]]
 
 
 def read_matrices(argument: Any) -> Matrices:
@@ -201,7 +194,7 @@ def commutator(left: Entries, right: Entries) -> Entries:
 
 
 class ExactSpan:
-    """The span of matrices over a field of square roots: coordinates of a matrix, or None outside of the span."""
+    """The span of matrices over a field of square roots, exactly, of those before the first that depends on others."""
 
     def __init__(self, matrices: Sequence[Entries], size: int) -> None:
         self._size, found = size, {1}
@@ -214,7 +207,12 @@ class ExactSpan:
         vectors = [self._vector(entries, root) for entries in matrices for root in self.roots]
         count = sum(map(len, vectors))
         check_available_memory(BYTES_PER_NUMBER * count, f"the span of {len(matrices)} matrices")
-        self._span = Span(vectors)
+        self._span = Span()
+        refused = next((number for number, vector in enumerate(vectors) if not self._span.add(vector)), None)
+        self.first_dependent: tuple[int, dict[int, float]] | None = None
+        if refused is not None:
+            k = refused // len(self.roots)
+            self.first_dependent = k, self.coordinates(matrices[k])[0] or {}
 
     def _vector(self, entries: Entries, root: int = 1) -> Vector:
         vector: Vector = {}
@@ -226,17 +224,17 @@ class ExactSpan:
                 )
         return vector
 
-    def coordinates(self, entries: Entries) -> dict[int, Roots] | None:
-        """Return the coordinates of a matrix by their number."""
+    def coordinates(self, entries: Entries, i: int = 0, j: int = 0) -> tuple[dict[int, float] | None, float]:
+        """Return the coordinates of a matrix, None outside of the span, and 0."""
         combination = self._span.combination(self._vector(entries))
         if combination is None:
-            return None
+            return None, 0.0
         found: dict[int, Roots] = {}
         for number, value in combination.items():
             if value:
                 k, root = divmod(number, len(self.roots))
                 found.setdefault(k, {})[self.roots[root]] = value
-        return found
+        return {k: _rounded(value) for k, value in found.items()}, 0.0
 
 
 class NearestSpan:
@@ -263,6 +261,7 @@ class NearestSpan:
             if abs(value) * Fraction(self._norms[k]) > smallest
         }, distance
 
+    @property
     def first_dependent(self) -> tuple[int, dict[int, float]] | None:
         """Return the first matrix that depends on those before it, and its coordinates in them."""
         from flint import arb, ctx
@@ -339,19 +338,16 @@ def _from_arb(value: Any) -> Fraction:
 
 
 @long_operation("from_matrices")
-def spanned(given: Matrices, names: Sequence[str]) -> Algebra:
-    """Return the algebra spanned by matrices; ValueError if they are dependent, or a commutator leaves their span."""
+def spanned(given: Matrices, names: Sequence[str]) -> tuple[Constants, Floats]:
+    """Return the constants and the representation of the algebra spanned by matrices; ValueError if they are
+    dependent, or a commutator leaves their span.
+    """
     missing: tuple[int, int, Entries, float] | None = None
-    if given.recognized:
-        _check_exactly_independent(given, names)
-        constants, missing = _constants(given.entries, _exact(given))
+    for exact in [True] * given.recognized + [False] * (not given.certain):
+        matrices = given.entries if exact else _as_floats(given)
+        constants, missing = _constants(matrices, _span_of_independent(matrices, names, given.size, exact))
         if missing is None:
-            return Algebra(constants, given.floats, [])
-    if not given.certain:
-        rounded_ones = _as_floats(given)
-        constants, missing = _constants(rounded_ones, _independent(rounded_ones, names, given.size))
-        if missing is None:
-            return Algebra(constants, given.floats, [])
+            return constants, given.floats
     assert missing is not None
     i, j, matrix, distance = missing
     text = short(_shown(matrix, given).tolist(), 300)
@@ -383,116 +379,71 @@ def _shown(entries: Entries, given: Matrices) -> Any:
     return dense[:d, :d] + 1j * dense[d:, :d]
 
 
-Coordinates = Callable[[Entries, int, int], tuple[dict[int, float] | None, float]]
-
-
-def _exact(given: Matrices) -> Coordinates:
-    span = ExactSpan(given.entries, given.size)
-
-    def coordinates(entries: Entries, i: int, j: int) -> tuple[dict[int, float] | None, float]:
-        found = span.coordinates(entries)
-        return (None if found is None else {k: _rounded(value) for k, value in found.items()}), 0.0
-
-    return coordinates
-
-
 def _constants(
-    matrices: Sequence[Entries], coordinates: Coordinates
-) -> tuple[list[tuple[int, int, int, float]], tuple[int, int, Entries, float] | None]:
+    matrices: Sequence[Entries], span: ExactSpan | NearestSpan
+) -> tuple[Constants, tuple[int, int, Entries, float] | None]:
     """Return the constants, and the first pair whose commutator is outside of the span, with it and its distance."""
-    constants = []
+    constants: Constants = []
     for i, left in enumerate(matrices):
         note_progress(f"the commutators of {len(matrices)} matrices", i / len(matrices))
         for j in range(i + 1, len(matrices)):
             bracket = commutator(left, matrices[j])
             if not bracket:
                 continue
-            found, distance = coordinates(bracket, i, j)
+            found, distance = span.coordinates(bracket, i, j)
             if found is None:
                 return [], (i, j, bracket, distance)
             constants += [(i, j, k, value) for k, value in found.items()]
     return constants, None
 
 
-def _check_exactly_independent(given: Matrices, names: Sequence[str]) -> None:
-    """Raise a ValueError with the first matrix that is a combination of those before it, and the combination."""
-    try:
-        ExactSpan(given.entries, given.size)
-        return
-    except ValueError as error:
-        if "combination" not in str(error):
-            raise
-    first, last = 0, len(given.entries)  # those before `first` are independent, those before `last` are not
-    while last - first > 1:
-        middle = (first + last) // 2
-        try:
-            ExactSpan(given.entries[:middle], given.size)
-            first = middle
-        except ValueError:
-            last = middle
-    found = ExactSpan(given.entries[:first], given.size).coordinates(given.entries[first]) or {}
-    raise _dependent(names, first, {k: _rounded(value) for k, value in found.items()})
-
-
-def _independent(matrices: Sequence[Entries], names: Sequence[str], size: int) -> Coordinates:
-    """Return the coordinates by least squares; ValueError if the matrices are dependent."""
-    span = NearestSpan(matrices, size)
-    dependent = span.first_dependent()
-    if dependent is not None:
-        raise _dependent(names, *dependent)
-    return span.coordinates
-
-
-def _dependent(names: Sequence[str], k: int, combination: dict[int, float]) -> ValueError:
-    """Return the error for a matrix that depends on others."""
-    terms = " + ".join(f"{value:.6g} {names[i]}" for i, value in list(combination.items())[:6])
-    more = " + ..." if len(combination) > 6 else ""
-    return ValueError(f"the matrices are dependent: {names[k]} = {terms or '0'}{more}; leave {names[k]} out")
+def _span_of_independent(
+    matrices: Sequence[Entries], names: Sequence[str], size: int, exact: bool
+) -> ExactSpan | NearestSpan:
+    """Return the span of matrices; ValueError with the first one that depends on others, and its coordinates."""
+    span = ExactSpan(matrices, size) if exact else NearestSpan(matrices, size)
+    if span.first_dependent is not None:
+        k, combination = span.first_dependent
+        terms = " + ".join(f"{value:.6g} {names[i]}" for i, value in list(combination.items())[:6])
+        more = " + ..." if len(combination) > 6 else ""
+        raise ValueError(f"the matrices are dependent: {names[k]} = {terms or '0'}{more}; leave {names[k]} out")
+    return span
 
 
 @long_operation("closure")
-def closed(given: Matrices, names: list[str]) -> Algebra:
-    """Return the algebra generated by matrices: commutators with the given ones are added until all are in the span.
+def closed(given: Matrices, names: list[str]) -> tuple[Constants, Floats, list[tuple[int, int]]]:
+    """Return the algebra generated by matrices, as from `spanned`, and the pair of each commutator that was added:
+    commutators with the given ones are added until all are in the span.
 
     `names` receives the names of added ones. Commutators with generators suffice by the Jacobi identity.
     """
     exact = given.recognized
-    if exact:
-        _check_exactly_independent(given, names)
-        matrices, span = list(given.entries), _exact(given)
-    else:
-        matrices = _as_floats(given)
-        span = _independent(matrices, names, given.size)
+    matrices = list(given.entries) if exact else _as_floats(given)
+    span = _span_of_independent(matrices, names, given.size, exact)
     generators, added = len(matrices), list[tuple[int, int]]()
     i = 1
     while i < len(matrices):
         note_progress(f"the commutators of {len(matrices)} matrices")
         for g in range(min(i, generators)):
             bracket = commutator(matrices[g], matrices[i])
-            if not bracket:
+            if not bracket or span.coordinates(bracket, g, i)[0] is not None:
                 continue
-            found, _ = span(bracket, g, i)
-            if found is None:
-                if len(matrices) == MAX_DIM:
-                    raise ValueError(
-                        f"{generators} matrices generate an algebra of dimension above {MAX_DIM}; give fewer, or a "
-                        "basis to LieAlgebra.from_matrices"
-                    )
-                if not exact:
-                    bracket = _rounded_entries(bracket)
-                matrices.append(bracket)
-                added.append((g, i))
-                names.append(f"A{len(matrices)}")
-                complete = given._replace(entries=matrices)
-                span = _exact(complete) if exact else NearestSpan(matrices, given.size).coordinates
+            if len(matrices) == MAX_DIM:
+                raise ValueError(
+                    f"{generators} matrices generate an algebra of dimension above {MAX_DIM}; give fewer, or a "
+                    "basis to LieAlgebra.from_matrices"
+                )
+            matrices.append(bracket if exact else _rounded_entries(bracket))
+            added.append((g, i))
+            names.append(f"A{len(matrices)}")
+            span = ExactSpan(matrices, given.size) if exact else NearestSpan(matrices, given.size)
         i += 1
     floats = np.zeros((len(matrices), given.size, given.size))
     floats[:generators] = given.floats
     for k in range(generators, len(matrices)):
         for position, value in matrices[k].items():
             floats[(k, *position)] = _rounded(value)
-    complete = given._replace(entries=matrices, floats=floats)
-    return spanned(complete, names)._replace(added=added)
+    return *spanned(given._replace(entries=matrices, floats=floats), names), added
 
 
 def _rounded_entries(entries: Entries) -> Entries:

@@ -21,58 +21,6 @@ if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
 
 
-def _actions(triples: Triples, dim: int) -> tuple[Integers, Triples]:
-    """Return the starts (n + 1,) and sorted entries (i, row, column, value) of every D_{e_i}."""
-    both = both_orders(triples)  # (D_{e_i})_jk = c_ji^k
-    order, _ = groups(both.j, both.i, both.k)
-    element = both.j[order]
-    starts = np.searchsorted(element, np.arange(dim + 1)).astype(np.int64)
-    return starts, Triples(element, both.i[order], both.k[order], both.c[order])
-
-
-def coadjoint_entries(
-    starts: Integers, entries: Triples, indices: Integers, coefficients: NDArray[Any]
-) -> tuple[Integers, Integers, NDArray[Any]]:
-    """Return sorted unique rows, columns and nonzero values of sum_i u_i D_{e_i}; `starts`, `entries`: `actions`."""
-    element, index = expand(starts[indices], starts[indices + 1])
-    constants = exact_numbers(entries.c[index].tolist()) if coefficients.dtype == object else entries.c[index]
-    products = coefficients[element] * constants
-    rows, columns = entries.j[index], entries.k[index]
-    order, first = groups(rows, columns)
-    values = np.add.reduceat(products[order], first) if order.size else products
-    nonzero = np.asarray(values != 0, dtype=bool)
-    representatives = order[first][nonzero]
-    return rows[representatives], columns[representatives], values[nonzero]
-
-
-def _structure_operator(triples: Triples, x: NDArray[np.floating[Any]]) -> LinearOperator:
-    """Return J(x) as a SciPy linear operator."""
-    from scipy.sparse.linalg import LinearOperator
-
-    i, j, k, c = triples
-    entries, n = c * x[k], x.size
-
-    def apply(v: Any) -> Any:
-        flat = np.asarray(v).reshape(n)
-        result = np.zeros(n, dtype=np.result_type(flat.dtype, entries.dtype))
-        np.add.at(result, i, entries * flat[j])
-        np.subtract.at(result, j, entries * flat[i])
-        return result
-
-    return LinearOperator((n, n), matvec=apply, rmatvec=lambda v: -apply(v), dtype=entries.dtype)
-
-
-def _neighbours(triples: Triples, dim: int) -> tuple[Integers, Integers]:
-    """Return, in compressed sparse rows, the sorted j that do not commute with each i; read-only."""
-    first, second = np.concatenate([triples.i, triples.j]), np.concatenate([triples.j, triples.i])
-    order, starts = groups(first, second)
-    first, indices = first[order[starts]], second[order[starts]]
-    indptr = np.searchsorted(first, np.arange(dim + 1)).astype(np.int64)
-    for column in (indptr, indices):
-        column.flags.writeable = False
-    return indptr, indices
-
-
 class Structure:
     """Operations of the structure constants; a subclass sets `_dim` and `_triples`, sorted, unique, i < j."""
 
@@ -207,7 +155,11 @@ class Structure:
     @cached_if_small
     def actions(self) -> tuple[Integers, Triples]:
         """Return starts and sorted entries (i, row, column, value) of all matrices D_{e_i}; read-only."""
-        return _actions(self._triples, self._dim)
+        both = both_orders(self._triples)  # (D_{e_i})_jk = c_ji^k
+        order, _ = groups(both.j, both.i, both.k)
+        element = both.j[order]
+        starts = np.searchsorted(element, np.arange(self._dim + 1)).astype(np.int64)
+        return starts, Triples(element, both.i[order], both.k[order], both.c[order])
 
     def coadjoint_entries(self, u: Any) -> tuple[Integers, Integers, NDArray[Any]]:
         """Return sorted rows, columns and values of the nonzero entries of D_u; u is (n,) or a mapping {i: u_i}."""
@@ -222,14 +174,35 @@ class Structure:
             vector, _ = self._vector(u, "u")
             indices = np.flatnonzero(vector != 0).astype(np.int64)
             coefficients = vector[indices]
-        return coadjoint_entries(*self.actions, indices, coefficients)
+        starts, entries = self.actions
+        element, index = expand(starts[indices], starts[indices + 1])
+        constants = exact_numbers(entries.c[index].tolist()) if coefficients.dtype == object else entries.c[index]
+        products = coefficients[element] * constants
+        rows, columns = entries.j[index], entries.k[index]
+        order, first = groups(rows, columns)
+        values = np.add.reduceat(products[order], first) if order.size else products
+        nonzero = np.asarray(values != 0, dtype=bool)
+        representatives = order[first][nonzero]
+        return rows[representatives], columns[representatives], values[nonzero]
 
     def structure_operator(self, x: Any) -> LinearOperator:
         """Return J(x) as a SciPy linear operator without an n x n array, for large n."""
+        from scipy.sparse.linalg import LinearOperator
+
         point, _ = self._vector(x, "x")
         if point.dtype.kind != "f":
             raise TypeError(f"x must hold real floats, not {point.dtype}: use structure_matrix for other numbers")
-        return _structure_operator(self._triples, point)
+        i, j, k, c = self._triples
+        entries, n = c * point[k], point.size
+
+        def apply(v: Any) -> Any:
+            flat = np.asarray(v).reshape(n)
+            result = np.zeros(n, dtype=np.result_type(flat.dtype, entries.dtype))
+            np.add.at(result, i, entries * flat[j])
+            np.subtract.at(result, j, entries * flat[i])
+            return result
+
+        return LinearOperator((n, n), matvec=apply, rmatvec=lambda v: -apply(v), dtype=entries.dtype)
 
     def generic_rank(self) -> int:
         """Return the rank of J(x) at a generic x; ``dim - rank`` is the number of independent Casimirs.
@@ -281,7 +254,13 @@ class Structure:
 
     @cached_if_small
     def _neighbours(self) -> tuple[Integers, Integers]:
-        return _neighbours(self._triples, self._dim)
+        first, second, _, _ = both_orders(self._triples)
+        order, starts = groups(first, second)
+        first, indices = first[order[starts]], second[order[starts]]
+        indptr = np.searchsorted(first, np.arange(self._dim + 1)).astype(np.int64)
+        for column in (indptr, indices):
+            column.flags.writeable = False
+        return indptr, indices
 
     def neighbours(self) -> tuple[Integers, Integers]:
         """Return the noncommuting pairs of basis elements in compressed sparse rows (indptr, indices), read-only."""

@@ -6,8 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from coadjoint.kernels.functions import callbacks, fresh_code, matrix_functions, numba_steps
+from coadjoint.kernels.functions import compilation, numba_steps
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.tables import matrix_steps
 from coadjoint.systems.user_functions import MultipleOf
 from refusals import refused
 
@@ -110,9 +111,9 @@ def made(monkeypatch):
 
         __hash__, __eq__ = object.__hash__, object.__eq__
 
-    for module, name in ((callbacks, "_compiled"), (matrix_functions, "_adapted"), (numba_steps, "_compiled")):
+    for module, name in ((compilation, "_compiled"), (matrix_steps, "_adapted"), (numba_steps, "_compiled")):
         monkeypatch.setattr(module, name, lambda *given: Made(given))
-    monkeypatch.setattr(fresh_code, "_COMPILED", {})
+    monkeypatch.setattr(compilation, "_COMPILED", {})
 
 
 def step_of(**given):
@@ -123,12 +124,12 @@ def step_of(**given):
 
 CACHED = {
     "functions": (
-        callbacks.callback_of,
+        compilation.callback_of,
         {"function": product, "size": 3, "results": 3, "scalar": False, "flat": True, "timed": False, "what": "f"},
         [{"size": 2}, {"results": 9}, {"scalar": True}, {"flat": False}, {"timed": True}],
     ),
     "streams": (
-        lambda **given: matrix_functions._compiled(**given),
+        lambda **given: matrix_steps._compiled(**given),
         {"function": product, "N": 3, "complex_entries": False, "timed": False, "traceless": ()},
         [{"N": 4}, {"complex_entries": True}, {"timed": True}]
         + [{"traceless": places} for places in (((0, 3),), ((0, 2),), ((0, 2), (2, 3)))],

@@ -363,6 +363,7 @@ def test_nearly_dependent_matrices_at_their_threshold(share, dependent):
 REFUSED = {
     "a sum": ([[[1, 0], [0, 0]], [[0, 0], [0, 1]], np.eye(2)], ["A3 = 1 A1 + 1 A2"]),
     "dependent over roots": ([np.diag([1.0, np.sqrt(2)]), np.diag([np.sqrt(2), 2.0])], ["A2 = 1.41421 A1"]),
+    "a root in the second one only": ([np.eye(2), np.sqrt(2) * np.eye(2)], ["A2 = 1.41421 A1"]),
     "zero": ([[[1]], [[0]]][1:], ["A1 = 0"]),
     "too many": (np.ones((5, 2, 2)), ["5 matrices of 2 x 2", "4"]),
     "none": ([], ["no matrices"]),

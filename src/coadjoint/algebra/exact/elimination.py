@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -46,23 +46,29 @@ def add_multiple(left: Vector, factor: Number, right: Mapping[int, Number]) -> N
 class Span:
     """The span of independent sparse vectors {index: number}; a dependent vector raises ValueError."""
 
-    def __init__(self, vectors: Sequence[Mapping[int, Number]]) -> None:
+    def __init__(self, vectors: Iterable[Mapping[int, Number]] = ()) -> None:
         self._rows: dict[int, tuple[Vector, Vector]] = {}  # pivot -> row with 1 there, and its combination
         for number, vector in enumerate(vectors):
-            rest, used = self._reduced(vector)
-            if not rest:
+            if not self.add(vector):
                 raise ValueError(f"vector {number} is a combination of the vectors before it")
-            pivot = min(rest)
-            scale = Fraction(1) / rest[pivot]
-            combination: Vector = {number: scale}
-            add_multiple(combination, -scale, used)
-            row: Vector = {i: value * scale for i, value in rest.items()}
-            for earlier_row, coordinates in self._rows.values():
-                factor = earlier_row.get(pivot, 0)
-                if factor:
-                    add_multiple(earlier_row, -factor, row)
-                    add_multiple(coordinates, -factor, combination)
-            self._rows[pivot] = row, combination
+
+    def add(self, vector: Mapping[int, Number]) -> bool:
+        """Add a vector unless it is in the span; return whether it was added."""
+        rest, used = self._reduced(vector)
+        if not rest:
+            return False
+        pivot = min(rest)
+        scale = Fraction(1) / rest[pivot]
+        combination: Vector = {len(self._rows): scale}
+        add_multiple(combination, -scale, used)
+        row: Vector = {i: value * scale for i, value in rest.items()}
+        for earlier_row, coordinates in self._rows.values():
+            factor = earlier_row.get(pivot, 0)
+            if factor:
+                add_multiple(earlier_row, -factor, row)
+                add_multiple(coordinates, -factor, combination)
+        self._rows[pivot] = row, combination
+        return True
 
     def _reduced(self, vector: Mapping[int, Number]) -> tuple[Vector, Vector]:
         """Return the remainder of a vector modulo the span, and the combination that was subtracted."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from coadjoint.algebra.exact.ranks import rank_from_gap
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, groups
-from coadjoint.algebra.invariants.casimir_equations import CasimirEquations, Vector, blocks, check_block
+from coadjoint.algebra.invariants.casimir_equations import CasimirEquations, Vector, solutions
 from coadjoint.rounding import UNIT_ROUNDOFF
 
+MAX_UNKNOWNS = 1000  # of a block; at most a minute
 MIN_PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
 
 
@@ -84,21 +85,13 @@ def _block_kernel(linear_equations: CasimirEquations) -> list[Vector]:
     return vectors
 
 
-def kernel(linear_equations: CasimirEquations, largest: int) -> list[Vector]:
-    """Return the solutions of floating-point equations in reduced row echelon form, {unknown: float}.
+def kernel(linear_equations: CasimirEquations, largest: int = MAX_UNKNOWNS) -> list[Vector]:
+    """Return the solutions of floating-point equations.
 
     With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
     zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
     """
-    solutions: list[Vector] = []
-    for unknowns, part in blocks(linear_equations):
-        if not part.values.size:
-            solutions += [{int(column): 1.0} for column in unknowns]
-            continue
-        check_block(part, largest)
-        for vector in _block_kernel(part):
-            solutions.append({int(unknowns[index]): value for index, value in vector.items()})
-    return sorted(solutions, key=lambda vector: next(iter(vector)))
+    return solutions(linear_equations, largest, 1.0, _block_kernel)
 
 
 def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:

@@ -12,11 +12,13 @@ import numpy as np
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.ranks import random_prime, residues
 from coadjoint.algebra.exact.sparse_sums import groups
-from coadjoint.algebra.invariants.casimir_equations import CasimirEquations, Vector, blocks, check_block
+from coadjoint.algebra.invariants.casimir_equations import CasimirEquations, Vector, solutions
 from coadjoint.long_operations import note_progress
 
 if TYPE_CHECKING:
     from flint import nmod_mat
+
+MAX_UNKNOWNS = 3000  # of a block; at most a minute
 
 
 def _row_echelon_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
@@ -117,24 +119,10 @@ def _block_kernel(linear_equations: CasimirEquations, rng: np.random.Generator) 
             return vectors
 
 
-def kernel(linear_equations: CasimirEquations, largest: int) -> list[Vector]:
-    """Return the solutions of integer equations in reduced row echelon form, {unknown: Fraction}, by leading unknown.
-
-    Every vector is verified against all equations in exact arithmetic. ValueError for a block above `largest` unknowns.
-    """
+def kernel(linear_equations: CasimirEquations, largest: int = MAX_UNKNOWNS) -> list[Vector]:
+    """Return the solutions of integer equations as Fractions; every one fulfils its block in exact arithmetic."""
     rng = np.random.default_rng(0)
-    solutions: list[Vector] = []
-    for unknowns, part in blocks(linear_equations):
-        if not part.values.size:
-            solutions += [{int(column): 1} for column in unknowns]
-            continue
-        check_block(part, largest)
-        for vector in _block_kernel(part, rng):
-            solution = {int(unknowns[index]): value for index, value in vector.items()}
-            if not annihilated(linear_equations, solution):
-                raise ArithmeticError("a solution of a block does not solve all equations: the blocks are wrong")
-            solutions.append(solution)
-    return sorted(solutions, key=lambda vector: next(iter(vector)))
+    return solutions(linear_equations, largest, 1, lambda block: _block_kernel(block, rng))
 
 
 def pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:

@@ -6,7 +6,7 @@ import functools
 import importlib.resources
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from numbers import Rational
 from typing import Any
@@ -40,9 +40,8 @@ def parameters_of(name: str) -> tuple[str, ...]:
     return tuple(entries()[name].get("parameters", ()))
 
 
-def read_parameters(name: str, parameters: Mapping[str, Any]) -> dict[str, Number]:
-    """Validate the parameters of an algebra and return them exactly; floats are converted exactly."""
-    expected = parameters_of(name)
+def check_names(name: str, expected: Sequence[str], parameters: Mapping[str, Any]) -> None:
+    """Raise a ValueError unless the parameters of an algebra have the expected names."""
     missing = [key for key in expected if key not in parameters]
     if missing:
         raise ValueError(f"algebra {name!r} needs the parameter {missing[0]!r}, as in get({name!r}, {missing[0]}=...)")
@@ -50,6 +49,12 @@ def read_parameters(name: str, parameters: Mapping[str, Any]) -> dict[str, Numbe
     if extra:
         accepted = ", ".join(expected) or "none"
         raise ValueError(f"algebra {name!r} has no parameter {short(extra[0])}; it takes: {accepted}")
+
+
+def read_parameters(name: str, parameters: Mapping[str, Any]) -> dict[str, Number]:
+    """Validate the parameters of an algebra and return them exactly; floats are converted exactly."""
+    expected = parameters_of(name)
+    check_names(name, expected, parameters)
     values: dict[str, Number] = {}
     for key in expected:
         value = parameters[key]

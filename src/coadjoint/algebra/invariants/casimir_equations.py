@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -145,10 +145,20 @@ def blocks(linear_equations: CasimirEquations) -> Iterator[tuple[Integers, Casim
             )
 
 
-def check_block(part: CasimirEquations, largest: int) -> None:
-    """Raise a ValueError for a block too large to be solved as a dense matrix."""
-    if part.unknowns > largest:
-        raise ValueError(
-            f"{part.unknowns} coefficients of a Casimir are coupled, above the limit of {largest}; "
-            f"lower max_degree, or choose a basis with diagonal or sparse brackets"
-        )
+def solutions(
+    linear_equations: CasimirEquations, largest: int, one: Any, block_kernel: Callable[[CasimirEquations], list[Vector]]
+) -> list[Vector]:
+    """Return the solutions in reduced row echelon form, {unknown: value}, by leading unknown, from those of each block.
+
+    ValueError for a block above `largest` unknowns, which is solved as a dense matrix. `one` is a free coefficient.
+    """
+    found: list[Vector] = []
+    for unknowns, part in blocks(linear_equations):
+        if part.unknowns > largest and part.values.size:
+            raise ValueError(
+                f"{part.unknowns} coefficients of a Casimir are coupled, above the limit of {largest}; "
+                f"lower max_degree, or choose a basis with diagonal or sparse brackets"
+            )
+        of_block = block_kernel(part) if part.values.size else [{index: one} for index in range(part.unknowns)]
+        found += [{int(unknowns[index]): value for index, value in vector.items()} for vector in of_block]
+    return sorted(found, key=lambda vector: next(iter(vector)))

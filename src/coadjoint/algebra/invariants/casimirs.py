@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,37 +16,14 @@ from coadjoint.algebra.exact import numerical_kernel, rational_kernel
 from coadjoint.algebra.exact.components import summands
 from coadjoint.algebra.exact.ranks import clear_denominators, generic_rank, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.algebra.invariants.casimir_equations import (
-    CasimirEquations,
-    Vector,
-    equations,
-    monomial_count,
-    monomials,
-)
+from coadjoint.algebra.invariants.casimir_equations import Vector, equations, monomial_count, monomials
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.validation import read_integer
 
 MAX_MONOMIALS = 40_000  # monomials of one degree in one summand; at most a minute
 MAX_DERIVATIVE_TERMS = 10_000_000  # terms of their derivatives before like terms are collected; 1 GB
-EXACT_BLOCK, FLOAT_BLOCK = 3000, 1000  # coupled unknowns, solved as a dense matrix; at most a minute
 MAX_EXPONENTS = 50_000_000  # over all Casimirs; a Polynomial stores one per coordinate and monomial; 400 MB
-
-
-class _Arithmetic(NamedTuple):
-    """Kernel and pivot routines of one summand: exact or floating-point."""
-
-    constants: NDArray[Any]
-    kernel: Callable[[CasimirEquations, int], list[Vector]]
-    pivots: Callable[[Sequence[Sequence[Any]], int], list[int]]
-    max_unknowns: int
-
-
-def _arithmetic(triples: Triples, dim: int) -> _Arithmetic:
-    integers = rational_constants(triples, dim)
-    if integers is not None:
-        return _Arithmetic(integers, rational_kernel.kernel, rational_kernel.pivots, EXACT_BLOCK)
-    return _Arithmetic(triples.c, numerical_kernel.kernel, numerical_kernel.pivots, FLOAT_BLOCK)
 
 
 def check_size(dim: int, degree: int, constants: int) -> None:
@@ -91,12 +68,13 @@ def products(generators: Sequence[Polynomial], degree: int) -> Iterator[Polynomi
 
 
 def _of_degree(
-    triples: Triples, arithmetic: _Arithmetic, dim: int, degree: int, lower: Sequence[Polynomial]
+    triples: Triples, integers: NDArray[Any] | None, dim: int, degree: int, lower: Sequence[Polynomial]
 ) -> list[Polynomial]:
     """Return a basis of the Casimirs of a degree modulo sums of products of lower ones."""
+    arithmetic, constants = (numerical_kernel, triples.c) if integers is None else (rational_kernel, integers)
     note_progress(f"degree {degree} of dimension {dim}")
     basis = monomials(dim, degree)
-    space = arithmetic.kernel(equations(triples, arithmetic.constants, basis, dim), arithmetic.max_unknowns)
+    space = arithmetic.kernel(equations(triples, constants, basis, dim))
     # In a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials.
     leading = [tuple(np.bincount(basis[next(iter(vector))], minlength=dim).tolist()) for vector in space]
     coordinates = [[product.monomials.get(e, 0) for e in leading] for product in products(lower, degree)]
@@ -111,11 +89,11 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
         return []
     if independent > 1:
         check_size(dim, max_degree, triples.c.size)
-    arithmetic = _arithmetic(triples, dim)
+    integers = rational_constants(triples, dim)
     generators: list[Polynomial] = []
     for degree in range(1, max_degree + 1):
         check_size(dim, degree, triples.c.size)
-        generators += _of_degree(triples, arithmetic, dim, degree, generators)
+        generators += _of_degree(triples, integers, dim, degree, generators)
         # Roots and factors of Casimirs are Casimirs, so with one independent Casimir all are powers of the lowest.
         if generators and independent == 1:
             break

@@ -18,6 +18,7 @@ from coadjoint.algebra.polynomials.monomials import (
     Exponents,
     ProductSum,
     differentiated,
+    exponents_of,
     read_coefficient,
     read_exponents,
 )
@@ -145,7 +146,7 @@ class Polynomial:
         dim = read_integer(dim, "dim of a Polynomial")
         i = read_integer(i, "the index of a coordinate", 0, dim - 1)
         check_available_memory(BYTES_PER_EXPONENT * dim, f"a coordinate among {short(dim)}")
-        return cls._from_valid({(0,) * i + (1,) + (0,) * (dim - i - 1): 1}, dim)
+        return cls._from_valid({exponents_of((i,), dim): 1}, dim)
 
     @property
     def dim(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from coadjoint.algebra.polynomials.monomials import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 
 MAX_STORED_EXPONENTS = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
@@ -17,22 +17,16 @@ def casimirs_fit(monomials: int, dim: int) -> bool:
 
 def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Polynomial:
     """Return the sum of c x_i x_j over the entries (i, j, c)."""
-    zero = (0,) * dim
     total: dict[tuple[int, ...], Coefficient] = {}
     for i, j, value in entries:
-        low, high = min(i, j), max(i, j)
-        if low == high:
-            exponents = zero[:low] + (2,) + zero[low + 1 :]
-        else:
-            exponents = zero[:low] + (1,) + zero[low + 1 : high] + (1,) + zero[high + 1 :]
+        exponents = exponents_of((i, j), dim)
         total[exponents] = total.get(exponents, 0) + value
     return Polynomial._from_valid(total, dim)
 
 
 def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
     """Return the sum of c_i x_i."""
-    zero = (0,) * dim
-    return Polynomial._from_valid({zero[:i] + (1,) + zero[i + 1 :]: value for i, value in entries.items()}, dim)
+    return Polynomial._from_valid({exponents_of((i,), dim): value for i, value in entries.items()}, dim)
 
 
 def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: int) -> Polynomial:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import warnings
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -31,7 +32,7 @@ class CompiledFunction:
         what: str,
     ) -> None:
         require_packages(f"{what}, a Python function,", "numba")
-        from coadjoint.kernels.functions.callbacks import callback_of
+        from coadjoint.kernels.functions.compilation import callback_of
 
         self._callback = callback_of(function, size, results, scalar, flat, timed, what)
         self._arguments = function, size, results, scalar, flat, timed, what
@@ -46,7 +47,7 @@ class CompiledFunction:
 def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
     """Warn before compiling so many Python functions that it takes seconds; do nothing without Numba."""
     if installed("numba"):
-        from coadjoint.kernels.functions.callbacks import warn_many_functions
+        from coadjoint.kernels.functions.compilation import warn_many_functions
 
         warn_many_functions(list(functions))
 
@@ -92,11 +93,40 @@ class CompiledShares:
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
 
 
-class PythonCallback:
+class CalledInPython:
+    """An object whose function the loops may call in Python: the exception is raised in the thread of the run."""
+
+    _raised: BaseException | None = None
+
+    def raised(self) -> BaseException | None:
+        """Return and clear the exception that the function raised, if any."""
+        error, self._raised = self._raised, None
+        return error
+
+
+MAX_WARNED = 256
+_WARNED: dict[Any, Any] = {}
+
+
+def warn_once(function: Any, message: str) -> None:
+    """Warn that a function, or the step of a class, is called in Python, once for each value that can be hashed."""
+    try:
+        hash(function)
+        key = function
+    except TypeError:
+        key = id(function)
+    if key in _WARNED:
+        return
+    if len(_WARNED) == MAX_WARNED:
+        _WARNED.clear()
+    _WARNED[key] = function  # which keeps its id from being used again
+    warnings.warn(message, RuntimeWarning, stacklevel=2)
+
+
+class PythonCallback(CalledInPython):
     """A function of (y, t), y an array of `size` numbers, called in Python; it returns `results` numbers."""
 
     def __init__(self, function: Callable[..., Any], size: int, results: int = 1) -> None:
-        self._raised: BaseException | None = None
         self._arguments = function, size, results
         block, result_block = ctypes.c_double * size, ctypes.c_double * results
 
@@ -117,11 +147,6 @@ class PythonCallback:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that make the function callable in another process."""
         return PythonCallback, self._arguments
-
-    def raised(self) -> BaseException | None:
-        """Return and clear the exception that the function raised, if any."""
-        error, self._raised = self._raised, None
-        return error
 
 
 def raised_by(owners: Iterable[Any]) -> BaseException | None:

@@ -19,8 +19,7 @@ import numpy as np
 from numba import carray, types
 from numba.extending import overload_method
 
-from coadjoint.kernels.functions.callbacks import numba_error_text
-from coadjoint.kernels.functions.fresh_code import compile_cached, fresh_dispatchers
+from coadjoint.kernels.functions.compilation import compile_cached, fresh_dispatchers, numba_error_text
 from coadjoint.kernels.library import kernels
 
 NUMBERS = types.CPointer(types.float64)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
-import warnings
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
+from coadjoint.kernels.functions.compiled_functions import CalledInPython, warn_once
 from coadjoint.optional_packages import MissingPackageError, require_packages
 
 Step = Callable[[Any, Any, Any, Any], Any]
@@ -20,29 +20,27 @@ CALLBACK = ctypes.CFUNCTYPE(
 )
 
 
-class StepFunction:
+class StepFunction(CalledInPython):
     """The step of a scheme on a system as a C function for the loops. The scheme has ``step(system, x, t, h)``; if it
     is a dataclass of numbers, strings and arrays, the step may be compiled by Numba. `compiled` is set if it was;
     otherwise each step is a Python call.
     """
 
     def __init__(self, method: Any, system: Any) -> None:
-        self._raised: BaseException | None = None
         callback, reason = _compiled(method, system) if method.compiles else (None, "")
         self.compiled = callback is not None
         if callback is None:
             if method.compiles:
-                _warn_once(type(method), reason)
+                warn_once(
+                    type(method),
+                    f"the steps of {type(method).__name__} are Python calls, about a hundred times slower than "
+                    f"compiled ones: {reason}",
+                )
             self._callback = CALLBACK(self._python_step(method, system))
             self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
         else:
             self._callback = callback
             self.address = callback.address
-
-    def raised(self) -> BaseException | None:
-        """Return and clear the exception that the step raised, if any."""
-        error, self._raised = self._raised, None
-        return error
 
     def _python_step(self, method: Any, system: Any) -> Callable[..., int]:
         n, number = system.dim, ctypes.c_double
@@ -77,20 +75,6 @@ def read_step_result(result: Any, n: int, method: Any) -> Any:
         kind = "complex numbers" if state.dtype.kind == "c" else f"an array of {state.dtype} and shape {state.shape}"
         raise TypeError(f"the step of {type(method).__name__} returned {kind}; it must return {n} real numbers")
     return state.astype(np.float64)
-
-
-_warned_types: set[type] = set()
-
-
-def _warn_once(scheme: type, reason: str) -> None:
-    if scheme in _warned_types:
-        return
-    _warned_types.add(scheme)
-    warnings.warn(
-        f"the steps of {scheme.__name__} are Python calls, about a hundred times slower than compiled ones: {reason}",
-        RuntimeWarning,
-        stacklevel=2,
-    )
 
 
 def _compiled(method: Any, system: Any) -> tuple[Any, str]:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
@@ -125,17 +126,8 @@ MAX_SWEEPS = 16  # of the Jacobi method, which takes about six for a 3 x 3 matri
 DIRECT, TOGETHER = 1, 2  # bits of `properties`
 
 
-class BodyTables(NamedTuple):
-    """The fields of `FlowTables` for free bodies."""
-
-    called: NDArray[np.int64]
-    body_column: NDArray[np.uint32]
-    body: NDArray[np.float64]
-    properties: NDArray[np.uint8]
-
-
-def body_tables(program: Program) -> BodyTables:
-    """Return the free bodies of a program as arrays; its constants are float64."""
+def body_tables(program: Program) -> tuple[NDArray[np.int64], NDArray[np.uint32], Floats, NDArray[np.uint8]]:
+    """Return the fields `called`, `body_column`, `body` and `properties` of `FlowTables` for the free bodies."""
     parts, bodies = program.parts, program.parts.bodies
     # A flow table may contain parts that are not in the Hamiltonian.
     index_of_share = np.full(int(program.share[-1]), -1, dtype=np.int64)
@@ -152,7 +144,7 @@ def body_tables(program: Program) -> BodyTables:
         [(*share.coordinates, *(share.other or share.coordinates)) for share in bodies.values()], dtype=np.uint32
     ).reshape(-1)
     constants = np.array([_constants(share) for share in bodies.values()], dtype=np.float64).reshape(-1)
-    return BodyTables(index_of_share, columns, constants, properties)
+    return index_of_share, columns, constants, properties
 
 
 def _turns_directly(action: Action, part: int) -> bool:

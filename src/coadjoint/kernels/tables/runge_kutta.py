@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,28 +46,10 @@ RUNGE_KUTTA_LOOP = "runge_kutta_advance"
 """Name of the loop in the library."""
 
 
-class Tableau(Protocol):
-    """Protocol of a Runge-Kutta scheme."""
-
-    @property
-    def solver(self) -> str:
-        """Name of the solver."""
-
-    @property
-    def function_iterations(self) -> int:
-        """Number of function iterations before the output, or before the linear system."""
-
-    def coefficients(self) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-        """Return nodes, scales, the matrix of the stages, and the weights of the output."""
-
-    def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix of the initial guess of the stages; `ratio` is substep over previous substep."""
-
-
 def runge_kutta_tables(
-    system: System, method: Tableau, representation: Any = None, fractions: Sequence[float] = (1.0,)
+    system: System, method: Any, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> CompiledTables:
-    """Return `RungeKuttaTables`, which do not depend on the step, for a method whose substeps have these fractions."""
+    """Return `RungeKuttaTables`, which do not depend on the step, for a `RungeKuttaMethod` with these substeps."""
     field, keepalive = field_of(system)
     group = group_of(system, representation)
     node, scale, mix, out = method.coefficients()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,24 +84,10 @@ INNER_LOOP_INDEX = 1
 """Index, among the integers, of the address of the tables of an inner loop."""
 
 
-class CompiledStep(Protocol):
-    """Protocol of a scheme with a compiled step."""
-
-    @property
-    def compiled_step(self) -> Any:
-        """The step: its name in the library, or an object with its address."""
-
-    def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the integers and the coefficients that the step reads."""
-
-    def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the invariants that the step restores."""
-
-
 def step_tables(
-    system: System, method: CompiledStep, representation: Any = None, fractions: Sequence[float] = (1.0,)
+    system: System, method: Any, representation: Any = None, fractions: Sequence[float] = (1.0,)
 ) -> CompiledTables:
-    """Return the tables, a `Stepping` independent of the step, of a step method whose substeps have these fractions."""
+    """Return the tables, a `Stepping` independent of the step, of a `CompiledStepMethod` with these substeps."""
     restored = method.restored(system)
     watched = invariants_table([], system.dim) if restored is None else watch_tables(system, restored)
     tables = _tables(system, group_of(system, representation), watched, *method.constants())

@@ -109,12 +109,6 @@ def derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
     return np.array([compiled.address], dtype=np.int64), (compiled,)
 
 
-def vectors_in(memory: NDArray[np.float64], count: int, size: int) -> NDArray[np.float64]:
-    """Return the tangent vectors (members, count, size) stored in the memory of members between calls of the loop."""
-    entries = memory[:, memory.shape[1] - count * (size + 2 * STRETCH_ENTRIES) :]
-    return entries[:, : count * size].reshape(-1, count, size)
-
-
 def stretch_logarithms(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """Return the logarithms (members, count) of the accumulated growth of each vector up to the last step."""
     entries = memory[:, memory.shape[1] - count * STRETCH_ENTRIES :].reshape(-1, count, STRETCH_ENTRIES)

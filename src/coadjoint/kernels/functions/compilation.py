@@ -1,18 +1,24 @@
-"""Compilation of user functions; machine code is reused only if everything the function reads is unchanged."""
+"""Compilation of user functions by Numba; machine code is reused only if everything that they read is unchanged."""
 
 from __future__ import annotations
 
+import inspect
 import types
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
+import numpy as np
+from numba import carray
+from numba import types as numba_types
 
 from coadjoint.interruption import deferred
-from coadjoint.kernels.functions.code_reads import cell_value, is_own
-from coadjoint.kernels.functions.contents import contents_of
+from coadjoint.kernels.functions.contents import cell_value, compilation_key, contents_of, is_own
+from coadjoint.systems.user_functions import MultipleOf
 
+POINTER = numba_types.CPointer(numba_types.float64)
+SIGNATURE = numba_types.void(POINTER, numba_types.float64, POINTER)
 # Number of compiled functions that are kept; the oldest one is dropped for the next.
 MAX_CACHED = 4096
 _COMPILED: dict[Any, Any] = {}
@@ -134,3 +140,97 @@ def _module(value: Any, attributes: set[str], fresh: dict[int, tuple[Any, Any]])
 def _attributes(code: types.CodeType) -> set[str]:
     inside = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
     return set(code.co_names).union(*map(_attributes, inside))
+
+
+def callback_of(
+    function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str
+) -> Any:
+    """Return a function as a C callback; TypeError with the reason of Numba if it cannot be compiled."""
+
+    def make() -> Any:
+        try:
+            return _compiled(function, size, results, scalar, flat, timed)
+        except Exception as error:  # Numba raises exceptions of many types
+            raise TypeError(f"{what} cannot be compiled by Numba: {numba_error_text(error)}") from error
+
+    return compile_cached(function, (size, results, scalar, flat, timed), what, make)
+
+
+# Functions from which on a warning is given, after some seconds of compilation, and the time (s) that one takes.
+WARNING_COUNT = 48
+SECONDS_PER_FUNCTION = 0.05
+
+
+def warn_many_functions(functions: Sequence[Callable[..., Any]]) -> None:
+    """Warn before compiling so many functions of a Hamiltonian that it takes seconds."""
+    if len(functions) < WARNING_COUNT:
+        return
+    count = len({compilation_key(function) for function in functions} - compiled_digests())
+    if count >= WARNING_COUNT:
+        warnings.warn(
+            f"{count} different Python functions are compiled one by one, about {SECONDS_PER_FUNCTION * count:.0f} s "
+            "in all; it is faster to write one function of many commuting coordinates, with an array of constants: "
+            "SplitHamiltonian([((0, 3, 6), Hamiltonian(value, gradient))])",
+            UserWarning,
+            stacklevel=2,
+        )
+
+
+def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
+    # The result is NaN until the function returns: if it raises, the NaN remains and stops the run.
+    inner = _inner(function)
+    body = _array(inner, size, results, timed) if flat and not scalar else _value(inner, size, scalar, timed)
+    return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
+
+
+def _inner(function: Any) -> Any:
+    """Return a function in the form that compiled code calls."""
+    if isinstance(function, MultipleOf):
+        return _multiple(_inner(function.function), function.factor, function.scalar)
+    return (
+        numba.njit(boundscheck=True, **_INTERNAL_OPTIONS)(fresh_dispatchers(function))
+        if inspect.isfunction(function)
+        else fresh_dispatchers(function)
+    )
+
+
+# Called by compiled code only, so that no Python wrappers are compiled.
+_INTERNAL_OPTIONS: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+
+
+def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
+    if scalar:
+        return numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: factor * inner(*arguments))
+    return numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: factor * np.asarray(inner(*arguments)))
+
+
+def numba_error_text(error: Exception) -> str:
+    """Return the informative lines of a Numba error, joined to one line."""
+    lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
+    informative = [
+        line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
+    ]
+    return " ".join(informative[:3])[:400]
+
+
+def _value(inner: Any, size: int, scalar: bool, timed: bool) -> Callable[..., None]:
+    """Return a callback for one number; Numba compiles only the branches of these arguments."""
+
+    def call(y: Any, t: float, out: Any) -> None:
+        out[0] = np.nan
+        x = y[0] if scalar else carray(y, (size,))
+        out[0] = inner(x, t) if timed else inner(x)
+
+    return call
+
+
+def _array(inner: Any, size: int, results: int, timed: bool) -> Callable[..., None]:
+    def call(y: Any, t: float, out: Any) -> None:
+        for k in range(results):
+            out[k] = np.nan
+        x = carray(y, (size,))
+        values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
+        for k in range(results):
+            out[k] = values[k]
+
+    return call
