@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow
-from coadjoint.systems.fluids.reduced_mhd import fluid_of as fluid_of_system
+from coadjoint.systems.fluids.two_field_fluids import fluid_of as fluid_of_system
 from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
 
 Floats = npt.NDArray[np.float64]
