@@ -76,7 +76,7 @@ from .systems.batch import batch as batch
 from .systems.hamiltonians.hamiltonian import Hamiltonian as Hamiltonian
 from .systems.hamiltonians.hamiltonian import formula as formula
 from .systems.hamiltonians.quadratic import Quadratic as Quadratic
-from .systems.hamiltonians.separable import Separable as Separable
+from .systems.hamiltonians.split_hamiltonian import Separable as Separable
 from .systems.hamiltonians.split_hamiltonian import SplitHamiltonian as SplitHamiltonian
 from .systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
 from .systems.matrices.matrix_system import MatrixSystem as MatrixSystem

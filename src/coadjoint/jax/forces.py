@@ -18,7 +18,7 @@ from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField
 from coadjoint.jax.table_steps import product
 from coadjoint.methods.forced import Forced, substeps_of
 from coadjoint.systems.forces.base import Noise
-from coadjoint.systems.forces.state_torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
+from coadjoint.systems.forces.torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
 
 Flow = Callable[[Any, Any, Any, Any, Any], Any]
 """The flow of a force: of constants, state, time, duration and member."""

@@ -25,8 +25,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.coefficients import coefficients_of
-from coadjoint.systems.force_parameters import force_numbers
-from coadjoint.systems.parameters import parameters_at, with_parameters
+from coadjoint.systems.parameters import force_numbers, parameters_at, with_parameters
 
 CALLER = 'co.jax.solution with backend="xla"'
 

@@ -17,12 +17,11 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
-from coadjoint.systems.evaluation import scatter
+from coadjoint.systems.evaluation import ProductSums, scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
-from coadjoint.systems.product_sums import ProductSums
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
 from coadjoint.systems.system import System
 from coadjoint.systems.vanishing_products import Products, field_products

@@ -8,12 +8,11 @@ import pytest
 from scipy.linalg import expm
 
 import coadjoint as co
-from coadjoint.systems.evaluation import lossless_coefficients, scatter
+from coadjoint.systems.evaluation import MAX_BITS, ProductSums, lossless_coefficients, scatter
 from coadjoint.systems.forces import random_forcing
 from coadjoint.systems.forces.base import normal_deviates
 from coadjoint.systems.forces.double_bracket import exponential
 from coadjoint.systems.forces.rates import apply_metric, metric_root
-from coadjoint.systems.product_sums import MAX_BITS, ProductSums
 from metrics import SEMIDEFINITE
 
 U, N = 2.0**-53, 5

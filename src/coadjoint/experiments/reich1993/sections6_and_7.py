@@ -30,7 +30,7 @@ from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.examples.paper_examples import paper_rigid_body
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.separable import Separable
+from coadjoint.systems.hamiltonians.split_hamiltonian import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 

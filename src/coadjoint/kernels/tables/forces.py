@@ -23,7 +23,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.program.multiples import Multiples
 from coadjoint.program.sources import CoefficientNumbers, Sources
 from coadjoint.systems.forces.base import Force, Noise
-from coadjoint.systems.forces.state_torque import extrapolation_columns
+from coadjoint.systems.forces.torque import extrapolation_columns
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)

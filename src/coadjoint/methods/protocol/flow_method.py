@@ -29,7 +29,7 @@ from coadjoint.program.parts.decompose import (
 from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
-from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
+from coadjoint.systems.hamiltonians.split_hamiltonian import MAX_COORDINATES
 from coadjoint.systems.system import System
 from coadjoint.validation import read_bool, read_choice, read_integer, read_list
 

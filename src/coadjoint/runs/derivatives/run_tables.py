@@ -28,8 +28,7 @@ from coadjoint.runs.loops.groups import Columns
 from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.preparation import Preparation
-from coadjoint.systems.force_parameters import check_may_change, force_numbers
-from coadjoint.systems.parameters import parameters_of
+from coadjoint.systems.parameters import check_may_change, force_numbers, parameters_of
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun

@@ -18,7 +18,7 @@ from coadjoint.systems.bodies.attitude_algebra import (
 from coadjoint.systems.bodies.body_inertia import BodyInertia, inverse_of_moving, read_inertias
 from coadjoint.systems.bodies.body_systems import BodiesSystem
 from coadjoint.systems.bodies.inertia import read_in_range
-from coadjoint.systems.forces.state_torque import SAMPLE_ATTITUDE
+from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

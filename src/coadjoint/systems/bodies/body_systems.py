@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.bodies.attitude_algebra import PER_BODY
-from coadjoint.systems.bodies.body_inertia import BodyInertia
+from coadjoint.systems.bodies.body_inertia import NO_ROTORS, BodyInertia, Rotors, without_wheels
 from coadjoint.systems.bodies.body_states import (
     FRAMES,
     check_rods,
@@ -18,7 +18,6 @@ from coadjoint.systems.bodies.body_states import (
     read_states,
     read_vectors,
 )
-from coadjoint.systems.bodies.rotors import NO_ROTORS, Rotors, without_wheels
 from coadjoint.systems.hamiltonians.site_forces import SiteTables
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems

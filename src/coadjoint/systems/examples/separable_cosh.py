@@ -13,7 +13,7 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.invariants.invariant import COSH, HOLD, SINH, SINH_SQUARED, Forms
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
-from coadjoint.systems.hamiltonians.separable import Separable
+from coadjoint.systems.hamiltonians.split_hamiltonian import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import Formula

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.body_torque import check_one_body, read_limits
-from coadjoint.systems.forces.pointing import limited_by
-from coadjoint.systems.forces.state_torque import StateTorque, sample_state
+from coadjoint.systems.forces.body_torque import check_one_body, limited_by, read_limits
+from coadjoint.systems.forces.torque import StateTorque, sample_state
 from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, sample_points
 from coadjoint.validation import read_integer, read_positive
 

@@ -16,11 +16,10 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, plain, short
-from coadjoint.systems.evaluation import ignore_overflow, lossless_coefficients, read_point, scatter
+from coadjoint.systems.evaluation import ProductSums, ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, repeated_rows
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Term, rows_of, starts_of_rows
-from coadjoint.systems.product_sums import ProductSums
 from coadjoint.validation import REAL_KINDS, read_finite, read_integer, read_number, to_array
 
 UNBOUND = "Quadratic of a number has no dimension yet; call bind(n) first"

@@ -1,9 +1,10 @@
-"""Hamiltonians that are sums of functions of commuting coordinates."""
+"""Hamiltonians that are sums of functions of one coordinate each, or of commuting coordinates."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Self, cast
 
 import numpy as np
@@ -11,15 +12,187 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient
+from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.separable import MAX_COORDINATES
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import Term
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
+from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
 from coadjoint.validation import read_integer, read_list
+
+MAX_COORDINATES = 2**32 - 1  # the largest unsigned number of 32 bits, the type of indices in compiled loops
+
+
+@suggest_keywords
+class Separable(Summable):
+    """A sum of functions of one coordinate each, ``sum of H_i(x_i)``.
+
+    Explicit splittings support it on every algebra, since the flow of each H_i is linear. If a piece of H depends on
+    several commuting coordinates together, use `SplitHamiltonian`.
+
+    Parameters
+    ----------
+    functions : mapping
+        Coordinate (0-based) to ``(H_i, dH_i)`` or ``(H_i, dH_i, d2H_i)``: pure functions of a number, or of a number
+        and the time, that return a number. H does not depend on omitted coordinates.
+
+    Raises
+    ------
+    TypeError
+        Not functions, or functions of one coordinate with different arguments.
+    ValueError
+        In `bind`: a coordinate does not exist, or a derivative disagrees with a finite difference at a sample point.
+
+    Notes
+    -----
+    Section 7 of Reich (1993): in the flows of section 4, m_ii x_i is replaced by H_i'(x_i).
+
+    Examples
+    --------
+    >>> H = Separable({0: (np.cosh, np.sinh), 2: (lambda y: y**2, lambda y: 2 * y)})
+    >>> float(H([0.0, 7.0, 3.0]))
+    10.0
+    >>> H.gradient([0.0, 7.0, 3.0])
+    array([0., 0., 6.])
+    """
+
+    def __init__(self, functions: Mapping[int, tuple[Callable[..., Any], ...]]) -> None:
+        if not isinstance(functions, Mapping) or not functions:
+            raise TypeError("Separable needs a mapping from coordinate to (H_i, dH_i) with at least one entry")
+        self.dim: int | None = None
+        self._terms: list[FunctionTerm] = []
+        for key in functions:
+            i = read_integer(key, "a coordinate of Separable", 0, MAX_COORDINATES)
+            group = functions[key]
+            if not isinstance(group, tuple | list) or len(group) not in (2, 3):
+                raise TypeError(f"coordinate {i} has {short(group)}; give (H_i, dH_i) or (H_i, dH_i, d2H_i)")
+            value, slope = group[0], group[1]
+            curvature = group[2] if len(group) == 3 else None
+            timed = all_take_time({f"H_{i}": value, f"dH_{i}": slope, f"d2H_{i}": curvature})
+            coordinates = np.array([i], dtype=np.int64)
+            self._terms.append(FunctionTerm(coordinates, value, slope, curvature, scalar=True, timed=timed))
+        self._terms.sort(key=lambda term: int(term.coordinates[0]))
+        self.timed = any(term.timed for term in self._terms)
+
+    def bind(self, n: int) -> Separable:
+        """Return this Hamiltonian bound to dimension `n`, after checking its functions at sample points."""
+        n = read_integer(n, "the dimension")
+        if self.dim == n:
+            return self
+        if self.dim is not None:
+            raise ValueError(f"Separable is bound to dimension {self.dim}, not {short(n)}; make a new one")
+        for term in self._terms:
+            i = int(term.coordinates[0])
+            if i >= n:
+                raise ValueError(f"Separable has a function of coordinate {i}; the system has coordinates 0 to {n - 1}")
+            names, chain = (f"H_{i}", f"dH_{i}", f"d2H_{i}"), (term.value, term.gradient, term.hessian)
+            for level in (0, 1):
+                function, derivative = chain[level], chain[level + 1]
+                if function is not None and derivative is not None:
+                    pair = (names[level], names[level + 1])
+                    check_derivative(function, derivative, names=pair, shapes=((), ()), n=None, timed=term.timed)
+        bound = object.__new__(Separable)
+        bound.dim, bound.timed, bound._terms = n, self.timed, self._terms
+        return bound
+
+    def times(self, factor: Coefficient) -> Self:
+        """Return the Hamiltonian multiplied by a factor.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        Separable
+
+        Examples
+        --------
+        >>> Separable({1: (np.cosh, np.sinh)}).times(2).value([1.0, 0.0])
+        2.0
+        """
+        result = object.__new__(type(self))
+        result.dim, result.timed, result._terms = self.dim, self.timed, []
+        for term in self._terms:
+            chain = term.value, term.gradient, term.hessian
+            value, gradient, hessian = (multiple_of(function, factor, scalar=True) for function in chain)
+            result._terms.append(replace(term, value=value, gradient=gradient, hessian=hessian))
+        return result
+
+    def _each(self, attribute: str, y: npt.NDArray[Any], t: float) -> list[tuple[int, Any]]:
+        results = []
+        for term in self._terms:
+            i, function = int(term.coordinates[0]), getattr(term, attribute)
+            if i >= y.size:
+                raise ValueError(f"Separable has a function of coordinate {i}, but x has only {y.size} entries")
+            if function is None:
+                raise TypeError(f"Separable has no second derivative for coordinate {i}; give (H_i, dH_i, d2H_i)")
+            try:
+                results.append((i, function(y[i], t) if term.timed else function(y[i])))
+            except (TypeError, ArithmeticError) as reason:
+                if y.dtype != object:
+                    raise
+                # NumPy functions reject Python objects that lack the method.
+                message = in_one_line(str(reason), 200)
+                raise TypeError(f"the function of coordinate {i} does not take {short(y[i])} ({message})") from None
+        return results
+
+    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
+        """Return the sum of ``H_i(x_i)``."""
+        y = read_point(x, self.dim)
+        total = sum(result for _, result in self._each("value", y, t))
+        return float(total) if y.dtype == np.float64 else total
+
+    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the gradient, shape (n,)."""
+        y = read_point(x, self.dim)
+        result = np.zeros(y.size, dtype=y.dtype)
+        for i, slope in self._each("gradient", y, t):
+            result[i] = slope
+        return result
+
+    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
+        """Return the diagonal matrix of second derivatives, shape (n, n)."""
+        y = read_point(x, self.dim)
+        result = np.zeros((y.size, y.size), dtype=y.dtype)
+        for i, curvature in self._each("hessian", y, t):
+            result[i, i] = curvature
+        return result
+
+    def terms(self) -> tuple[Term, ...]:
+        """Return one `FunctionTerm` for each coordinate, in order; the Hamiltonian must be bound."""
+        if self.dim is None:
+            raise TypeError("Separable has no dimension yet; call bind(n) first")
+        return self.functions()
+
+    def linear_part(self) -> npt.NDArray[np.float64]:
+        """Return zeros, (n,): linear functions are functions like others."""
+        assert self.dim is not None
+        return np.zeros(self.dim)
+
+    def with_linear(self, linear: npt.NDArray[np.float64]) -> Summable:
+        """Return the functions as pieces of a `SplitHamiltonian`, with the linear term in others."""
+        pieces = []
+        for term in self._terms:
+            functions = (term.value, term.gradient, *(() if term.hessian is None else (term.hessian,)))
+            pieces.append(((int(term.coordinates[0]),), Separable({0: functions})))
+        return SplitHamiltonian(pieces).bind(len(linear)).with_linear(linear)
+
+    def functions(self) -> tuple[FunctionTerm, ...]:
+        """Return the functions of each coordinate, in order."""
+        return tuple(self._terms)
+
+    def __repr__(self) -> str:
+        coordinates = [int(term.coordinates[0]) for term in self._terms]
+        return (
+            f"Separable(of coordinates {coordinates})"
+            if len(coordinates) <= 8
+            else f"Separable(of {len(coordinates)} coordinates)"
+        )
 
 
 @suggest_keywords

@@ -1,0 +1,310 @@
+"""Forces on fluids of matrices: friction, viscosity, the beta term, and white-noise forcing of a band of scales."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.short_repr import short
+from coadjoint.systems.forces.base import ForceReader, normal_deviates
+from coadjoint.systems.forces.heat_bath import MAX_SEED
+from coadjoint.systems.forces.mode_force import ModeRates, OnLayer, PerMode, modes_of, values_by_scale
+from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
+from coadjoint.systems.matrices.torus_modes import representatives
+from coadjoint.systems.user_functions import check_arguments
+from coadjoint.validation import read_bool, read_finite, read_integer, read_number
+
+
+@dataclass(frozen=True)
+class Friction(ModeRates):
+    """Scale-dependent friction of a fluid of matrices: ``W' = -rate(l) W`` on the degree l, solved exactly.
+
+    Choose it for drag on large scales only, or as a filter. If all scales have the same rate, `LinearDamping` is
+    cheaper; for viscous damping use `Viscosity`.
+
+    Parameters
+    ----------
+    rate : float, or callable
+        Rate (1/time), or a function of one number: of the degree l on the sphere, of the wave number
+        ``|n|`` on the torus.
+        A mode of rate zero keeps its bits. A function is called once for each scale and is not compiled.
+    layer : {"vorticity", "carried"}
+        The field on which it acts; "vorticity" if the state is one matrix.
+
+    Raises
+    ------
+    ValueError, TypeError
+        `rate` is neither a finite number nor a function of one number.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> drag = co.forces.Friction(lambda l: 0.1 if l <= 3 else 0.0)
+    >>> co.systems.sphere_euler(N=8).with_forces(drag).labels
+    ('Friction',)
+    """
+
+    rate: float | Callable[[Any], Any]
+    layer: str = "vorticity"
+
+    def __post_init__(self) -> None:
+        if callable(self.rate):
+            check_arguments(self.rate, "rate of Friction", "scale")
+        else:
+            object.__setattr__(self, "rate", read_number(self.rate, "rate of Friction"))
+        self.read_layer()
+
+    def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
+        return values_by_scale(self.rate, modes.scales(d, numbers), "rate of Friction")
+
+
+MAX_POWER = 32
+
+
+@dataclass(frozen=True)
+class Viscosity(ModeRates):
+    """Viscosity or hyperviscosity of a fluid of matrices: ``W' = -nu A^power W`` with ``A = -Laplacian``.
+
+    On the torus A is ``|n|^2`` on the mode n. On the sphere it is l(l + 1) - 2 on the degree l, the divergence of the
+    rate of strain: a solid rotation has no strain and does not decay, so the angular momentum is preserved. With
+    ``rotation=True``, and for a carried field (diffusion, resistivity), it is l(l + 1), and solid rotations decay. The
+    flow is exact in every mode, for any rate.
+
+    Parameters
+    ----------
+    nu : float
+        Viscosity, not negative (length^2/time for ``power=1``); the unit of length is the radius of the sphere, or the
+        side of the torus over 2 pi.
+    power : int
+        1 for viscosity, 2 to 32 for hyperviscosity.
+    rotation : bool
+        On the sphere: whether solid rotations decay as well.
+    layer : {"vorticity", "carried"}
+        The field on which it acts; "vorticity" if the state is one matrix.
+
+    Raises
+    ------
+    ValueError, TypeError
+        An argument has the wrong type or is out of range.
+
+    References
+    ----------
+    D. G. Ebin, J. Marsden, "Groups of diffeomorphisms and the motion of an incompressible fluid", Ann. Math. 92 (1970)
+    102; A. D. Gilbert, X. Riedinger, J. Thuburn, "Note on the form of the viscous term for two dimensional
+    Navier-Stokes flows", Q. J. Mech. Appl. Math. 67 (2014) 205.
+
+    Examples
+    --------
+    A field of the degree 2 decays by exp(-4 nu t):
+
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> s = co.systems.sphere_euler(N=6)
+    >>> z = np.arange(6) - 2.5
+    >>> W0 = 1j * np.diag(z**2 - np.mean(z**2))
+    >>> sol = co.integrate(
+    ...     s.with_forces(co.forces.Viscosity(0.01)), W0, t_span=(0, 10), step=0.5, method=co.IsospectralGauss()
+    ... )
+    >>> bool(np.abs(sol.x[-1] - np.exp(-0.4) * W0).max() < 1e-14)
+    True
+    """
+
+    nu: float
+    power: int = 1
+    rotation: bool = False
+    layer: str = "vorticity"
+
+    def __post_init__(self) -> None:
+        nu = read_number(self.nu, "nu of Viscosity")
+        if nu < 0.0:
+            raise ValueError(f"nu of Viscosity is {nu!r}; it must be zero or positive")
+        object.__setattr__(self, "nu", nu)
+        object.__setattr__(self, "power", read_integer(self.power, "power of Viscosity", 1, MAX_POWER))
+        object.__setattr__(self, "rotation", read_bool(self.rotation, "rotation of Viscosity"))
+        self.read_layer()
+
+    def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
+        offset = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
+        with np.errstate(over="ignore"):  # modes of infinite rate become zero
+            return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - offset) ** self.power)
+
+
+@dataclass(frozen=True)
+class BetaPlane(ModeRates):
+    """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves with the exact dispersion.
+
+    The mode n rotates by ``w_n' = i beta n1/|n|^2 w_n``: a wave, exp(i (n1 x - n2 y - sigma t)), has the frequency
+    ``sigma = -beta n1/|n|^2``, and travels to the west for a positive beta, with x eastward and y northward. Energy and
+    enstrophy are preserved. The term is that of the continuous fluid: it derives from no Hamiltonian of the matrix
+    model, breaks its bracket, and changes the other Casimirs, tr W^3 and so on. On the sphere the rotation of the frame
+    has this effect within the model: ``sphere_euler(rotation=...)``.
+
+    Parameters
+    ----------
+    beta : float
+        Gradient of the Coriolis parameter (1/(length time)), of either sign.
+
+    Raises
+    ------
+    ValueError, TypeError
+        `beta` is not a finite number.
+
+    References
+    ----------
+    P. B. Rhines, "Waves and turbulence on a beta-plane", J. Fluid Mech. 69 (1975) 417.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> s = co.systems.torus_euler(N=7)
+    >>> moving = s.with_forces(co.forces.BetaPlane(2.0))
+    >>> sol = co.integrate(
+    ...     moving, s.from_modes({(1, 2): 1.0}), t_span=(0, 3), step=0.25, method=co.IsospectralGauss()
+    ... )
+    >>> bool(abs(s.modes(sol.x[-1])[1, 2] - np.exp(2j * 3 / 5)) < 1e-14)
+    True
+    """
+
+    beta: float
+
+    layer = "vorticity"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "beta", read_number(self.beta, "beta of BetaPlane"))
+
+    def check(self, system: Any) -> None:
+        if modes_of(system, self.label).kind != Waves.kind:
+            raise ValueError(
+                f"BetaPlane acts on a fluid on the torus, and {system.name} is one on the sphere; take "
+                "sphere_euler(rotation=...)"
+            )
+
+    def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
+        return -1j * self.beta * representatives(modes.N)[numbers] / modes.eigenvalues(d, numbers)
+
+
+@dataclass(frozen=True)
+class RandomForcing(OnLayer):
+    """White noise in time on a band of scales of a fluid of matrices, with a known mean rate of energy input.
+
+    The real and the imaginary part of every mode of the band have independent Wiener processes, with equal shares of
+    the energy: the noise is isotropic. Its flow is exact in distribution.
+    The mean of the energy grows at `energy_rate`, in the unit of ``sol.energy`` and of the sum of ``energy_spectrum``:
+    the integral of ``|u|^2/2`` over the surface, for every N. The mean of the enstrophy grows at that rate times the
+    mean eigenvalue of minus the Laplacian over the components of the band.
+
+    Parameters
+    ----------
+    energy_rate : float
+        Mean rate of energy input, not negative: of the integral of ``|u|^2/2``, per time.
+    band : (float, float)
+        Lowest and highest degree l, or wave number ``|n|``, inclusive.
+    seed : int
+        Seed of the noise, from 0 to 2^62; the noise does not depend on other forces or members.
+    stream : int
+        Stream of the first member; member m of an ensemble has the noise of ``stream + m``.
+    layer : {"vorticity", "carried"}
+        The field on which it acts; "vorticity" if the state is one matrix.
+
+    Raises
+    ------
+    ValueError, TypeError
+        A negative rate, an invalid band, or an invalid seed.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> import numpy as np
+    >>> noise = co.forces.RandomForcing(0.5, band=(2, 3), seed=1)
+    >>> s = co.systems.sphere_euler(N=8).with_forces(noise)
+    >>> still = np.zeros((400, 8, 8))
+    >>> sol = co.integrate(s, still, t_span=(0, 1), step=0.5, method=co.IsospectralGauss())
+    >>> bool(abs(sol.energy[-1].mean() - 0.5) < 4 * 0.5 * np.sqrt(2 / 12 / 400))
+    True
+    """
+
+    energy_rate: float
+    band: Any
+    seed: int
+    stream: int = 0
+    layer: str = "vorticity"
+
+    reversible: ClassVar[bool] = False
+    random: ClassVar[bool] = True
+    selectors: ClassVar[tuple[str, ...]] = ("band",)
+
+    def __post_init__(self) -> None:
+        rate = read_number(self.energy_rate, "energy_rate of RandomForcing")
+        if rate < 0.0:
+            raise ValueError(f"energy_rate of RandomForcing is {rate!r}; it must be zero or positive")
+        band = read_finite(self.band, "band of RandomForcing")
+        if band.shape != (2,) or not 0.0 < band[0] <= band[1]:
+            raise ValueError(f"band of RandomForcing is {short(self.band)}; give the lowest and the highest degree")
+        object.__setattr__(self, "energy_rate", rate)
+        object.__setattr__(self, "band", tuple(band.tolist()))
+        for name in ("seed", "stream"):
+            object.__setattr__(self, name, read_integer(getattr(self, name), f"{name} of RandomForcing", 0, MAX_SEED))
+        self.read_layer()
+
+    def check(self, system: Any) -> None:
+        self._selected_modes(system, modes_of(system, self.label))
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        raise TypeError("RandomForcing is a noise, which has no field; it feeds energy in at energy_rate")
+
+    def _selected_modes(self, system: Any, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
+        """Return the numbers of the modes in the band, and their amplitudes, by diagonal."""
+        # On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
+        numbers: list[Numbers] = []
+        energies: PerMode = []
+        stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
+        self.layer_index(system)
+        if stream is None:
+            raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
+        waves, components = modes.kind == Waves.kind, 0
+        for d in range(modes.diagonals):
+            candidates = modes.numbers(d)
+            if waves and d == 0:
+                candidates = candidates[: modes.N // 2]
+            scales = modes.scales(d, candidates)
+            numbers.append(candidates[(self.band[0] <= scales) & (scales <= self.band[1])])
+            energies.append(system.energy_factor * stream_values(stream, modes, d, numbers[d]))
+            components += (2 if d or waves else 1) * len(numbers[d])
+        if not components:
+            raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")
+        if not all(np.all(energy > 0.0) for energy in energies):
+            raise ValueError(f"the energy of {system.name} is not positive in the band {self.band} of RandomForcing")
+        # energy |c|^2 / 2 for each part: real, and imaginary if there are two
+        return numbers, [np.sqrt(2.0 * self.energy_rate / components / energy) for energy in energies]
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        if tau < 0.0:
+            raise ValueError("RandomForcing is a noise, which does not run backward")
+        modes = modes_of(system, self.label)
+        numbers, amplitudes = self._selected_modes(system, modes)
+        count = sum(map(len, numbers))
+        pairs = normal_deviates(self.seed, self.stream, float(t), 0, 2 * count).reshape(count, 2)
+        coefficients, offset = [], 0
+        for d, amplitude in enumerate(amplitudes):
+            real, imaginary = pairs[offset : offset + len(amplitude)].T
+            offset += len(amplitude)
+            if d == 0 and modes.kind != Waves.kind:
+                coefficients.append(1j * np.sqrt(tau) * amplitude * real)
+                continue
+            multiplicity = 2.0 if d == 0 else 1.0
+            coefficients.append(multiplicity * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
+        return np.asarray(x + self.layer_vector(system, modes.matrix(coefficients, numbers)))
+
+    def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
+        return np.array(1.0)
+
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
+        modes = modes_of(system, self.label)
+        return reader.mode_noise(
+            modes, *self._selected_modes(system, modes), self.seed, self.stream, self.layer_index(system)
+        )
