@@ -16,11 +16,12 @@ from coadjoint.methods.numerics.short_orbit import rate_at
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.preparation import Preparation, trial_run
+from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system_checks import check_one_system
-from coadjoint.validation import read_finite, read_positive
+from coadjoint.validation import read_positive
 
 # Radians of a trial run, and its least number of steps: those of whole radians are too few to find the largest change.
 RADIANS, STEPS = 128.0, 512
@@ -90,9 +91,7 @@ def suggest_step(
             "with the length of the run; take Splitting, or select a step by `choose`"
         )
     bound = read_positive(energy, "energy")
-    points = np.atleast_2d(read_finite(x0, "x0"))
-    if points.ndim != 2 or points.shape[1] != system.dim:
-        raise ValueError(f"x0 has the shape {points.shape}; it must be ({system.dim},) or (k, {system.dim})")
+    points, _ = momenta_of(system, x0)
     return min(_largest_step(system, scheme, start, bound) for start in points)
 
 

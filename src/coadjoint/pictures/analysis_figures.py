@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -10,17 +9,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.style import (
     colour,
     colour_bar,
     ink,
     legend,
+    new_figure,
     plain_axes,
     set_title,
     setting,
     symbol,
     with_figure_settings,
+    write_note,
 )
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.validation import read_integer, read_list
@@ -46,10 +46,7 @@ DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "po
 @with_figure_settings
 def draw_phase_drift(drift: Any, predicted: float | None = None) -> Figure:
     """Return a figure of a `PhaseDrift`; `predicted` is a slope drawn in addition to the fitted line."""
-    require_packages("drawing a phase error", "matplotlib")
-    from coadjoint.pictures.layout import PanelLayout, ShownFigure
-
-    figure = ShownFigure(figsize=(7.2, 5.4), layout=PanelLayout())
+    figure = new_figure("drawing a phase error", 7.2, 5.4)
     lead, rest = figure.subplots(2, 1, sharex=True)
     line = drift.intercept + drift.slope * drift.t
     lead.plot(drift.t, drift.lead, color=colour(0), linewidth=0.9, label="measured")
@@ -86,12 +83,9 @@ def with_error(value: float, error: float) -> str:
 @with_figure_settings
 def draw_structure_factor(spectrum: Any) -> Figure:
     """Return a figure of a `StructureFactor`: intensity on a logarithmic scale, corners of the path as ticks."""
-    require_packages("drawing a structure factor", "matplotlib")
+    figure = new_figure("drawing a structure factor", 7.2, 4.2)
     from matplotlib.colors import LogNorm
 
-    from coadjoint.pictures.layout import PanelLayout, ShownFigure
-
-    figure = ShownFigure(figsize=(7.2, 4.2), layout=PanelLayout())
     axes = figure.add_subplot()
     shown = spectrum.omega >= 0.0
     intensity = spectrum.intensity[:, shown].T
@@ -163,12 +157,9 @@ def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) 
     ['energy $H$', '$\\tilde H$ of order 4', '$\\tilde H$ of order 6']
     """
     check_solution(solution)
-    require_packages("drawing modified energies", "matplotlib")
-    from coadjoint.pictures.layout import PanelLayout, ShownFigure
-
     listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
     checked = [read_integer(order, "an order") for order in listed]
-    figure = ShownFigure(figsize=(7.2, 4.2), layout=PanelLayout())
+    figure = new_figure("drawing modified energies", 7.2, 4.2)
     axes = figure.add_subplot()
     draw_deviations(axes, solution, checked)
     axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
@@ -204,10 +195,7 @@ def _energies_at_start(solution: Solution, orders: Sequence[int]) -> list[Any]:
 @with_figure_settings
 def draw_certificate(certificate: Any) -> Figure:
     """Return a figure of a certificate: the convergence, the defects, the invariants, and the verdicts."""
-    require_packages("drawing a certificate", "matplotlib")
-    from coadjoint.pictures.layout import PanelLayout, ShownFigure
-
-    figure = ShownFigure(figsize=(11.0, 7.6), layout=PanelLayout())
+    figure = new_figure("drawing a certificate", 11.0, 7.6)
     grid = figure.add_gridspec(2, 2, height_ratios=[1.0, 1.0])
     rows = {row.key: row for row in certificate.rows}
     _draw_errors(figure.add_subplot(grid[0, 0]), rows["order"], certificate.subject["step"])
@@ -287,41 +275,15 @@ def _draw_verdicts(axes: Any, rows: Any) -> None:
             row.verdict, FAIL_COLOUR if row.claimed and "not dec" in row.verdict else UNDECIDED_COLOUR
         )
         name = row.what if len(row.what) <= 30 else f"{row.what[:27]}..."
-        axes.text(
-            -0.04,
-            height,
-            name.replace("$", r"\$"),
-            fontsize=setting("legend.fontsize"),
-            color=ink(),
-            transform=axes.transAxes,
-        )
         declared = row.declared if len(row.declared) <= 22 else f"{row.declared[:19]}..."
-        axes.text(
-            0.40,
-            height,
-            declared,
-            fontsize=setting("legend.fontsize"),
-            color=UNDECIDED_COLOUR,
-            transform=axes.transAxes,
-        )
-        axes.text(
-            0.68,
-            height,
-            row.verdict,
-            fontsize=setting("legend.fontsize"),
-            color=verdict_colour,
-            weight="bold",
-            transform=axes.transAxes,
-        )
+        for x, text, style in (
+            (-0.04, name.replace("$", r"\$"), {"color": ink()}),
+            (0.40, declared, {"color": UNDECIDED_COLOUR}),
+            (0.68, row.verdict, {"color": verdict_colour, "weight": "bold"}),
+        ):
+            axes.text(x, height, text, fontsize=setting("legend.fontsize"), transform=axes.transAxes, **style)
 
 
 def _write_note(axes: Any, text: str) -> None:
     axes.set(xticks=[], yticks=[])
-    axes.text(
-        0.5,
-        0.5,
-        "\n".join(textwrap.wrap(text, 50)),
-        transform=axes.transAxes,
-        ha="center",
-        fontsize=setting("axes.labelsize"),
-    )
+    write_note(axes, text)

@@ -12,7 +12,7 @@ from coadjoint.keyword_hints import unknown_picture
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Kind, Paint, kinds, read_picture
-from coadjoint.pictures.style import figure_settings
+from coadjoint.pictures.style import figure_settings, new_figure
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.runs.results.solution_output import extent_text
 from coadjoint.short_repr import short
@@ -195,8 +195,6 @@ class Panel:
 
 def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figure:
     """Return a figure of the panels, `width` inches wide; by default as wide as its columns need."""
-    from coadjoint.pictures.layout import PanelLayout, ShownFigure
-
     columns = columns_of(
         panels, MAX_COLUMNS if width is None else max(1, min(MAX_COLUMNS, int(width / MIN_COLUMN_WIDTH)))
     )
@@ -219,7 +217,7 @@ def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figu
     height = max(height, TIME_INCHES * rows) + HEADLINE_HEIGHT
     if width is None:
         height = max(MIN_HEIGHT, height)
-    figure = ShownFigure(figsize=(sum(widths), height), layout=PanelLayout())
+    figure = new_figure("drawing a solution", sum(widths), height)
     figure.suptitle(headline.replace("$", r"\$"))
     grid = figure.add_gridspec(1, len(columns), width_ratios=widths)
     first: Any = None

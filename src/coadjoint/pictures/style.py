@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -12,10 +13,12 @@ import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial_format import GREEK, latex_name
 from coadjoint.errors import in_one_line, nearest
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -113,6 +116,14 @@ def with_figure_settings(function: Function) -> Function:
     return cast(Function, drawing)
 
 
+def new_figure(what: str, width: float, height: float) -> Figure:
+    """Return a figure of a size in inches; raise an error that names `what` needs Matplotlib if it is missing."""
+    require_packages(what, "matplotlib")
+    from coadjoint.pictures.layout import PanelLayout, ShownFigure
+
+    return ShownFigure(figsize=(width, height), layout=PanelLayout())
+
+
 def setting(key: str) -> Any:
     """Return a setting of Matplotlib as figures use it, also outside of `figure_settings`."""
     current, default = _parameters()
@@ -175,6 +186,12 @@ def plain_axes(axes: Axes) -> None:
 def set_title(axes: Any, text: str) -> Any:
     """Set the title of axes in the size of figures, also on those that the user has made; return it."""
     return axes.set_title(text, fontsize=setting("axes.titlesize"), color=ink())
+
+
+def write_note(axes: Any, text: str) -> None:
+    """Write a text, wrapped, into the middle of axes."""
+    size = setting("axes.labelsize")
+    axes.text(0.5, 0.5, "\n".join(textwrap.wrap(text, 50)), transform=axes.transAxes, ha="center", fontsize=size)
 
 
 def colour_bar(axes: Any, mappable: Any, label: str, **options: Any) -> Any:

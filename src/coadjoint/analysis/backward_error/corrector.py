@@ -25,6 +25,7 @@ from coadjoint.methods.numerics.short_orbit import MIN_STEPS, RELATIVE_STEP, orb
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.runs.integrate import integrate
+from coadjoint.runs.start import momenta_of
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -159,9 +160,7 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     if H is None or not isinstance(modified, ModifiedHamiltonian):
         raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; correctors need a polynomial one")
     term = cast(Polynomial, modified.error_term.term)
-    starts = np.atleast_2d(read_finite(x0, "x0"))
-    if starts.ndim != 2 or starts.shape[1] != system.dim:
-        raise ValueError(f"x0 has the shape {starts.shape}; it must be ({system.dim},) or (k, {system.dim})")
+    starts, _ = momenta_of(system, x0)
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
     count = max(POINTS_PER_MONOMIAL * len(basis) // len(starts), 64)
     check_available_memory(

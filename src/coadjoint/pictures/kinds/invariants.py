@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.pictures.curves import draw_members
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
-from coadjoint.pictures.style import colour, legend, plain_axes, setting, symbol, thickness
+from coadjoint.pictures.style import colour, legend, plain_axes, symbol, thickness, write_note
 
 MAX_CASIMIRS = 5
 """Largest number of Casimirs drawn as lines; of more, the worst four are drawn, with a band of all."""
@@ -52,14 +52,7 @@ def drift(drawn: PlottedRun) -> Paint:
             title = "change of the driven energy $H$, drift of the Casimirs"
         axes.set_title(f"{title}, at the saved points")
         if not any(np.any(values > 0.0) for values in (energy, *deviations.values())):
-            axes.text(
-                0.5,
-                0.5,
-                "no deviation in any bit",
-                transform=axes.transAxes,
-                ha="center",
-                fontsize=setting("axes.labelsize"),
-            )
+            write_note(axes, "no deviation in any bit")
         _widen_to_two_decades(axes)
         plain_axes(axes)
         legend(axes, beside=True)

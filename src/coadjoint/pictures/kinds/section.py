@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import (
@@ -16,6 +15,7 @@ from coadjoint.pictures.style import (
     colour_bar,
     coordinate,
     legend,
+    new_figure,
     plain_axes,
     set_title,
     with_figure_settings,
@@ -59,13 +59,10 @@ def section(drawn: PlottedRun, event: str | int | None = None, components: Any =
 @with_figure_settings
 def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = None) -> Figure:
     """Draw the crossings of events in two coordinates (right, up), by default those that vary most."""
-    require_packages("pictures", "matplotlib")
-    from coadjoint.pictures.layout import PanelLayout, ShownFigure
-
     names = events.coordinates
     across, up = drawn_coordinates(events, components)
     if axes is None:
-        axes = ShownFigure(figsize=(5.2, 4.8), layout=PanelLayout()).add_subplot()
+        axes = new_figure("pictures", 5.2, 4.8).add_subplot()
     plain_axes(axes)
     size = 2.0 if len(events) <= MAX_LARGE_DOTS else max(0.15, 2.0 * (MAX_LARGE_DOTS / len(events)) ** 0.5)
     style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0, "rasterized": True}
