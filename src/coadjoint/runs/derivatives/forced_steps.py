@@ -19,7 +19,6 @@ from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-from coadjoint.systems.forces.base import Force
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
 from coadjoint.systems.forces.orbit_flow import OrbitFlow
 from coadjoint.systems.parameter_differences import NearbySystems, differences
@@ -39,120 +38,91 @@ class FlowEntry(NamedTuple):
 
 
 class Half(NamedTuple):
-    """One of the two halves of a step from t, of length h: the second one ends it, in reverse order."""
+    """The flows of forces in one half of a step: the time at which they begin, their length, and their positions."""
 
     t: float
     h: float
-    second: bool
-
-    def order(self, forces: Sequence[Force]) -> list[tuple[int, Force]]:
-        """Return the forces in the order of their flows, with their positions."""
-        numbered = list(enumerate(forces))
-        return numbered[::-1] if self.second else numbered
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """Time at which the flows begin, and their length."""
-        return self.t + 0.5 * self.h if self.second else self.t, 0.5 * self.h
-
-
-class _Member(NamedTuple):
-    """The system of a member, the entries with nearby systems of the same noise, and the order of the scheme."""
-
-    system: System
-    entries: Sequence[FlowEntry]
-    scheme_order: int
-
-    def flow(self, system: System, j: int, x: Floats, half: Half) -> Floats:
-        """Return the flow of force j of a system."""
-        end = system.forces[j].flow_of_order(system.unforced, x, *half.span, self.scheme_order)
-        return np.asarray(end, dtype=np.float64)
-
-    def flow_with_derivative(self, force: Force, x: Floats, half: Half) -> FlowOfForce:
-        """Return the flow of a force of this member with its derivative."""
-        return flow_of_force(force, self.system.unforced, x, *half.span, self.scheme_order)
-
-    def parts(self, j: int) -> dict[str, Any]:
-        """Return the parameters on which the flow of force j depends."""
-        return {entry.name: entry.part for entry in self.entries if j in entry.forces}
-
-    def orbit_flow(self, j: int, force: Force, x: Floats, half: Half) -> OrbitFlow | None:
-        """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
-        if not isinstance(force, DoubleBracketDamping):
-            return None
-        fields = force.scalings()
-        if not all(isinstance(one, EnergyDerivative) or one in fields for one in self.parts(j).values()):
-            return None
-        return force.orbit_flow(self.system.unforced, x, *half.span)
-
-    def changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
-        """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
-
-        def after(system: System) -> Floats:
-            return self.flow(system, j, x, half)
-
-        numbers = [n for n, entry in enumerate(self.entries) if wanted[n] and j in entry.forces]
-        return list(zip(numbers, differences([self.entries[n].nearby for n in numbers], after), strict=True))
+    order: Sequence[int]
 
 
 class ForceFlows:
-    """Half flows of the members `first` to `last` - 1 of a system with forces; noise is that of their numbers."""
+    """Half flows of the forces on one member: those of a system with the noise of its number, and of nearby ones."""
 
-    def __init__(self, system: System, entries: Sequence[FlowEntry], first: int, last: int, order: int) -> None:
-        self._members = [
-            _Member(
-                numbered(system), [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries], order
-            )
-            for numbered in (methodcaller("numbered_from", m) for m in range(first, last))
-        ]
+    def __init__(self, system: System, entries: Sequence[FlowEntry], member: int, scheme_order: int) -> None:
+        numbered = methodcaller("numbered_from", member)
+        self._system: System = numbered(system)
+        self._entries = [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries]
+        self._order = scheme_order
 
     def apply(self, x: Floats, half: Half) -> Floats:
-        """Return the states (members, n) after half flows of the forces."""
-        after = []
-        for member, state in zip(self._members, x, strict=True):
-            for j, force in half.order(member.system.forces):
-                flow = member.orbit_flow(j, force, state, half)
-                state = member.flow(member.system, j, state, half) if flow is None else flow.end
-            after.append(np.asarray(state, dtype=np.float64))
-        return np.array(after)
+        """Return the state (n,) after a half flow of the forces."""
+        for j in half.order:
+            flow = self._orbit_flow(j, x, half)
+            x = self._flow(self._system, j, x, half) if flow is None else flow.end
+        return np.asarray(x, dtype=np.float64)
 
     def push(self, x: Floats, dx: Floats, half: Half, directions: Floats) -> tuple[Floats, Floats]:
-        """Return the states, and their tangents (members, k, n), along directions (k, entries) of the entries."""
+        """Return the state, and its tangents (k, n), along directions (k, entries) of the entries."""
         directed = np.asarray(directions.any(axis=0))
-        states, tangents = [], []
-        for member, state, rows in zip(self._members, x, dx, strict=True):
-            for j, force in half.order(member.system.forces):
-                flow = member.flow_with_derivative(force, state, half)
-                rows = flow.tangents(rows)
-                for number, change in member.changes(directed, j, state, half):
-                    rows = rows + directions[:, number, None] * change
-                state = flow.end
-            states.append(state)
-            tangents.append(rows)
-        return np.array(states), np.array(tangents)
+        for j in half.order:
+            flow = self._flow_with_derivative(j, x, half)
+            dx = flow.tangents(dx)
+            for number, change in self._changes(directed, j, x, half):
+                dx = dx + directions[:, number, None] * change
+            x = flow.end
+        return x, dx
 
     def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
-        """Return the cotangents (members, n) before the flows; derivatives by entries (members, entries) are added."""
-        before, every = [], np.ones(by_entries.shape[1], dtype=bool)
-        for member, state, row, total in zip(self._members, x, of_x, by_entries, strict=True):
-            flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
-            for j, force in half.order(member.system.forces):
-                known = member.orbit_flow(j, force, state, half)
-                flow = member.flow_with_derivative(force, state, half) if known is None else known
-                flows.append((j, state, flow))
-                state = flow.end
-            for j, start, flow in reversed(flows):
-                if isinstance(flow, OrbitFlow):
-                    row, found = flow.pull(row, member.parts(j))
-                    for number, entry in enumerate(member.entries):
-                        if j in entry.forces:
-                            total[number] += found[entry.name][entry.entry]
-                    continue
-                for number, change in member.changes(every, j, start, half):
-                    total[number] += change @ row
-                row = flow.cotangent(row)
-            before.append(row)
-        return np.array(before)
+        """Return the cotangent (n,) before the flows; derivatives by the entries are added to `by_entries`."""
+        flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
+        for j in half.order:
+            known = self._orbit_flow(j, x, half)
+            flow = self._flow_with_derivative(j, x, half) if known is None else known
+            flows.append((j, x, flow))
+            x = flow.end
+        every = np.ones(len(by_entries), dtype=bool)
+        for j, start, flow in reversed(flows):
+            if isinstance(flow, OrbitFlow):
+                of_x, found = flow.pull(of_x, self._parts(j))
+                for number, entry in enumerate(self._entries):
+                    if j in entry.forces:
+                        by_entries[number] += found[entry.name][entry.entry]
+                continue
+            for number, change in self._changes(every, j, start, half):
+                by_entries[number] += change @ of_x
+            of_x = flow.cotangent(of_x)
+        return of_x
+
+    def _flow(self, system: System, j: int, x: Floats, half: Half) -> Floats:
+        """Return the flow of force j of a system."""
+        end = system.forces[j].flow_of_order(system.unforced, x, half.t, half.h, self._order)
+        return np.asarray(end, dtype=np.float64)
+
+    def _flow_with_derivative(self, j: int, x: Floats, half: Half) -> FlowOfForce:
+        return flow_of_force(self._system.forces[j], self._system.unforced, x, half.t, half.h, self._order)
+
+    def _parts(self, j: int) -> dict[str, Any]:
+        """Return the parameters on which the flow of force j depends."""
+        return {entry.name: entry.part for entry in self._entries if j in entry.forces}
+
+    def _orbit_flow(self, j: int, x: Floats, half: Half) -> OrbitFlow | None:
+        """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
+        force = self._system.forces[j]
+        if not isinstance(force, DoubleBracketDamping):
+            return None
+        fields = force.scalings()
+        if not all(isinstance(one, EnergyDerivative) or one in fields for one in self._parts(j).values()):
+            return None
+        return force.orbit_flow(self._system.unforced, x, half.t, half.h)
+
+    def _changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
+        """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
+
+        def after(system: System) -> Floats:
+            return self._flow(system, j, x, half)
+
+        numbers = [n for n, entry in enumerate(self._entries) if wanted[n] and j in entry.forces]
+        return list(zip(numbers, differences([self._entries[n].nearby for n in numbers], after), strict=True))
 
 
 class _Base(NamedTuple):
@@ -193,17 +163,18 @@ class ForcedSteps:
     @np.errstate(over="ignore", invalid="ignore")
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
         """Carry tangent vectors of members, as the compiled kernels do."""
-        some, forces, mark = slice(first, last), self._flows_of(first, last), 0
+        some, members, mark = slice(first, last), self._flows_of(first, last), 0
         x, dx, dg = run.momenta[some], run.tangents[some], run.group_tangents[some]
         groups, directions = run.groups[some].reshape(len(x), *dg.shape[2:]), run.coefficients[:, self._flows]
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
             for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
-                x, dx = forces.push(x, dx, Half(t, h, False), directions)
+                before, after = self._halves(t, h)
+                x, dx = self._pushed(members, x, dx, before, directions)
                 base = self._step(x, groups, t, h)
                 dx, dg = self._base_forward(base, dx, dg, run.coefficients)
                 groups = self._groups_after(base)
-                x, dx = forces.push(base.end, dx, Half(t, h, True), directions)
+                x, dx = self._pushed(members, base.end, dx, after, directions)
             if mark < run.marked and run.marks[mark] == k:
                 run.at_points[mark, some], run.at_groups[mark, some] = dx, dg
                 mark += 1
@@ -212,16 +183,17 @@ class ForcedSteps:
     @np.errstate(over="ignore", invalid="ignore")
     def backward(self, run: BackwardRun, first: int, last: int) -> None:
         """Carry cotangents of members, as the compiled kernels do."""
-        some, forces, mark = slice(first, last), self._flows_of(first, last), run.marked
+        some, members, mark = slice(first, last), self._flows_of(first, last), run.marked
         x, groups = run.momenta[some], run.groups[some].reshape(run.group_cotangents[some].shape)
         starts, steps = [], []
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
             for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
+                before, after = self._halves(t, h)
                 starts.append(x)
-                steps.append(self._step(forces.apply(x, Half(t, h, False)), groups, t, h))
+                steps.append(self._step(self._applied(members, x, before), groups, t, h))
                 groups = self._groups_after(steps[-1])
-                x = forces.apply(steps[-1].end, Half(t, h, True))
+                x = self._applied(members, steps[-1].end, after)
         of_x, of_groups = run.cotangents[some], run.group_cotangents[some]
         coefficients = np.zeros((last - first, run.coefficients.shape[1]))
         for k in range(run.k1, run.k0, -1):
@@ -230,15 +202,38 @@ class ForcedSteps:
                 of_x, of_groups = of_x + run.at_points[mark, some], of_groups + run.at_groups[mark, some]
             by_entries = coefficients[:, self._flows]
             for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h)[::-1]:
-                base = steps.pop()
-                of_x = forces.pull(base.end, of_x, Half(t, h, True), by_entries)
+                base, (before, after) = steps.pop(), self._halves(t, h)
+                of_x = self._pulled(members, base.end, of_x, after, by_entries)
                 of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients, run.deviations[some])
-                of_x = forces.pull(starts.pop(), of_x, Half(t, h, False), by_entries)
+                of_x = self._pulled(members, starts.pop(), of_x, before, by_entries)
         run.cotangents[some], run.group_cotangents[some] = of_x, of_groups
         run.coefficients[some] += coefficients
 
-    def _flows_of(self, first: int, last: int) -> ForceFlows:
-        return ForceFlows(self._system, self._entries, first, last, self._scheme.order)
+    def _flows_of(self, first: int, last: int) -> list[ForceFlows]:
+        """Return the flows of forces of the members `first` to `last` - 1."""
+        return [ForceFlows(self._system, self._entries, m, self._scheme.order) for m in range(first, last)]
+
+    def _halves(self, t: float, h: float) -> tuple[Half, Half]:
+        """Return the flows of forces before and after a step from t, of length h: these in reverse order."""
+        order = range(len(self._system.forces))
+        return Half(t, 0.5 * h, order), Half(t + 0.5 * h, 0.5 * h, order[::-1])
+
+    @staticmethod
+    def _applied(members: Sequence[ForceFlows], x: Floats, half: Half) -> Floats:
+        return np.array([one.apply(state, half) for one, state in zip(members, x, strict=True)])
+
+    @staticmethod
+    def _pushed(
+        members: Sequence[ForceFlows], x: Floats, dx: Floats, half: Half, directions: Floats
+    ) -> tuple[Floats, Floats]:
+        each = [one.push(*own, half, directions) for one, *own in zip(members, x, dx, strict=True)]
+        states, tangents = zip(*each, strict=True)
+        return np.array(states), np.array(tangents)
+
+    @staticmethod
+    def _pulled(members: Sequence[ForceFlows], x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
+        each = zip(members, x, of_x, by_entries, strict=True)
+        return np.array([one.pull(state, row, half, total) for one, state, row, total in each])
 
     def _step(self, x: Floats, groups: Floats, t: float, h: float) -> _Base:
         """Take a step of the Hamiltonian part."""

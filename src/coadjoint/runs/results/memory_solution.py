@@ -48,6 +48,8 @@ class MemorySolution(Solution):
     incomplete = None
     _layout: Layout
     _numbers: Floats
+    _base: System | Batch
+    _momenta: Floats
 
     @cached_property
     def _saved(self) -> NamedArrays:
@@ -70,7 +72,15 @@ class MemorySolution(Solution):
         return times
 
     @cached_property
+    def _start(self) -> Start:
+        # Of a run of one vector, of which only the momenta are given.
+        return start_without_groups(self._base, self._momenta[None], True)
+
+    @cached_property
     def x(self) -> NDArray[Any]:
+        if "_momenta" in vars(self):
+            saved = self._layout.saved
+            return self._numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
         rows = self._without_member_axis(self._points("x"))
         # Accounts of forces may follow the coordinates.
         return self._states(rows[..., : self._start.momenta.shape[1]] if self._accounts else rows)
@@ -167,22 +177,6 @@ class MemorySolution(Solution):
         return np.asarray(self._start.system.states_of(rows))
 
 
-class SolutionOfVector(MemorySolution):
-    """The solution of a run of one vector without a group element; the start is made of its momenta on first use."""
-
-    _base: System | Batch
-    _momenta: Floats
-
-    @cached_property
-    def _start(self) -> Start:
-        return start_without_groups(self._base, self._momenta[None], True)
-
-    @cached_property
-    def x(self) -> Floats:
-        saved = self._layout.saved
-        return self._numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
-
-
 def most_evaluations(solution: Solution) -> float:
     """Return the largest number of evaluations of a member of a run in memory."""
     assert isinstance(solution, MemorySolution)
@@ -221,7 +215,9 @@ def solution_of_numbers(
     plan: Plan, start: Start | None, momenta: Floats, numbers: Floats, seconds: float, elapsed: float
 ) -> Solution:
     """Return the solution of a run whose arrays are in one allocation; without a start, that of one vector."""
-    if start is not None:
-        return MemorySolution(dict(plan.shared, _start=start, _numbers=numbers, _seconds=seconds, _elapsed=elapsed))
-    fields = dict(plan.shared, _momenta=momenta, _numbers=numbers, _seconds=seconds, _elapsed=elapsed)
-    return SolutionOfVector(fields)
+    fields = dict(plan.shared, _numbers=numbers, _seconds=seconds, _elapsed=elapsed)
+    if start is None:
+        fields["_momenta"] = momenta
+    else:
+        fields["_start"] = start
+    return MemorySolution(fields)
