@@ -226,7 +226,7 @@ class ForcedSteps:
     def _pushed(
         members: Sequence[ForceFlows], x: Floats, dx: Floats, half: Half, directions: Floats
     ) -> tuple[Floats, Floats]:
-        each = [one.push(*own, half, directions) for one, *own in zip(members, x, dx, strict=True)]
+        each = [one.push(state, rows, half, directions) for one, state, rows in zip(members, x, dx, strict=True)]
         states, tangents = zip(*each, strict=True)
         return np.array(states), np.array(tangents)
 
