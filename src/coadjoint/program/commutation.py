@@ -32,155 +32,144 @@ WORD_BITS = 64  # of a mask, one for each group
 MAX_BATCH_ITEMS = 1 << 22
 
 
-class Commutation:
-    """Commuting coordinates and parts of an algebra."""
+def first_noncommuting(algebra: LieAlgebra, coordinates: Iterable[int]) -> tuple[int, int] | None:
+    """Return two of the coordinates whose basis elements do not commute, or None."""
+    inside = np.zeros(algebra.dim, dtype=bool)
+    inside[list(coordinates)] = True
+    i, j, _, _ = algebra.triples
+    clash = np.flatnonzero(inside[i] & inside[j])
+    return (int(i[clash[0]]), int(j[clash[0]])) if clash.size else None
 
-    def __init__(self, algebra: LieAlgebra) -> None:
-        self._algebra = algebra
 
-    @property
-    def pattern(self) -> Pairs:
-        """Noncommuting pairs as compressed sparse rows; independent of the values of the structure constants."""
-        return self._algebra.neighbours()
+def noncommuting(algebra: LieAlgebra, first: Integers, second: Integers) -> NDArray[np.bool_]:
+    """Test for pairs of coordinates whether they do not commute."""
+    i, j, _, _ = algebra.triples
+    size = algebra.dim
+    return np.isin(first * size + second, i * size + j)
 
-    @property
-    def products(self) -> Integers:
-        """The number of entries in the generator of each coordinate, shape (n,)."""
-        i, j, _, _ = self._algebra.triples
-        return np.bincount(i, minlength=self._algebra.dim) + np.bincount(j, minlength=self._algebra.dim)
 
-    def first_noncommuting(self, coordinates: Iterable[int]) -> tuple[int, int] | None:
-        """Return two of the coordinates whose basis elements do not commute, or None."""
-        inside = np.zeros(self._algebra.dim, dtype=bool)
-        inside[list(coordinates)] = True
-        i, j, _, _ = self._algebra.triples
-        clash = np.flatnonzero(inside[i] & inside[j])
-        return (int(i[clash[0]]), int(j[clash[0]])) if clash.size else None
+def has_noncommuting(algebra: LieAlgebra, label: Integers) -> NDArray[np.bool_]:
+    """Test for each label (all >= 0) whether two coordinates with this label do not commute."""
+    noncommuting = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
+    for i, j in _noncommuting(algebra):
+        first_label = label[i]
+        noncommuting[first_label[(first_label == label[j]) & (first_label >= 0)]] = True
+    return noncommuting
 
-    def noncommuting(self, first: Integers, second: Integers) -> NDArray[np.bool_]:
-        """Test for pairs of coordinates whether they do not commute."""
-        i, j, _, _ = self._algebra.triples
-        size = self._algebra.dim
-        return np.isin(first * size + second, i * size + j)
 
-    def has_noncommuting(self, label: Integers) -> NDArray[np.bool_]:
-        """Test for each label (all >= 0) whether two coordinates with this label do not commute."""
-        noncommuting = np.zeros(int(label.max(initial=-1)) + 1, dtype=bool)
-        for i, j in self._pairs():
-            first_label = label[i]
-            noncommuting[first_label[(first_label == label[j]) & (first_label >= 0)]] = True
-        return noncommuting
+def _noncommuting(algebra: LieAlgebra) -> Iterator[tuple[Any, Any]]:
+    """Yield indices of coordinates that do not commute: arrays, or for copies of an algebra slices."""
+    if algebra._copied is None:
+        yield algebra.triples[:2]
+        return
+    summand, _ = algebra._copied
+    for i, j in zip(summand.triples.i.tolist(), summand.triples.j.tolist(), strict=True):
+        yield slice(i, None, summand.dim), slice(j, None, summand.dim)
 
-    def _pairs(self) -> Iterator[tuple[Any, Any]]:
-        """Yield indices of coordinates that do not commute: arrays, or for copies of an algebra slices."""
-        if self._algebra._copied is None:
-            yield self._algebra.triples[:2]
-            return
-        summand, _ = self._algebra._copied
-        for i, j in zip(summand.triples.i.tolist(), summand.triples.j.tolist(), strict=True):
-            yield slice(i, None, summand.dim), slice(j, None, summand.dim)
 
-    def coupled_pairs(self, parts: Parts) -> Pairs:
-        """Return the pairs of parts (first <= second) with noncommuting coordinates, even if the forms commute."""
-        if max(len(parts.offset), self._algebra.dim) > MAX_PATTERN_SIZE:
-            return self._find_coupled_pairs(parts)
-        columns = (parts.forms.start, parts.forms.coordinate, parts.angle)
-        return _cached_coupled_pairs(Pattern((self, parts), *columns, *self.pattern))
+def coupled_pairs(algebra: LieAlgebra, parts: Parts) -> Pairs:
+    """Return the pairs of parts (first <= second) with noncommuting coordinates, even if the forms commute."""
+    if max(len(parts.offset), algebra.dim) > MAX_PATTERN_SIZE:
+        return _find_coupled_pairs(algebra, parts)
+    columns = (parts.forms.start, parts.forms.coordinate, parts.angle)
+    return _cached_coupled_pairs(Pattern((algebra, parts), *columns, *algebra.neighbours()))
 
-    def noncommuting_pairs(self, parts: Parts, coupled_pairs: Pairs) -> Pairs:
-        """Select the noncommuting pairs, first < second, from coupled pairs of parts."""
-        first, second = coupled_pairs
-        distinct = first != second
-        first, second = first[distinct], second[distinct]
-        has_long_form = (
-            np.add.reduceat(np.diff(parts.forms.start) > 1, parts.angle[:-1]) > 0 if len(parts) else np.zeros(0)
+
+def noncommuting_pairs(algebra: LieAlgebra, parts: Parts, coupled_pairs: Pairs) -> Pairs:
+    """Select the noncommuting pairs, first < second, from coupled pairs of parts."""
+    first, second = coupled_pairs
+    distinct = first != second
+    first, second = first[distinct], second[distinct]
+    has_long_form = np.add.reduceat(np.diff(parts.forms.start) > 1, parts.angle[:-1]) > 0 if len(parts) else np.zeros(0)
+    undecided = np.flatnonzero(has_long_form[first] | has_long_form[second])
+    if not len(undecided):
+        return first, second
+    noncommuting = np.ones(len(first), dtype=bool)
+    noncommuting[undecided] = ~_forms_commute(algebra, parts, first[undecided], second[undecided])
+    return first[noncommuting], second[noncommuting]
+
+
+def _find_coupled_pairs(algebra: LieAlgebra, parts: Parts) -> Pairs:
+    count, size = len(parts), algebra.dim
+    part, coordinate = parts.part_of_angle[parts.forms.owner], parts.forms.coordinate
+    part_count = np.bincount(coordinate, minlength=size)
+    owner_pairs = (count + 1) ** 2
+    if part_count.max(initial=0) <= 1 and owner_pairs <= MAX_TABLE_SIZE:
+        owner = np.full(size, count)  # coordinates of no part
+        owner[coordinate] = part
+        pairs = sum(
+            np.bincount(owner[i] * (count + 1) + owner[j], minlength=owner_pairs) for i, j in _noncommuting(algebra)
         )
-        undecided = np.flatnonzero(has_long_form[first] | has_long_form[second])
-        if not len(undecided):
-            return first, second
-        noncommuting = np.ones(len(first), dtype=bool)
-        noncommuting[undecided] = ~self._forms_commute(parts, first[undecided], second[undecided])
-        return first[noncommuting], second[noncommuting]
-
-    def _find_coupled_pairs(self, parts: Parts) -> Pairs:
-        count, size = len(parts), self._algebra.dim
-        part, coordinate = parts.part_of_angle[parts.forms.owner], parts.forms.coordinate
-        part_count = np.bincount(coordinate, minlength=size)
-        owner_pairs = (count + 1) ** 2
-        if part_count.max(initial=0) <= 1 and owner_pairs <= MAX_TABLE_SIZE:
-            owner = np.full(size, count)  # coordinates of no part
-            owner[coordinate] = part
-            pairs = sum(np.bincount(owner[i] * (count + 1) + owner[j], minlength=owner_pairs) for i, j in self._pairs())
-            coupled = (np.asarray(pairs) > 0).reshape(count + 1, count + 1)[:count, :count]
-            first, second = np.nonzero(np.triu(coupled | coupled.T))
+        coupled = (np.asarray(pairs) > 0).reshape(count + 1, count + 1)[:count, :count]
+        first, second = np.nonzero(np.triu(coupled | coupled.T))
+        return first.astype(np.int64), second.astype(np.int64)
+    i, j, _, _ = algebra.triples
+    begins = run_starts(i, j)
+    i, j = i[begins], j[begins]
+    part, by_part = _without_repeats(part, coordinate)
+    part_count = np.bincount(by_part, minlength=size)
+    order = order_by(by_part)
+    start, part_by_coordinate = starts_of(part_count), part[order]
+    if int(part_count[i] @ part_count[j]) > count * (count + 1) // 2:
+        if max(count, size) ** 2 <= MAX_TABLE_SIZE:
+            # Counts of coordinate pairs; float32 suffices, since only zero or nonzero matters.
+            incidence = np.zeros((count, size), dtype=np.float32)
+            noncommuting = np.zeros((size, size), dtype=np.float32)
+            incidence[part, by_part], noncommuting[i, j], noncommuting[j, i] = 1.0, 1.0, 1.0
+            first, second = np.nonzero(np.triu(incidence @ noncommuting @ incidence.T))
             return first.astype(np.int64), second.astype(np.int64)
-        i, j, _, _ = self._algebra.triples
-        begins = run_starts(i, j)
-        i, j = i[begins], j[begins]
-        part, by_part = _without_repeats(part, coordinate)
-        part_count = np.bincount(by_part, minlength=size)
-        order = order_by(by_part)
-        start, part_by_coordinate = starts_of(part_count), part[order]
-        if int(part_count[i] @ part_count[j]) > count * (count + 1) // 2:
-            if max(count, size) ** 2 <= MAX_TABLE_SIZE:
-                # Counts of coordinate pairs; float32 suffices, since only zero or nonzero matters.
-                incidence = np.zeros((count, size), dtype=np.float32)
-                noncommuting = np.zeros((size, size), dtype=np.float32)
-                incidence[part, by_part], noncommuting[i, j], noncommuting[j, i] = 1.0, 1.0, 1.0
-                first, second = np.nonzero(np.triu(incidence @ noncommuting @ incidence.T))
-                return first.astype(np.int64), second.astype(np.int64)
-            coupled = np.zeros((count, count), dtype=bool)
-            for pair in chunks(np.arange(len(i)), part_count[i] * part_count[j]):
-                part_i, part_j = _pairs(start, part_by_coordinate, i[pair], j[pair])
-                coupled[np.minimum(part_i, part_j), np.maximum(part_i, part_j)] = True
-            first, second = np.nonzero(coupled)
-            return first.astype(np.int64), second.astype(np.int64)
-        part_i, part_j = _pairs(start, part_by_coordinate, i, j)
-        return _without_repeats(np.minimum(part_i, part_j), np.maximum(part_i, part_j))
+        coupled = np.zeros((count, count), dtype=bool)
+        for pair in chunks(np.arange(len(i)), part_count[i] * part_count[j]):
+            part_i, part_j = _pairs(start, part_by_coordinate, i[pair], j[pair])
+            coupled[np.minimum(part_i, part_j), np.maximum(part_i, part_j)] = True
+        first, second = np.nonzero(coupled)
+        return first.astype(np.int64), second.astype(np.int64)
+    part_i, part_j = _pairs(start, part_by_coordinate, i, j)
+    return _without_repeats(np.minimum(part_i, part_j), np.maximum(part_i, part_j))
 
-    def _forms_commute(self, parts: Parts, first: Integers, second: Integers) -> NDArray[np.bool_]:
-        """Test for pairs of parts whether all their forms commute, up to rounding."""
-        angle, forms, size = parts.angle, parts.forms, self._algebra.dim
-        count = np.diff(angle)
-        pair, product_index = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
-        f = angle[first[pair]] + product_index // count[second[pair]]
-        g = angle[second[pair]] + product_index % count[second[pair]]
-        values = forms.value.astype(np.float64)
-        lookup = _lookup(forms.start, forms.coordinate.astype(np.int64), values, size)
-        start, actions = self._algebra.actions
-        cost = np.diff(start)[forms.coordinate]
-        costs = np.diff(np.concatenate([[0], np.cumsum(cost)])[forms.start])[f]
-        commute = np.ones(len(first), dtype=bool)
-        if int(costs.sum()) > CHUNK and len(forms.start) * max(size, len(forms.start)) <= MAX_TABLE_SIZE:
-            dense = np.zeros((len(forms.start) - 1, size))
-            dense[forms.owner, forms.coordinate] = values
-            clash = surely_noncommuting(dense, self._algebra, f, g, costs)
-            commute[pair[clash]] = False
-            undecided = commute[pair]
-            pair, f, g, costs = pair[undecided], f[undecided], g[undecided], costs[undecided]
-        for part in chunks(np.arange(len(f)), costs):
-            owner, entry = expand(forms.start[f[part]], forms.start[f[part] + 1])
-            i = forms.coordinate[entry].astype(np.int64)
-            row, index = expand(start[i], start[i + 1])
-            bracket_index = owner[row]
-            product = values[entry][row] * actions.c[index] * lookup(g[part][bracket_index], actions.j[index])
-            nonzero = product != 0
-            bracket_index, k, product = bracket_index[nonzero], actions.k[index][nonzero], product[nonzero]
-            order, begins = groups(bracket_index, k)
-            if not len(order):
-                continue
-            marks = np.zeros(len(order), dtype=bool)
-            marks[begins] = True
-            bracket, bound = run_sums(product[order], marks), run_sums(np.abs(product[order]), marks)
-            clashing = np.abs(bracket) > BRACKET_ROUNDOFF * bound
-            commute[pair[part][bracket_index[order[begins]][clashing]]] = False
-        return commute
+
+def _forms_commute(algebra: LieAlgebra, parts: Parts, first: Integers, second: Integers) -> NDArray[np.bool_]:
+    """Test for pairs of parts whether all their forms commute, up to rounding."""
+    angle, forms, size = parts.angle, parts.forms, algebra.dim
+    count = np.diff(angle)
+    pair, product_index = expand(np.zeros(len(first), dtype=np.int64), count[first] * count[second])
+    f = angle[first[pair]] + product_index // count[second[pair]]
+    g = angle[second[pair]] + product_index % count[second[pair]]
+    values = forms.value.astype(np.float64)
+    lookup = _lookup(forms.start, forms.coordinate.astype(np.int64), values, size)
+    start, actions = algebra.actions
+    cost = np.diff(start)[forms.coordinate]
+    costs = np.diff(np.concatenate([[0], np.cumsum(cost)])[forms.start])[f]
+    commute = np.ones(len(first), dtype=bool)
+    if int(costs.sum()) > CHUNK and len(forms.start) * max(size, len(forms.start)) <= MAX_TABLE_SIZE:
+        dense = np.zeros((len(forms.start) - 1, size))
+        dense[forms.owner, forms.coordinate] = values
+        clash = surely_noncommuting(dense, algebra, f, g, costs)
+        commute[pair[clash]] = False
+        undecided = commute[pair]
+        pair, f, g, costs = pair[undecided], f[undecided], g[undecided], costs[undecided]
+    for part in chunks(np.arange(len(f)), costs):
+        owner, entry = expand(forms.start[f[part]], forms.start[f[part] + 1])
+        i = forms.coordinate[entry].astype(np.int64)
+        row, index = expand(start[i], start[i + 1])
+        bracket_index = owner[row]
+        product = values[entry][row] * actions.c[index] * lookup(g[part][bracket_index], actions.j[index])
+        nonzero = product != 0
+        bracket_index, k, product = bracket_index[nonzero], actions.k[index][nonzero], product[nonzero]
+        order, begins = groups(bracket_index, k)
+        if not len(order):
+            continue
+        marks = np.zeros(len(order), dtype=bool)
+        marks[begins] = True
+        bracket, bound = run_sums(product[order], marks), run_sums(np.abs(product[order]), marks)
+        clashing = np.abs(bracket) > BRACKET_ROUNDOFF * bound
+        commute[pair[part][bracket_index[order[begins]][clashing]]] = False
+    return commute
 
 
 @lru_cache(maxsize=1024)
-def _cached_coupled_pairs(pattern: Pattern[tuple[Commutation, Parts]]) -> Pairs:
-    commutation, parts = pattern.source
-    return commutation._find_coupled_pairs(parts)
+def _cached_coupled_pairs(pattern: Pattern[tuple[LieAlgebra, Parts]]) -> Pairs:
+    return _find_coupled_pairs(*pattern.source)
 
 
 def _lookup(
@@ -248,17 +237,15 @@ def surely_noncommuting(
     return noncommuting
 
 
-def few_parts(parts: Parts, commutation: Commutation) -> Parts:
+def few_parts(parts: Parts, algebra: LieAlgebra) -> Parts:
     """Join commuting parts by first fit; if more than two remain, also in orders of most and fewest clashes."""
     if not len(parts):
         return parts
-    coupled_pairs = commutation.coupled_pairs(parts)
-    noncommuting_pairs = commutation.noncommuting_pairs(parts, coupled_pairs)
+    coupled = coupled_pairs(algebra, parts)
+    noncommuting = noncommuting_pairs(algebra, parts, coupled)
     if len(parts) > MAX_PATTERN_SIZE:
-        return parts.joined(_few_groups(len(parts), noncommuting_pairs, coupled_pairs))
-    return parts.joined(
-        _cached_groups(len(parts), Pattern((noncommuting_pairs, coupled_pairs), *noncommuting_pairs, *coupled_pairs))
-    )
+        return parts.joined(_few_groups(len(parts), noncommuting, coupled))
+    return parts.joined(_cached_groups(len(parts), Pattern((noncommuting, coupled), *noncommuting, *coupled)))
 
 
 @lru_cache(maxsize=1024)

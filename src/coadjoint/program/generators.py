@@ -197,16 +197,18 @@ def _depths(label: Integers, chosen: NDArray[np.bool_], source: Integers, target
     return depth
 
 
-class SplittingTooExpensive(ValueError):
-    """A splitting would take minutes to prepare, and seconds per step."""
+class NotSplittable(ValueError):
+    """The Hamiltonian is not a sum of functions with known flows, or its flows take minutes to prepare, and seconds per
+    step; the message names the piece and the reason.
+    """
 
 
 def check_products(products: NDArray[np.int64] | Integers, what: str) -> None:
-    """Raise SplittingTooExpensive if generators are sums of too many products, ValueError if they exceed the memory."""
+    """Raise NotSplittable if generators are sums of too many products, ValueError if they exceed the memory."""
     wide = products[products > MIN_COUNTED_PRODUCTS]
     total = int(wide.sum())
     if total > MAX_PRODUCTS:
-        raise SplittingTooExpensive(
+        raise NotSplittable(
             f"{what} has {len(wide)} flows of {total // len(wide)} products each: a splitting would need about "
             f"{SECONDS_PER_PRODUCT * total:.0f} s and {format_bytes(BYTES_PER_PRODUCT * total)} for its preparation, "
             f"and {SECONDS_PER_STEP * total:.0f} s per step; use GaussLegendre, which needs no preparation"

@@ -12,7 +12,7 @@ import numpy as np
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.actions import NOTHING_OMITTED
-from coadjoint.program.commutation import Commutation
+from coadjoint.program.commutation import first_noncommuting
 from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts
 from coadjoint.program.sparse_rows import sparse_row, starts_of
 from coadjoint.systems.vanishing_products import (
@@ -152,7 +152,7 @@ def _of_polynomials(
     return listed if sum(len(product[2]) for *_, product in listed) <= MAX_MONOMIALS else []
 
 
-def joined_if_cancelling(algebra: LieAlgebra, commutation: Commutation, parts: Parts) -> Parts:
+def joined_if_cancelling(algebra: LieAlgebra, parts: Parts) -> Parts:
     """Join parts of which products cancel, as those of p x p / m for an isotropic mass: alone, each moves more."""
     products = commuting_products(algebra)
     if not len(products.row) or len(parts) < 2:
@@ -173,7 +173,7 @@ def joined_if_cancelling(algebra: LieAlgebra, commutation: Commutation, parts: P
     for members in sets.values():
         wanted = np.isin(label, label[list(members)])
         joined = np.isin(parts.part_of_angle[parts.forms.owner], np.flatnonzero(wanted))
-        if commutation.first_noncommuting(parts.forms.coordinate[joined].tolist()) is None:
+        if first_noncommuting(algebra, parts.forms.coordinate[joined].tolist()) is None:
             label[wanted] = label[wanted].min()
     return parts if np.array_equal(label, np.arange(len(parts))) else parts.joined(label)
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action, copied_action
-from coadjoint.program.generators import BasisMatrices, SplittingTooExpensive
+from coadjoint.program.generators import BasisMatrices, NotSplittable
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import ChosenParts, decompose
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
-from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
@@ -99,7 +98,7 @@ def build_program(
     """Build the table of a splitting method; `group` is the representation (n, d, d), "coadjoint", or None."""
     try:
         decomposition = decompose(system, method.parts)
-    except (NotSplittable, SplittingTooExpensive) as reason:
+    except NotSplittable as reason:
         raise ValueError(f"{type(method).__name__} cannot be used for {system.name}: {reason}") from None
     parts, omitted = decomposition.parts, NOTHING_OMITTED
     if field_products(system) is not None:

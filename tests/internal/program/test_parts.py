@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 import coadjoint as co
 from catalogue_cases import EXAMPLES
 from coadjoint.algebra.families.low_dimensional import entries
-from coadjoint.program.commutation import Commutation, first_fit
+from coadjoint.program.commutation import coupled_pairs, first_fit
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts import quadratic_atoms
 from coadjoint.program.parts.decompose import decompose
@@ -291,14 +291,13 @@ def test_colors_are_the_groups_of_first_fit():
     rng = np.random.default_rng(7)
     for cell in (co.algebras.so(3), co.algebras.e(3), co.algebras.sl(2)):
         algebra = co.algebras.copies(cell, 20)
-        commutation = Commutation(algebra)
         i, j = rng.integers(0, algebra.dim, (2, 150))
         apart = i // cell.dim != j // cell.dim
         i, j = i[apart], j[apart]
         units = SparseRows.units(np.stack([i, j], axis=1).ravel())
         count = 2 * len(i)
         pairs = Parts.linear(units, np.zeros(count), SparseRows.empty(count), 2 * np.arange(len(i) + 1))
-        first, second = commutation.coupled_pairs(pairs)
+        first, second = coupled_pairs(algebra, pairs)
         distinct = first != second
         expected = first_fit(len(i), first[distinct], second[distinct])
-        np.testing.assert_array_equal(quadratic_atoms._colors(i, j, commutation), expected)
+        np.testing.assert_array_equal(quadratic_atoms._colors(i, j, algebra), expected)

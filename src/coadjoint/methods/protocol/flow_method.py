@@ -19,6 +19,7 @@ from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.methods.protocol.composed import Composed, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.program.generators import NotSplittable
 from coadjoint.program.numbers import Number, precision_of
 from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
@@ -26,7 +27,6 @@ from coadjoint.program.parts.decompose import (
     check_body_flow_inputs,
     decompose,
 )
-from coadjoint.program.parts.split import NotSplittable
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
 from coadjoint.systems.hamiltonians.split_hamiltonian import MAX_COORDINATES

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import combinations, permutations
+from itertools import combinations, permutations, product
 from typing import Any
 
 import numpy as np
@@ -29,66 +29,65 @@ OPERATIONS = 512
 MAX_ATOMS = 40  # pieces of all parts; brackets of all triples are stored
 
 
-class JointOrders:
-    """The size of the h^2 term of each order of parts, (count, members), by brackets that all members share."""
+def joint_sizes(
+    algebra: LieAlgebra, parts: Parts, sources: Sources, coefficients: Floats, points: Floats
+) -> tuple[Floats, Floats]:
+    """Return the size (root mean square) of the h^2 term for each order of parts, (orders, members), and bounds of rounding.
 
-    def __init__(
-        self, algebra: LieAlgebra, parts: Parts, sources: Sources, coefficients: Floats, points: Floats
-    ) -> None:
-        self._algebra, self._parts, self._points, self._members = algebra, parts, points, coefficients.shape[1]
-        numbers = np.unique(np.concatenate([one.number for one in sources.multiples.values()]))
-        varying = numbers[np.any(coefficients[numbers] != coefficients[numbers, :1], axis=1)]
-        constant = coefficients[:, 0].copy()
-        constant[varying] = 0.0
-        pieces = [_derivatives(parts, sources, constant, points, True)]
-        for number in varying.tolist():
-            unit = np.zeros(len(coefficients))
-            unit[number] = 1.0
-            pieces.append(_derivatives(parts, sources, unit, points, False))
-        self._atoms: list[list[tuple[Floats, Floats, Floats]]] = [[] for _ in parts]
-        weights = [np.ones(coefficients.shape[1]), *coefficients[varying]]
-        for weight, (gradients, hessians) in zip(weights, pieces, strict=True):
-            for own, gradient, hessian in zip(self._atoms, gradients, hessians, strict=True):
-                if np.any(gradient) or np.any(hessian):
-                    own.append((weight, gradient, np.broadcast_to(hessian, (len(points), *hessian.shape[1:]))))
+    Both are infinite if they overflow, or there are too many pieces. All members share the brackets.
+    """
+    members, orders = coefficients.shape[1], list(permutations(range(len(parts))))
+    atoms = _atoms(parts, sources, coefficients, points)
+    if len(atoms) > MAX_ATOMS:
+        return np.full((len(orders), members), np.inf), np.full((len(orders), members), np.inf)
+    weights = np.array([order_weights(order) for order in orders]).reshape(len(orders), -1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        terms, bounds = (_brackets(algebra, atoms, len(parts), points, absolute) for absolute in (False, True))
+        sizes, errors = (
+            np.sqrt(np.mean((w @ one.reshape(w.shape[1], -1)).reshape(len(orders), members, -1) ** 2, axis=-1))
+            for w, one in ((weights, terms), (np.abs(weights), bounds))
+        )
+    failed = ~np.isfinite(sizes + errors)
+    sizes[failed] = errors[failed] = np.inf
+    return sizes, (OPERATIONS + len(atoms) ** 3) * UNIT_ROUNDOFF * errors
 
-    def sizes(self) -> tuple[Floats, Floats]:
-        """Return the root mean square of the term for each order, (orders, members), and bounds of its rounding.
 
-        Both are infinite if they overflow, or there are too many pieces.
-        """
-        orders = list(permutations(range(len(self._parts))))
-        members = self._members
-        atoms = [(p, *atom) for p, own in enumerate(self._atoms) for atom in own]
-        if len(atoms) > MAX_ATOMS:
-            return np.full((len(orders), members), np.inf), np.full((len(orders), members), np.inf)
-        pairs = list(combinations(range(len(self._parts)), 2))
-        weights = np.array([order_weights(order) for order in orders]).reshape(len(orders), -1)
-        with np.errstate(over="ignore", invalid="ignore"):
-            terms, bounds = (self._brackets(atoms, pairs, absolute) for absolute in (False, True))
-            sizes, errors = (
-                np.sqrt(np.mean((w @ one.reshape(w.shape[1], -1)).reshape(len(orders), members, -1) ** 2, axis=-1))
-                for w, one in ((weights, terms), (np.abs(weights), bounds))
-            )
-        failed = ~np.isfinite(sizes + errors)
-        sizes[failed] = errors[failed] = np.inf
-        return sizes, (OPERATIONS + len(atoms) ** 3) * UNIT_ROUNDOFF * errors
+def _atoms(
+    parts: Parts, sources: Sources, coefficients: Floats, points: Floats
+) -> list[tuple[int, Floats, Floats, Floats]]:
+    """Return the pieces of the parts: part, factors of the members, gradient and Hessian."""
+    numbers = np.unique(np.concatenate([one.number for one in sources.multiples.values()]))
+    varying = numbers[np.any(coefficients[numbers] != coefficients[numbers, :1], axis=1)]
+    constant = coefficients[:, 0].copy()
+    constant[varying] = 0.0
+    pieces = [_derivatives(parts, sources, constant, points, True)]
+    for number in varying.tolist():
+        unit = np.zeros(len(coefficients))
+        unit[number] = 1.0
+        pieces.append(_derivatives(parts, sources, unit, points, False))
+    weights = [np.ones(coefficients.shape[1]), *coefficients[varying]]
+    return [
+        (p, weight, gradients[p], np.broadcast_to(hessians[p], (len(points), *hessians.shape[2:])))
+        for p in range(len(parts))
+        for weight, (gradients, hessians) in zip(weights, pieces, strict=True)
+        if np.any(gradients[p]) or np.any(hessians[p])
+    ]
 
-    def _brackets(self, atoms: list[Any], pairs: list[tuple[int, int]], absolute: bool) -> Floats:
-        """Return {H_i, {H_j, H_k}} of the parts, (parts, pairs, members, points), or sums of absolute terms."""
-        owner = np.array([p for p, *_ in atoms])
-        weight, gradient, hessian = (np.stack([atom[k] for atom in atoms]) for k in (1, 2, 3))
-        if absolute:
-            weight = np.abs(weight)
-        of_atoms = _nested(self._algebra, gradient, hessian, self._points, absolute)
-        result = np.zeros((len(self._parts), len(pairs), weight.shape[1], len(self._points)))
-        own = [np.flatnonzero(owner == p) for p in range(len(self._parts))]
-        for i in range(len(self._parts)):
-            for number, (j, k) in enumerate(pairs):
-                products = weight[own[i]][:, None, None] * weight[own[j]][:, None] * weight[own[k]]
-                values = of_atoms[np.ix_(own[i], own[j], own[k])]
-                result[i, number] = products.reshape(-1, weight.shape[1]).T @ values.reshape(-1, len(self._points))
-        return result
+
+def _brackets(algebra: LieAlgebra, atoms: list[Any], count: int, points: Floats, absolute: bool) -> Floats:
+    """Return {H_i, {H_j, H_k}} of the parts, (parts, pairs, members, points), or sums of absolute terms."""
+    owner = np.array([p for p, *_ in atoms])
+    weight, gradient, hessian = (np.stack([atom[k] for atom in atoms]) for k in (1, 2, 3))
+    if absolute:
+        weight = np.abs(weight)
+    of_atoms = _nested(algebra, gradient, hessian, points, absolute)
+    own, pairs = [np.flatnonzero(owner == p) for p in range(count)], list(combinations(range(count), 2))
+    result = np.zeros((count, len(pairs), weight.shape[1], len(points)))
+    for i, (number, (j, k)) in product(range(count), enumerate(pairs)):
+        products = weight[own[i]][:, None, None] * weight[own[j]][:, None] * weight[own[k]]
+        values = of_atoms[np.ix_(own[i], own[j], own[k])]
+        result[i, number] = products.reshape(-1, weight.shape[1]).T @ values.reshape(-1, len(points))
+    return result
 
 
 def _nested(algebra: LieAlgebra, gradient: Floats, hessian: Floats, points: Floats, absolute: bool) -> Floats:

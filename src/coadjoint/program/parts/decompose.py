@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import note_progress
-from coadjoint.program.generators import SplittingTooExpensive
+from coadjoint.program.generators import NotSplittable
 from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, best_orders
 from coadjoint.program.parts.free_bodies import bonds, free_bodies
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.parts.split import NotSplittable, check_splits, split
+from coadjoint.program.parts.split import check_splits, split
 from coadjoint.program.parts.squares import with_linear_offsets
 from coadjoint.program.shifts.shift import (
     QuadraticCasimir,
@@ -238,7 +238,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
             check_splits(system)
         else:
             decompose(system, choice)
-    except (NotSplittable, SplittingTooExpensive) as reason:
+    except NotSplittable as reason:
         raise ValueError(f"{scheme} cannot be used for {system.name}: {reason}") from None
     if key is not None:
         _CHECKED_CACHE.setdefault(system, set()).add(key)

@@ -14,9 +14,10 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, quadratic
 from coadjoint.memory import check_available_memory
-from coadjoint.program.commutation import Commutation, few_parts
+from coadjoint.program.commutation import few_parts
+from coadjoint.program.generators import NotSplittable
 from coadjoint.program.parts.part import BodyShare, Parts
-from coadjoint.program.parts.split import NotSplittable, atoms_of
+from coadjoint.program.parts.split import atoms_of
 from coadjoint.program.shifts.shift import quadratic_position
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -40,7 +41,6 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     which come first, and a remainder, split as with ``"auto"``. The order is independent of the linear term, which may
     be an input.
     """
-    commutation = Commutation(system.algebra)
     form, before, after = _quadratic_term(system)
     chosen = [] if form is None else _select_triples(system.algebra, form)
     if form is None or not chosen:
@@ -56,8 +56,8 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
     remaining = ~((triple_of[form.rows] >= 0) & (triple_of[form.rows] == triple_of[form.indices]))
     remainder = _remainder(form, remaining, np.where(triple_of >= 0, 0.0, form.linear))
-    rest = Parts.concatenate([*axes, atoms_of(system, [*before, *remainder, *after], commutation)])
-    return Parts.concatenate([body, few_parts(rest, commutation)]) if len(rest) else body
+    rest = Parts.concatenate([*axes, atoms_of(system, [*before, *remainder, *after])])
+    return Parts.concatenate([body, few_parts(rest, system.algebra)]) if len(rest) else body
 
 
 def _quadratic_term(system: LiePoissonSystem) -> tuple[QuadraticTerm | None, list[Term], list[Term]]:
@@ -173,7 +173,6 @@ def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, floa
     both momenta rotate about z + w by c tau |z + w|; edge colouring joins bonds without a common momentum into parts.
     Also return the Casimirs subtracted; None if these have too many terms.
     """
-    commutation = Commutation(system.algebra)
     form, before, after = _quadratic_term(system)
     spins = [] if form is None else _ideals(system.algebra)
     couplings = _isotropic_couplings(form, spins) if form is not None and spins else []
@@ -196,9 +195,9 @@ def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, floa
     axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple.coordinates)]) > 1]
     remainder = _remainder_of_bonds(form, couplings, spins, axes)
     rest = Parts.concatenate(
-        [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, [*before, *remainder, *after], commutation)]
+        [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, [*before, *remainder, *after])]
     )
-    parts = Parts.concatenate([coloured, few_parts(rest, commutation)]) if len(rest) else coloured
+    parts = Parts.concatenate([coloured, few_parts(rest, system.algebra)]) if len(rest) else coloured
     if not casimirs_fit(3 * len(spins), system.dim):
         return parts, None
     casimir = _subtracted_casimir(couplings, spins, system.dim)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.program.modified_energy.joint_orders import JointOrders, smallest
+from coadjoint.program.modified_energy.joint_orders import joint_sizes, smallest
 from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
 from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
@@ -213,10 +213,7 @@ def _ordered(
     if not unordered and fewest > MAX_PERMUTED:
         return []
     sized = (
-        [
-            JointOrders(system.algebra, c.parts, sources, own.split, points).sizes()
-            for c, own, sources, _ in alternatives
-        ]
+        [joint_sizes(system.algebra, c.parts, sources, own.split, points) for c, own, sources, _ in alternatives]
         if not unordered
         else [(np.zeros((1, count)), np.zeros((1, count))) for _ in alternatives]
     )

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.program.commutation import Commutation
+from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.program.commutation import has_noncommuting, noncommuting
 from coadjoint.program.generators import check_products
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, Squares, sparse_squares
@@ -23,13 +24,13 @@ from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm
 MIN_CHECKED_ENTRIES = 1 << 14
 
 
-def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: bool) -> Parts:
+def quadratic_atoms(term: QuadraticTerm, algebra: LieAlgebra, separate: bool) -> Parts:
     """Split a quadratic term into parts of one share each, by the first coordinate of each connected set."""
-    label, members, squared = _sets(term, commutation, separate)
+    label, members, squared = _sets(term, algebra, separate)
     if not separate and np.any(squared):
-        terms = separated_products(term, commutation, squared[label] & (label >= 0), label)
+        terms = separated_products(term, algebra, squared[label] & (label >= 0), label)
         if len(terms) > 1:
-            return Parts.concatenate([quadratic_atoms(one, commutation, separate) for one in terms])
+            return Parts.concatenate([quadratic_atoms(one, algebra, separate) for one in terms])
     plain = members[~squared[label[members]]]
     atoms = [_coupled(term, plain, label[plain])]
     owner = [label[plain][run_starts(label[plain])]]
@@ -39,27 +40,28 @@ def quadratic_atoms(term: QuadraticTerm, commutation: Commutation, separate: boo
     return Parts.concatenate(atoms).take(np.argsort(np.concatenate(owner), kind="stable"))
 
 
-def coupled_atoms(term: QuadraticTerm, commutation: Commutation) -> Parts | None:
+def coupled_atoms(term: QuadraticTerm, algebra: LieAlgebra) -> Parts | None:
     """Return `quadratic_atoms` if all coupled coordinates commute, else None."""
-    label, members, squared = _sets(term, commutation, separate=False)
+    label, members, squared = _sets(term, algebra, separate=False)
     return None if np.any(squared) else _coupled(term, members, label[members])
 
 
-def check_width(term: QuadraticTerm, commutation: Commutation) -> None:
-    """Raise SplittingTooExpensive if completed squares of many coupled coordinates have too many entries."""
+def check_width(term: QuadraticTerm, algebra: LieAlgebra) -> None:
+    """Raise NotSplittable if completed squares of many coupled coordinates have too many entries."""
     if term.multiplications < MIN_CHECKED_ENTRIES or int(np.diff(term.indptr).max(initial=0)) < DENSE_ROW:
         return
-    label, members, squared = _sets(term, commutation, separate=False)
+    label, members, squared = _sets(term, algebra, separate=False)
     label = label[members]
     size, entries = np.bincount(label), np.bincount(label, weights=np.diff(term.indptr)[members])
     full = squared & (entries >= DENSE_ROW * size)
-    products = np.bincount(label, weights=commutation.products[members]) / 2
+    # The generator of a coordinate has as many entries as structure constants contain it.
+    i, j, _, _ = algebra.triples
+    entries_of = np.bincount(np.concatenate([i, j]), minlength=algebra.dim)
+    products = np.bincount(label, weights=entries_of[members]) / 2
     check_products(np.repeat(products[full].astype(np.int64), size[full]), "the Hamiltonian")
 
 
-def _sets(
-    term: QuadraticTerm, commutation: Commutation, separate: bool
-) -> tuple[Integers, Integers, NDArray[np.bool_]]:
+def _sets(term: QuadraticTerm, algebra: LieAlgebra, separate: bool) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """Label the connected sets of coupled coordinates, -1 if a coordinate is unused."""
     used = term.linear != 0
     first: NDArray[Any]
@@ -79,12 +81,12 @@ def _sets(
     size = np.bincount(label[members], minlength=1)
     squared = size > 1
     if not separate:
-        squared = squared & commutation.has_noncommuting(label)[: len(size)]
+        squared = squared & has_noncommuting(algebra, label)[: len(size)]
     return label, members, squared
 
 
 def separated_products(
-    term: QuadraticTerm, commutation: Commutation, squared: NDArray[np.bool_], label: Integers
+    term: QuadraticTerm, algebra: LieAlgebra, squared: NDArray[np.bool_], label: Integers
 ) -> list[QuadraticTerm]:
     """Split the products of large sparse sets into terms of which all coordinates commute; squares would fill up."""
     rows, indices, values, size = term.rows, term.indices, term.values, len(term.linear)
@@ -93,14 +95,14 @@ def separated_products(
     large = squared & ((number > MAX_RATIONAL_SIZE) & (entries < DENSE_ROW * number))[label]
     above = np.flatnonzero((rows < indices) & large[rows])
     i, j = rows[above], indices[above].astype(np.int64)
-    bound = commutation.noncommuting(i, j)
+    bound = noncommuting(algebra, i, j)
     site = connected(size, i[bound], j[bound])
     if np.bincount(site[large], minlength=1).max(initial=0) > MAX_RATIONAL_SIZE:
         return [term]
     between = site[i] != site[j]
     i, j = i[between], j[between]
     pairs = np.stack([i, j], axis=1)
-    color = _colors(i, j, commutation)
+    color = _colors(i, j, algebra)
     # Each entry of M goes with its product, and what concerns one coordinate with the first of its products.
     colors = int(color.max(initial=-1)) + 1
     owner = np.full(size, colors)
@@ -126,9 +128,9 @@ def separated_products(
     return terms
 
 
-def _colors(i: Integers, j: Integers, commutation: Commutation) -> Integers:
+def _colors(i: Integers, j: Integers, algebra: LieAlgebra) -> Integers:
     """Return the groups of products x_i x_j by first fit: in a group all coordinates commute."""
-    start, indices = (column.tolist() for column in commutation.pattern)
+    start, indices = (column.tolist() for column in algebra.neighbours())
     others = [indices[first:last] for first, last in pairwise(start)]
     groups = [0] * len(others)  # of the products with each coordinate, as bits
     color = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -12,8 +12,10 @@ import numpy as np
 
 from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.sparse_sums import distinct
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.commutation import Commutation, few_parts
+from coadjoint.program.commutation import few_parts, first_noncommuting
+from coadjoint.program.generators import NotSplittable
 from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
 from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
 from coadjoint.program.separated_parts import joined_if_cancelling
@@ -32,39 +34,38 @@ Choice = str | Sequence[Sequence[int]]
 
 def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Term] | None = None) -> Parts:
     """Split the Hamiltonian of a system into parts with exact flows (section 4 of Reich 1993, generalised)."""
-    commutation = Commutation(system.algebra)
-    terms = terms or system.hamiltonian.terms()
-    cancels = cache(lambda: products_without_cancelling(system.algebra, terms) is not None)
+    algebra, terms = system.algebra, terms or system.hamiltonian.terms()
+    cancels = cache(lambda: products_without_cancelling(algebra, terms) is not None)
     if isinstance(choice, str) and choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
-        cached = _parts_by_pattern(terms, commutation)
+        cached = _parts_by_pattern(terms, algebra)
         if cached is not None and not cancels():
             return cached
-    atoms = _by_first_coordinate(_atoms(system, terms, commutation, separate=choice == "coordinates"))
+    atoms = _by_first_coordinate(_atoms(system, terms, separate=choice == "coordinates"))
     if choice == "coordinates":
         return atoms
     if isinstance(choice, str):
         if cancels():
-            atoms = joined_if_cancelling(system.algebra, commutation, atoms)
-        return few_parts(atoms, commutation)
-    return _join_as_chosen(system, choice, atoms, commutation)
+            atoms = joined_if_cancelling(algebra, atoms)
+        return few_parts(atoms, algebra)
+    return _join_as_chosen(system, choice, atoms)
 
 
-def atoms_of(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation) -> Parts:
+def atoms_of(system: LiePoissonSystem, terms: Sequence[Term]) -> Parts:
     """Return the smallest parts of terms, before any are joined."""
-    return _by_first_coordinate(_atoms(system, terms, commutation, separate=False))
+    return _by_first_coordinate(_atoms(system, terms, separate=False))
 
 
 def _by_first_coordinate(atoms: Parts) -> Parts:
     return atoms.take(np.argsort(atoms.first_coordinate, kind="stable")) if len(atoms) else atoms
 
 
-def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts | None:
+def _parts_by_pattern(terms: Sequence[Term], algebra: LieAlgebra) -> Parts | None:
     """Return the automatic parts of a single quadratic term without completed squares, else None."""
     term = terms[0].form
     if len(terms) > 1 or term is None or term.piece is not None:
         return None
     columns = (term.indptr, term.indices, term.linear != 0)
-    model = _parts_of_pattern(Pattern((term, commutation), *columns, *commutation.pattern))
+    model = _parts_of_pattern(Pattern((term, algebra), *columns, *algebra.neighbours()))
     if model is None:
         return None
     weights = model.weights
@@ -74,40 +75,40 @@ def _parts_by_pattern(terms: Sequence[Term], commutation: Commutation) -> Parts 
 
 
 @lru_cache(maxsize=1024)
-def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, Commutation]]) -> Parts | None:
+def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, LieAlgebra]]) -> Parts | None:
     """Return the parts, and the index of each weight among the values of the term."""
-    term, commutation = pattern.source
+    term, algebra = pattern.source
     indices: Any = np.arange(len(term.values))
-    atoms = coupled_atoms(replace(term, values=indices), commutation)
-    return None if atoms is None else few_parts(_by_first_coordinate(atoms), commutation)
+    atoms = coupled_atoms(replace(term, values=indices), algebra)
+    return None if atoms is None else few_parts(_by_first_coordinate(atoms), algebra)
 
 
 class _Atoms:
     """Visitor that collects the parts of terms, before they are joined."""
 
-    def __init__(self, system: LiePoissonSystem, commutation: Commutation, separate: bool) -> None:
+    def __init__(self, system: LiePoissonSystem, separate: bool) -> None:
         self.collected: list[Parts] = []
-        self._system, self._commutation, self._separate = system, commutation, separate
+        self._system, self._separate = system, separate
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        self.collected.append(quadratic_atoms(term, self._commutation, self._separate))
+        self.collected.append(quadratic_atoms(term, self._system.algebra, self._separate))
 
     def polynomial(self, term: PolynomialTerm) -> None:
-        self.collected.append(_polynomial_atoms(self._system, term.polynomial, self._commutation, self._separate))
+        self.collected.append(_polynomial_atoms(self._system, term.polynomial, self._separate))
 
     def function(self, term: FunctionTerm) -> None:
-        if self._commutation.first_noncommuting(term.coordinates.tolist()) is None:
+        if first_noncommuting(self._system.algebra, term.coordinates.tolist()) is None:
             self.collected.append(Parts.single(FunctionShare(term), term.coordinates.tolist(), term.timed))
             return
-        for summand in separated_terms(self._system, term, self._commutation):
+        for summand in separated_terms(self._system, term):
             summand.describe_to(self)
 
 
-def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commutation, separate: bool) -> Parts:
+def _atoms(system: LiePoissonSystem, terms: Sequence[Term], separate: bool) -> Parts:
     result: list[Parts] = []
     pieces: dict[int, list[Parts]] = {}
     for number, term in enumerate(terms):
-        atoms = _Atoms(system, commutation, separate and term.piece is None)
+        atoms = _Atoms(system, separate and term.piece is None)
         term.describe_to(atoms)
         parts = Parts.concatenate(atoms.collected).of_term(number)
         if term.piece is None:
@@ -120,9 +121,7 @@ def _atoms(system: LiePoissonSystem, terms: Sequence[Term], commutation: Commuta
     return Parts.concatenate(result)
 
 
-def _polynomial_atoms(
-    system: LiePoissonSystem, polynomial: Polynomial, commutation: Commutation, separate: bool
-) -> Parts:
+def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, separate: bool) -> Parts:
     size = polynomial.dim
     variables = {e: [k for k, power in enumerate(e) if power] for e in polynomial.monomials if sum(e)}
     used = np.zeros(size, dtype=bool)
@@ -136,17 +135,17 @@ def _polynomial_atoms(
     atoms = []
     for k, cluster in members.items():
         terms = monomials[k]
-        if commutation.first_noncommuting(cluster) is None and not (separate and len(cluster) > 1):
+        if first_noncommuting(system.algebra, cluster) is None and not (separate and len(cluster) > 1):
             atoms.append(Parts.single(PolynomialShare(tuple(cluster), Polynomial(terms)), cluster))
             continue
         low = {e: c for e, c in terms.items() if sum(e) <= 2}
         if low:
             (form,) = (term.form for term in Quadratic.from_polynomial(Polynomial(low)).terms())
             assert form is not None
-            atoms.append(quadratic_atoms(form, commutation, separate))
+            atoms.append(quadratic_atoms(form, system.algebra, separate))
         for exponents in (e for e in terms if sum(e) > 2):
             monomial, coordinates = Polynomial({exponents: terms[exponents]}), variables[exponents]
-            noncommuting = commutation.first_noncommuting(coordinates)
+            noncommuting = first_noncommuting(system.algebra, coordinates)
             if noncommuting is not None:
                 shown = short(in_coordinates_of(system, monomial))
                 raise _not_splittable(system, f"its monomial {shown}", noncommuting)
@@ -154,16 +153,18 @@ def _polynomial_atoms(
     return Parts.concatenate(atoms)
 
 
-def separated_terms(system: LiePoissonSystem, term: FunctionTerm, commutation: Commutation) -> tuple[Term, ...]:
+def separated_terms(system: LiePoissonSystem, term: FunctionTerm) -> tuple[Term, ...]:
     """Return a function of noncommuting coordinates as a sum of a polynomial and functions of commuting ones."""
     cache = _SEPARATED_CACHE.setdefault(system, {})
     if id(term.value) not in cache:
         try:
-            found: tuple[Term, ...] | NotSplittable = separated(term, system.dim, commutation.first_noncommuting)
+            found: tuple[Term, ...] | NotSplittable = separated(
+                term, system.dim, partial(first_noncommuting, system.algebra)
+            )
         except NotSeparable as reason:
             found = _not_splittable(system, "a function in it", reason.noncommuting)
         except TracingError as reason:
-            noncommuting = commutation.first_noncommuting(term.coordinates.tolist())
+            noncommuting = first_noncommuting(system.algebra, term.coordinates.tolist())
             assert noncommuting is not None
             found = _not_splittable(system, "a function in it", noncommuting, str(reason))
         cache[id(term.value)] = term.value, found
@@ -176,11 +177,10 @@ def separated_terms(system: LiePoissonSystem, term: FunctionTerm, commutation: C
 def separated_functions(system: LiePoissonSystem) -> dict[int, tuple[Term, ...]]:
     """Return the sums of the functions in H that depend on noncommuting coordinates, by the numbers of their terms."""
     functions = {k: term for k, term in enumerate(system.hamiltonian.terms()) if isinstance(term, FunctionTerm)}
-    commutation = Commutation(system.algebra)
     return {
-        k: separated_terms(system, term, commutation)
+        k: separated_terms(system, term)
         for k, term in functions.items()
-        if commutation.first_noncommuting(term.coordinates.tolist()) is not None
+        if first_noncommuting(system.algebra, term.coordinates.tolist()) is not None
     }
 
 
@@ -191,36 +191,34 @@ _SEPARATED_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[int, tuple[Any, Any]]
 class _CommutationCheck:
     """Visitor that raises if a term does not split; for quadratic terms it checks the width of completed squares."""
 
-    def __init__(self, system: LiePoissonSystem, commutation: Commutation) -> None:
-        self._system, self._commutation = system, commutation
+    def __init__(self, system: LiePoissonSystem) -> None:
+        self._system = system
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        check_width(term, self._commutation)
+        check_width(term, self._system.algebra)
 
     def polynomial(self, term: PolynomialTerm) -> None:
         for exponents, coefficient in term.polynomial.monomials.items():
             if sum(exponents) > 2:
-                noncommuting = self._commutation.first_noncommuting([k for k, power in enumerate(exponents) if power])
+                noncommuting = first_noncommuting(
+                    self._system.algebra, [k for k, power in enumerate(exponents) if power]
+                )
                 if noncommuting is not None:
                     shown = short(in_coordinates_of(self._system, Polynomial({exponents: coefficient})))
                     raise _not_splittable(self._system, f"its monomial {shown}", noncommuting)
 
     def function(self, term: FunctionTerm) -> None:
-        if self._commutation.first_noncommuting(term.coordinates.tolist()) is not None:
-            for summand in separated_terms(self._system, term, self._commutation):
+        if first_noncommuting(self._system.algebra, term.coordinates.tolist()) is not None:
+            for summand in separated_terms(self._system, term):
                 summand.describe_to(self)
 
 
 def check_splits(system: LiePoissonSystem) -> None:
     """Raise NotSplittable if the Hamiltonian is not a sum of functions of commuting forms, without splitting it."""
     terms = system.hamiltonian.terms()
-    clashes = _CommutationCheck(system, Commutation(system.algebra))
+    clashes = _CommutationCheck(system)
     for term in terms:
         term.describe_to(clashes)
-
-
-class NotSplittable(ValueError):
-    """The Hamiltonian is not a sum of functions with known flows; the message names the piece and the reason."""
 
 
 def _not_splittable(
@@ -237,16 +235,14 @@ def _not_splittable(
     )
 
 
-def _join_as_chosen(
-    system: LiePoissonSystem, choice: Sequence[Sequence[int]], atoms: Parts, commutation: Commutation
-) -> Parts:
+def _join_as_chosen(system: LiePoissonSystem, choice: Sequence[Sequence[int]], atoms: Parts) -> Parts:
     names, set_of_coordinate = coordinate_names(system), np.full(system.dim, len(choice))
     for number, group in enumerate(choice):
         coordinates = np.array(sorted({int(i) for i in group}), dtype=np.int64)
         outside = coordinates[(coordinates < 0) | (coordinates >= system.dim)]
         if len(outside):
             raise ValueError(f"parts name coordinate {outside[0]}, but coordinates run from 0 to {system.dim - 1}")
-        noncommuting = commutation.first_noncommuting(coordinates.tolist())
+        noncommuting = first_noncommuting(system.algebra, coordinates.tolist())
         if noncommuting is not None:
             raise ValueError(
                 f"parts put {names[noncommuting[0]]} and {names[noncommuting[1]]} together, which do not commute"
