@@ -6,9 +6,8 @@ import re
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.algebra.families.classical import gl, sl, sp, su, u
+from coadjoint.algebra.families.classical import e, gl, se, sl, so, sp, su, u
 from coadjoint.algebra.families.low_dimensional import A3_7, check_names, entries, low_dimensional
-from coadjoint.algebra.families.orthogonal import e, se, so
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.families.subspaces import change_of_basis, quotient, subalgebra

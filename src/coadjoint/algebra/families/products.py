@@ -61,7 +61,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
 
     Examples
     --------
-    >>> from coadjoint.algebra.families.orthogonal import so
+    >>> from coadjoint.algebra.families.classical import so
     >>> g = direct_sum(so(3), so(4))
     >>> g
     LieAlgebra('so(3) + so(4)', dim=9, 15 brackets)
@@ -116,7 +116,7 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
 
     Examples
     --------
-    >>> from coadjoint.algebra.families.orthogonal import so
+    >>> from coadjoint.algebra.families.classical import so
     >>> lattice = copies(so(3), 1000)
     >>> lattice, lattice.triples.c.size, lattice.basis[3]
     (LieAlgebra('1000 so(3)', dim=3000, 3000 brackets), 3000, 'e1[2]')
@@ -223,7 +223,7 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
 
     Examples
     --------
-    >>> from coadjoint.algebra.families.orthogonal import so
+    >>> from coadjoint.algebra.families.classical import so
     >>> semidirect(so(3)).basis
     ('e1', 'e2', 'e3', 'p1', 'p2', 'p3')
     """

@@ -155,7 +155,7 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
 
     Examples
     --------
-    >>> from coadjoint.algebra.families.orthogonal import so
+    >>> from coadjoint.algebra.families.classical import so
     >>> g = change_of_basis(so(3), [[2, 0, 0], [0, 1, 0], [0, 0, 1]])
     >>> g.bracket([0, 1, 0], [0, 0, 1])
     array([0.5, 0. , 0. ])
@@ -219,7 +219,7 @@ def subalgebra(g: LieAlgebra, vectors: Any, basis: Sequence[str] | None = None) 
 
     Examples
     --------
-    >>> from coadjoint.algebra.families.orthogonal import so
+    >>> from coadjoint.algebra.families.classical import so
     >>> subalgebra(so(4), ["e1", "e2", "e4"]).bracket([1, 0, 0], [0, 1, 0])
     array([ 0.,  0., -1.])
     """
@@ -270,7 +270,7 @@ def quotient(g: LieAlgebra, ideal: Any) -> LieAlgebra:
 
     Examples
     --------
-    >>> from coadjoint.algebra.families.orthogonal import e
+    >>> from coadjoint.algebra.families.classical import e
     >>> quotient(e(3), ["e4", "e5", "e6"])
     LieAlgebra('e(3) / ideal', dim=3: [e1, e2] = e3, [e1, e3] = -e2, [e2, e3] = e1)
     """

@@ -10,7 +10,7 @@ import linecache
 import sys
 import sysconfig
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple, cast
@@ -26,7 +26,7 @@ MAX_OBJECTS = 10**6
 """Largest number of objects in one digest."""
 DYNAMIC_BUILTINS = frozenset({"globals", "locals", "vars", "eval", "exec", "__import__", "open", "input"})
 """Builtins with which a function can read values that its code does not name."""
-SCALARS = (bool, int, float, complex, str, bytes)
+DATA: tuple[Any, ...] = (bool, int, float, complex, str, bytes, tuple, list, set, frozenset, dict)
 IGNORED_ATTRIBUTES = frozenset(
     "__dict__ __weakref__ __doc__ __module__ __qualname__ __annotations__ __annotate__ __annotate_func__ "
     "__annotations_cache__ __firstlineno__ __static_attributes__ __abstractmethods__ _abc_impl __parameters__ "
@@ -152,26 +152,14 @@ class _Digester:
             options = sorted(getattr(compiler, "targetoptions", {}).items())
             locals_types = [*options, *_types_of_locals(compiler)]
             self.add(["callback", value._pyfunc, str(getattr(value, "_sig", "")), *locals_types])
-        elif isinstance(value, functools.partial):
-            self.add(["partial", value.func, value.args, value.keywords])
-        elif isinstance(value, types.MethodType):
-            self.add(["method", value.__func__, value.__self__])
-        elif isinstance(value, staticmethod | classmethod):
-            self.add([kind.__name__, value.__func__])
-        elif isinstance(value, property):
-            self.add(["property", value.fget, value.fset, value.fdel])
-        elif isinstance(value, functools.cached_property):
-            self.add(["cached property", value.func])
+        elif (parts := next((parts for known, parts in PARTS.items() if isinstance(value, known)), None)) is not None:
+            self.add(parts(value))
         elif isinstance(value, types.BuiltinFunctionType) and not isinstance(value.__self__, types.ModuleType | None):
             self.add(["builtin method", value.__name__, value.__self__])
         elif isinstance(value, types.ModuleType):
             self._update("module", value.__name__)
         elif isinstance(value, type):
             self._add_class(value)
-        elif isinstance(value, types.CellType):
-            self.add(["cell", *cell_value(value)])
-        elif kind is type(global_reads):
-            self.add(["cached", value.__wrapped__])
         elif isinstance(getattr(value, "__qualname__", None), str) and (callable(value) or hasattr(kind, "__get__")):
             self._add_named(value)
         elif isinstance(value, np.ufunc) and not hasattr(value, "_dispatcher"):
@@ -198,14 +186,14 @@ class _Digester:
         self.add(kind)
         if any(base.__module__ in ("_ctypes", "ctypes") for base in kind.__mro__):
             return self._give_up(f"a C object, {kind.__qualname__}")
-        if isinstance(value, (*SCALARS, tuple, list, set, frozenset, dict)):
-            bases: tuple[Any, ...] = (*SCALARS, tuple, list, set, frozenset, dict)
-            self.add(next(base for base in bases if isinstance(value, base))(value))
+        data = next((base for base in DATA if isinstance(value, base)), None)
+        if data is not None:
+            self.add(data(value))
         if is_dataclass(value) and is_own(kind.__module__):
             return self.add({field.name: getattr(value, field.name) for field in fields(value)})
         slots = [name for base in kind.__mro__ for name in _slots(base) if hasattr(value, name)]
         if not slots and not hasattr(value, "__dict__"):
-            return None if isinstance(value, (*SCALARS, tuple, list, set, frozenset, dict)) else self._reduce(value)
+            return None if data is not None else self._reduce(value)
         attributes = {**{name: getattr(value, name) for name in slots}, **getattr(value, "__dict__", {})}
         cached = functools.cached_property
         self.add(
@@ -285,6 +273,19 @@ class _Digester:
         self._update("code", *counts, *names, len(code.co_code))
         self.digest.update(code.co_code + getattr(code, "co_exceptiontable", b""))
         self.add(code.co_consts)
+
+
+# Type -> the values that an object of it consists of.
+PARTS: Mapping[type, Callable[[Any], list[Any]]] = {
+    functools.partial: lambda value: ["partial", value.func, value.args, value.keywords],
+    types.MethodType: lambda value: ["method", value.__func__, value.__self__],
+    staticmethod: lambda value: [type(value).__name__, value.__func__],
+    classmethod: lambda value: [type(value).__name__, value.__func__],
+    property: lambda value: ["property", value.fget, value.fset, value.fdel],
+    functools.cached_property: lambda value: ["cached property", value.func],
+    types.CellType: lambda value: ["cell", *cell_value(value)],
+    type(functools.cache(str)): lambda value: ["cached", value.__wrapped__],
+}
 
 
 def compilation_key(function: Any) -> Any:

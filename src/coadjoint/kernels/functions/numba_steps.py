@@ -12,6 +12,7 @@ import ctypes
 import inspect
 from collections import namedtuple
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numba
@@ -47,18 +48,11 @@ STRUCTURE = _kernel("structure_at", ctypes.c_int64)
 ENERGY = _kernel("energy_at", ctypes.c_double, result=ctypes.c_double)
 
 
-def _vector(kernel: Any, adapt: Any) -> Callable[..., Any]:
+def _array(kernel: Any, adapt: Any, matrix: bool) -> Callable[..., Any]:
+    """Return a method whose result is a vector, or a `matrix`; Numba compiles only one branch."""
+
     def method(self: Any, x: Any, t: float = 0.0) -> Any:
-        y, out = adapt(x), np.empty(self.dim)
-        kernel(self.address, y.ctypes.data, t, out.ctypes.data)
-        return out
-
-    return method
-
-
-def _matrix(kernel: Any, adapt: Any) -> Callable[..., Any]:
-    def method(self: Any, x: Any, t: float = 0.0) -> Any:
-        y, out = adapt(x), np.empty((self.dim, self.dim))
+        y, out = adapt(x), np.empty((self.dim, self.dim) if matrix else self.dim)
         kernel(self.address, y.ctypes.data, t, out.ctypes.data)
         return out
 
@@ -109,13 +103,13 @@ def _add_method(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], ker
         overload_method(kind, name)(select_timed if "t" in inspect.signature(direct).parameters else select)
 
 
-_add_method(SYSTEMS, "vector_field", _vector, FIELD)
+_add_method(SYSTEMS, "vector_field", partial(_array, matrix=False), FIELD)
 _add_method(SYSTEMS, "structure_matrix", _structure, STRUCTURE)
 _add_method(SYSTEMS, "energy", _number, ENERGY)
-_add_method(SYSTEMS[1:], "jacobian", _matrix, JACOBIAN)
-_add_method(HAMILTONIANS, "gradient", _vector, GRADIENT)
+_add_method(SYSTEMS[1:], "jacobian", partial(_array, matrix=True), JACOBIAN)
+_add_method(HAMILTONIANS, "gradient", partial(_array, matrix=False), GRADIENT)
 _add_method(HAMILTONIANS, "value", _number, ENERGY)
-_add_method(HAMILTONIANS[1:], "hessian", _matrix, HESSIAN)
+_add_method(HAMILTONIANS[1:], "hessian", partial(_array, matrix=True), HESSIAN)
 
 
 def compiled_step(

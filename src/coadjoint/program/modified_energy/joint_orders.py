@@ -32,7 +32,7 @@ MAX_ATOMS = 40  # pieces of all parts; brackets of all triples are stored
 def joint_sizes(
     algebra: LieAlgebra, parts: Parts, sources: Sources, coefficients: Floats, points: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the size (root mean square) of the h^2 term for each order of parts, (orders, members), and bounds of rounding.
+    """Return the root mean square of the h^2 term for each order of parts, (orders, members), and its rounding.
 
     Both are infinite if they overflow, or there are too many pieces. All members share the brackets.
     """

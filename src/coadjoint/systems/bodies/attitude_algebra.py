@@ -8,7 +8,7 @@ from functools import cache, lru_cache, partial
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.orthogonal import so
+from coadjoint.algebra.families.classical import so
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra

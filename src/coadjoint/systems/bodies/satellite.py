@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.orthogonal import so
+from coadjoint.algebra.families.classical import so
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
