@@ -1,18 +1,16 @@
-"""Rigid bodies that move in an ideal fluid: Kirchhoff's equations, and the integrable case of Clebsch."""
+"""Kirchhoff's equations: a rigid body moving in an ideal fluid."""
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.bodies.classical_body import ClassicalBody
-from coadjoint.systems.bodies.inertia import inverse_of, plain, positive_moments, principal, read_inertia, read_vector
-from coadjoint.systems.bodies.tops import rigid_motions
+from coadjoint.systems.bodies.heavy_top import rigid_motions
+from coadjoint.systems.bodies.inertia import inverse_of, plain, principal, read_inertia
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made
@@ -129,115 +127,3 @@ def _of_revolution(A: Floats, C: Floats) -> dict[str, Polynomial]:
         return {}
     pairs = ((k, (k + 1) % 3, (k + 2) % 3) for k in range(3))
     return {f"m{k + 1}": Polynomial.variable(k, 6) for k, i, j in pairs if a[i] == a[j] and c[i] == c[j]}
-
-
-def _clebsch_energy(inverse_mass: npt.NDArray[Any], *, inertia: npt.ArrayLike) -> tuple[npt.NDArray[Any]]:
-    if len(set(np.asarray(inertia).tolist())) > 1:
-        raise ValueError("moments that are not equal tie the coefficients to each other")
-    return (_diagonal_of(inertia, inverse_mass),)
-
-
-def _diagonal_of(inertia: npt.ArrayLike, inverse_mass: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return np.concatenate([1.0 / np.asarray(inertia), inverse_mass])
-
-
-@ready_made(
-    energy=_clebsch_energy,
-    gallery_entry=GalleryEntry(
-        x0=(0.6, 0.4, 1.0, 0.5, 0.3, 0.2),
-        t_span=(0.0, 60.0),
-        step=0.05,
-        caption="An integrable body in a fluid: its path winds regularly about the direction of its impulse. Middle, "
-        "the path, with the first axis of the body; right, the impulse, seen from the body.",
-        pictures=(
-            Picture("path in space", axis=0),
-            Picture("directions", vectors={"impulse $p$": (3, 4, 5)}, title="the impulse, seen from the body"),
-        ),
-        components=Picture("components", chosen=(0, 1, 2), quantity="angular impulse"),
-        attitude=True,
-        coordinates=("m1", "m2", "m3", "p1", "p2", "p3"),
-        quantity="impulses",
-    ),
-)
-def clebsch_body(
-    inertia: npt.ArrayLike = (1.0, 1.0, 1.0), inverse_mass: npt.ArrayLike = (1.0, 1.5, 3.0)
-) -> ClassicalBody:
-    """Return the Clebsch case of Kirchhoff's equations, ``H = sum(m_i^2 / I_i + c_i p_i^2) / 2``, on e(3) with sign -1.
-
-    State, Casimirs and group element are those of `kirchhoff_body`. The system is integrable if
-    ``(c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 = 0``: for any c if all moments are equal, otherwise for
-    ``c_i = alpha + beta I_i``. The same equations describe a body with a fixed point in a quadratic potential
-    (Brun): p is then the direction of the field, c may have any sign, and the translation in the group element is not
-    a position.
-
-    Parameters
-    ----------
-    inertia : (3,)
-        Principal moments (mass times length squared), positive.
-    inverse_mass : (3,)
-        The coefficients c (1/mass), of any sign.
-
-    Returns
-    -------
-    LiePoissonSystem
-        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
-        With the integral ``"F"``: ``sum(c_i m_i^2 - I c_j c_k p_i^2)`` if all moments are equal, otherwise
-        ``sum(m_i^2 - beta I_j I_k p_i^2)``, (i, j, k) cyclic.
-
-    Raises
-    ------
-    ValueError
-        Not three finite numbers each, a moment that is not positive, or coefficients that do not satisfy the Clebsch
-        condition; the message gives the nearest that do.
-
-    Notes
-    -----
-    Clebsch, Math. Annalen 3, 238 (1870); Perelomov, "Integrable Systems of Classical Mechanics" (1990), section 3.2.
-
-    Examples
-    --------
-    >>> body = clebsch_body(inertia=(1.0, 2.0, 4.0), inverse_mass=(1.0, 2.0, 4.0))
-    >>> body.vector_field([1.0, 2.0, 4.0, 2.0, 1.0, 3.0])
-    array([  4., -15.,   1.,  -2.,   1.,   1.])
-    >>> clebsch_body(inertia=(1, 2, 3), inverse_mass=(1, 1, 2))
-    Traceback (most recent call last):
-    ValueError: inverse_mass is not a Clebsch case: ... the nearest valid values are 0.833333, 1.33333, 1.83333; ...
-    """
-    moments = tuple(positive_moments(read_vector(inertia, "inertia"), "inertia").tolist())
-    c = read_vector(inverse_mass, "inverse_mass")
-    try:
-        integral = _integral([Fraction(v) for v in moments], [Fraction(v) for v in c.tolist()])
-    except OverflowError:
-        raise ValueError("products of inertia and inverse_mass leave the range of float64; take other units") from None
-    return ClassicalBody(
-        rigid_motions(),
-        Quadratic(_diagonal_of(moments, c)),
-        sign=-1,
-        name="clebsch_body",
-        parameters={"inertia": moments, "inverse_mass": tuple(c.tolist())},
-        integrals={"F": integral},
-    )
-
-
-def _integral(I: list[Fraction], c: list[Fraction]) -> Quadratic:
-    """Return the additional integral; raise ValueError if the moments and coefficients are not a Clebsch case."""
-    pairs = ((1, 2), (2, 0), (0, 1))
-    if I[0] == I[1] == I[2]:
-        return _diagonal([2 * v for v in c], [-2 * I[0] * c[j] * c[k] for j, k in pairs])
-    terms = [(c[j] - c[k]) * I[i] for i, (j, k) in enumerate(pairs)]
-    mean = sum(I, Fraction(0)) / 3
-    beta = sum((v * (w - mean) for v, w in zip(c, I, strict=True)), Fraction(0)) / sum((w - mean) ** 2 for w in I)
-    alpha = sum(c, Fraction(0)) / 3 - beta * mean
-    size = sum(abs(v * (abs(I[j]) + abs(I[k]))) for v, (j, k) in zip(c, pairs, strict=True))
-    defect = sum(terms, Fraction(0))
-    if abs(defect) > 8 * UNIT_ROUNDOFF * size:
-        nearest = ", ".join(f"{float(alpha + beta * w):.6g}" for w in I)
-        raise ValueError(
-            f"inverse_mass is not a Clebsch case: (c2 - c3) I1 + (c3 - c1) I2 + (c1 - c2) I3 is {float(defect):.3g} "
-            f"and must vanish; the nearest valid values are {nearest}; otherwise use kirchhoff_body"
-        )
-    return _diagonal([Fraction(2)] * 3, [-2 * beta * I[j] * I[k] for j, k in pairs])
-
-
-def _diagonal(of_m: list[Fraction], of_p: list[Fraction]) -> Quadratic:
-    return Quadratic([float(v) for v in (*of_m, *of_p)])
