@@ -2,18 +2,16 @@
 
 import numpy as np
 
-from coadjoint.program.modified_energy.second_order import part_derivatives
 
-
-def second_order_term(algebra, parts, points, order=None):
+def second_order_term(algebra, derivatives, points, order=None):
     """Return H2 of ``X1(h/2) ... Xn(h) ... X1(h/2)`` for parts in an order, at points (k, n).
 
     For a pair, A outside and D inside, H2 = -{A, {A, D}}/24 + {D, {D, A}}/12.
     """
-    gradients, hessians = part_derivatives(parts, points)
+    gradients, hessians = derivatives
     hessians = np.broadcast_to(hessians, (*gradients.shape, points.shape[1]))
     J = np.stack([algebra.structure_matrix(x) for x in points])
-    *outer, last = range(len(parts)) if order is None else order
+    *outer, last = range(len(gradients)) if order is None else order
     inside, inside_hessian, total = gradients[last], hessians[last], np.zeros(len(points))
     for p in reversed(outer):
         a, a_hessian = gradients[p], hessians[p]

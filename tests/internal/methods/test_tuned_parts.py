@@ -10,7 +10,12 @@ import coadjoint as co
 from coadjoint.methods.numerics.short_orbit import rate_at, short_orbit
 from coadjoint.methods.numerics.tuned_parts import PartOrderErrors
 from coadjoint.program.modified_energy.modified_series import leading_term
-from coadjoint.program.modified_energy.second_order import bracket_gradients, nested_brackets, order_weights
+from coadjoint.program.modified_energy.second_order import (
+    bracket_gradients,
+    nested_brackets,
+    order_weights,
+    part_derivatives,
+)
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.split import split
 from long import long_beyond
@@ -51,7 +56,7 @@ def test_brackets_with_weights_are_the_second_order_term(name):
     points = np.random.default_rng(1).standard_normal((4, system.dim))
     (values,) = nested_brackets(system.algebra, [parts], points)
     for order in list(permutations(range(len(parts))))[:24]:
-        term = second_order_term(system.algebra, parts, points, order)
+        term = second_order_term(system.algebra, part_derivatives(parts, points), points, order)
         found = np.einsum("ip,ipk->k", order_weights(order), values)
         size = np.einsum("ip,ipk->k", np.abs(order_weights(order)), np.abs(values))
         assert np.all(np.abs(found - term) <= 1e-13 * size)
