@@ -46,8 +46,8 @@ def shared(build: Callable[Arguments, Built]) -> Callable[Arguments, Built]:
     @wraps(build)
     def shared_or_built(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Built:
         # Types belong to the key, since 3.0 and True are equal to integers and are refused.
-        key = tuple((type(value), value) for value in args), frozenset((k, type(v), v) for k, v in kwargs.items())
         try:
+            key = tuple((type(v), v) for v in args), frozenset((k, type(v), v) for k, v in kwargs.items())
             built = in_use.get(key)
         except TypeError:  # arguments without a hash
             return build(*args, **kwargs)
