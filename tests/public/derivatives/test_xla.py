@@ -426,7 +426,7 @@ def test_ready_made_systems_agree_with_the_compiled_run():
         np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-13 * max(1.0, np.abs(wanted).max()), err_msg=name)
 
 
-SCHEMES = {str(one): one for name in co.methods.names() for one in getattr(co, name).examples()}
+SCHEMES = {str(one): one for name in co.methods.names() for one in co.methods.registry.scheme(name).examples()}
 
 
 @pytest.mark.thinned(4)
