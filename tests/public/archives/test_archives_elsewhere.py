@@ -97,6 +97,18 @@ def test_changed_archives_are_refused_as_local_ones(base, tmp_path, bucket, name
     assert refusals
 
 
+def test_an_archive_inside_a_zip_file_is_read(base, tmp_path):
+    packed = shutil.make_archive(str(tmp_path / "run"), "zip", base / "vector")
+    found, wanted = co.open_archive(f"zip://::{packed}"), co.open_archive(base / "vector")
+    assert np.array_equal(found.x, wanted.x) and found.drift() == wanted.drift()
+
+
+@pytest.mark.parametrize("read", [co.open_archive, co.resume])
+def test_what_is_no_place_of_an_archive_is_refused(read):
+    with refused(TypeError, "archive", "path"):
+        read({})
+
+
 def test_a_missing_chunk_is_named(base, bucket):
     url = copied(bucket, base / "finished")
     bucket.rm("/bucket/run.zarr/x/c.0.0")

@@ -269,7 +269,7 @@ ON_SATELLITES = {name.partition(" ")[0] for name in CASES}  # stored in tests of
 
 @pytest.mark.parametrize("name", [name for name in co.forces.names() if name not in {"OwnForce", *ON_SATELLITES}])
 def test_forced_runs_are_repeated_with_their_work(name, tmp_path):
-    force = getattr(co.forces, name)(*FORCES[name])
+    force = getattr(co.forces, name)(*FORCES.get(name, ()))
     fluid = name in ("Viscosity", "Friction", "BetaPlane", "RandomForcing")
     system, x = (co.systems.torus_euler(N=5), FLUID.random(1)) if fluid else (BODY, np.array(X))
     forced = system.with_forces(force)

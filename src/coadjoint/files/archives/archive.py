@@ -273,7 +273,10 @@ def read_marker(
 
 def read_location(value: Any) -> Location:
     """Validate the place from which an archive is read: a path, a URL, or a mapping of fsspec."""
-    return remote_folder(value) or read_archive_path(value)
+    found = remote_folder(value)
+    if found is None and not isinstance(value, str | os.PathLike):
+        raise TypeError(f"archive is {short(value)}; it must be a path, such as 'run.zarr', a URL, or a mapping of fsspec")
+    return found or read_archive_path(value)
 
 
 def read_archive_path(value: Any) -> Path:
