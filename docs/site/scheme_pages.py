@@ -57,9 +57,9 @@ def _page(name: str) -> Iterator[str]:
             f"| `{text_of(example)}` | {example.order} | {_yes(example.explicit)} | {_yes(example.symmetric)} | {own} |"
         )
     yield "\n## What it preserves, and its cost\n"
-    yield f"Of `{text_of(shown)}`, as declared; [certificates](../certificates.md) measure it."
+    yield f"`{text_of(shown)}` declares these properties; [certificates](../certificates.md) measure them."
     yield "The cost is the estimate for one step, in rotations of one pair of coordinates (about 11 ns on one core)."
-    yield "Of an implicit scheme it varies with the iterations.\n"
+    yield "The cost of an implicit scheme varies with its iterations.\n"
     yield "| system | Poisson map | energy | Casimirs | attitude | cost |\n|---|---|---|---|---|---|"
     for system in SYSTEMS:
         yield _row(shown, system)

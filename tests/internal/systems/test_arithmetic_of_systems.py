@@ -84,9 +84,7 @@ def test_the_noise_feeds_in_its_rate_and_each_mode_has_the_same_share(surface, l
     for band, eigenvalues in BANDS[surface].items():
         force = co.forces.RandomForcing(rate, band, seed=3, layer=layer)
         asked, squares = [], np.zeros(fluid.degrees.shape)
-        monkeypatch.setattr(
-            fluid_forces, "normal_deviates", lambda *a, asked=asked: asked.append(a) or np.zeros(a[-1])
-        )
+        monkeypatch.setattr(fluid_forces, "normal_deviates", lambda *a, asked=asked: asked.append(a) or np.zeros(a[-1]))
         np.testing.assert_array_equal(force.flow(s, x, 0.5, tau), x)
         (((seed, stream, moment, part, count)),) = asked
         assert (seed, stream, moment, part) == (3, 0, 0.5, 0)

@@ -275,7 +275,8 @@ def read_location(value: Any) -> Location:
     """Validate the place from which an archive is read: a path, a URL, or a mapping of fsspec."""
     found = remote_folder(value)
     if found is None and not isinstance(value, str | os.PathLike):
-        raise TypeError(f"archive is {short(value)}; it must be a path, such as 'run.zarr', a URL, or a mapping of fsspec")
+        hint = "it must be a path, such as 'run.zarr', a URL, or a mapping of fsspec"
+        raise TypeError(f"archive is {short(value)}; {hint}")
     return found or read_archive_path(value)
 
 
