@@ -70,12 +70,13 @@ def outcomes(location, shown):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_archives_are_read_from_urls_and_mappings(base, bucket, name):
+def test_archives_are_read_from_urls_and_mappings(base, tmp_path, bucket, name):
     url = copied(bucket, base / name, f"{name}.zarr")
     expected = outcomes(base / name, "HERE")
     assert not any(isinstance(result, str) for result in expected)
     local = (base / name).as_uri()
-    for location in (url, f"{url}/", f"simplecache::{url}", local, bucket.get_mapper(f"bucket/{name}.zarr")):
+    packed = "zip://::" + shutil.make_archive(str(tmp_path / "run"), "zip", base / name)
+    for location in (url, f"{url}/", f"simplecache::{url}", packed, local, bucket.get_mapper(f"bucket/{name}.zarr")):
         assert outcomes(location, "HERE") == expected
     found = co.open_archive(url)
     assert found.path == url and url in repr(found) and co.open_archive(local).path == base / name
@@ -95,18 +96,6 @@ def test_changed_archives_are_refused_as_local_ones(base, tmp_path, bucket, name
         assert outcomes(copied(bucket, folder), "HERE") == expected
         refusals += any(isinstance(result, str) for result in expected)
     assert refusals
-
-
-def test_an_archive_inside_a_zip_file_is_read(base, tmp_path):
-    packed = shutil.make_archive(str(tmp_path / "run"), "zip", base / "vector")
-    found, wanted = co.open_archive(f"zip://::{packed}"), co.open_archive(base / "vector")
-    assert np.array_equal(found.x, wanted.x) and found.drift() == wanted.drift()
-
-
-@pytest.mark.parametrize("read", [co.open_archive, co.resume])
-def test_what_is_no_place_of_an_archive_is_refused(read):
-    with refused(TypeError, "archive", "path"):
-        read({})
 
 
 def test_a_missing_chunk_is_named(base, bucket):
@@ -154,6 +143,7 @@ def test_runs_elsewhere_are_neither_written_nor_resumed(base, bucket, capsys):
     ("location", "error", "words"),
     [
         ("memory://bucket/nothing", ValueError, ["there is no archive"]),
+        ({}, TypeError, ["is {}", "path"]),
         ("protocol-without-a-name://bucket/run.zarr", ValueError, ["protocol-without-a-name"]),
         ("http://[::1/run.zarr", (ValueError, ImportError), ["http"]),
     ],

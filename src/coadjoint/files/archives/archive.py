@@ -273,16 +273,12 @@ def read_marker(
 
 def read_location(value: Any) -> Location:
     """Validate the place from which an archive is read: a path, a URL, or a mapping of fsspec."""
-    found = remote_folder(value)
-    if found is None and not isinstance(value, str | os.PathLike):
-        hint = "it must be a path, such as 'run.zarr', a URL, or a mapping of fsspec"
-        raise TypeError(f"archive is {short(value)}; {hint}")
-    return found or read_archive_path(value)
+    return remote_folder(value) or read_archive_path(value, "a path, such as 'run.zarr', a URL, or a mapping of fsspec")
 
 
-def read_archive_path(value: Any) -> Path:
+def read_archive_path(value: Any, wanted: str = "the path of a folder, such as 'run.zarr'") -> Path:
     """Validate the path of an archive that is written."""
-    hint = f"archive is {short(value)}; it must be the path of a folder, such as 'run.zarr'"
+    hint = f"archive is {short(value)}; it must be {wanted}"
     if not isinstance(value, str | os.PathLike):
         raise TypeError(hint)
     if is_url(value):

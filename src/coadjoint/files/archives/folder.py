@@ -184,7 +184,7 @@ class RemoteFolder:
     def names(self, folder: str) -> set[str]:
         """Return the names in a subfolder."""
         with _as_os_errors():
-            paths = self.filesystem.ls(f"{self.root}/{folder}", detail=False)
+            paths = self.filesystem.ls("/".join(filter(None, (self.root, folder))), detail=False)
             return {path.rstrip("/").rpartition("/")[2] for path in paths}
 
 
