@@ -18,7 +18,7 @@ from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.algebra.exact.sparse_sums import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.hamiltonians.separated_function import polynomial_arguments
+from coadjoint.systems.hamiltonians.separated_function import recorded_function
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 
@@ -136,7 +136,7 @@ def divided_gradient(term: FunctionTerm, products: Mapping[int, Product]) -> Div
     # The parts of the gradient are those by different polynomials of the coordinates, found by recording the function.
     index = {int(k): a for a, k in enumerate(term.coordinates)}
     own = {q: each for q, each in products.items() if each.state in index and each.column in index}
-    arguments = polynomial_arguments(term.value, len(index), term.timed) if own and not term.scalar else None
+    arguments = recorded_function(term.value, len(index), term.timed) if own and not term.scalar else None
     if arguments is None:
         return DividedGradient(term, (frozenset(),))
     by_rows: dict[frozenset[int], list[int]] = {}
