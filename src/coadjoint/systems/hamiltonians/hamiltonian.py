@@ -10,7 +10,8 @@ from typing import Any, NamedTuple, Protocol, Self, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.formulas import NotPolynomial, names_in, parse_polynomial
+from coadjoint.algebra.polynomials.formula_tree import names_in
+from coadjoint.algebra.polynomials.formulas import NotPolynomial, parse_polynomial
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial, read_dimension
 from coadjoint.keyword_hints import suggest_keywords

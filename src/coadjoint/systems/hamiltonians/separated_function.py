@@ -126,7 +126,7 @@ class RecordedFunction:
             return [(factor, inputs[0]), (factor if operation == "add" else -factor, inputs[1])]
         if operation == "neg":
             return [(-factor, inputs[0])]
-        numbers = [self.graph.numbers.get(k) for k in inputs]
+        numbers: list[Any] = [self.graph.numbers.get(k) for k in inputs]
         if operation == "mul" and numbers != [None, None]:
             inner, scaled = (inputs[1], numbers[0]) if numbers[1] is None else (inputs[0], numbers[1])
             scaled = factor * scaled

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -11,14 +12,16 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.formula_tree import parse_tree
-from coadjoint.algebra.polynomials.formulas import (
-    FUNCTIONS,
-    NOTATION,
+from coadjoint.algebra.polynomials.formula_tree import (
+    Coordinate,
+    FormulaTree,
     coordinates_and_parameters,
+    factors,
+    parse_tree,
     read_parameters,
-    value_at,
+    summands,
 )
+from coadjoint.algebra.polynomials.formulas import FUNCTIONS, NOTATION, Expansion
 from coadjoint.errors import in_one_line
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -86,6 +89,52 @@ def check_traceable(function: Callable[..., Any], n: int, timed: bool) -> None:
             f"the Hamiltonian returns an array of JAX of {result.dtype} and shape {result.shape}; it must return one "
             f"number of float64{'' if jax.config.jax_enable_x64 else X64}"
         )
+
+
+def value_at(tree: FormulaTree, x: Any) -> Any:
+    """Return the value of a formula at x, by arithmetic and functions of NumPy; numbers in it are rounded first."""
+    constants = Expansion(tree, 1)
+
+    def of(node: ast.expr) -> Any:
+        if not any(isinstance(part, ast.Name) and _is_coordinate(tree, part) for part in ast.walk(node)):
+            constant = constants.of(node)
+            return constant if isinstance(constant, int) else float(constant)
+        match node:
+            case ast.Name():
+                return x[tree.symbol(node).index]
+            case ast.UnaryOp(op=ast.USub()):
+                return -of(node.operand)
+            case ast.UnaryOp():
+                return of(node.operand)
+            case ast.Call(func=ast.Name() as function):
+                name = tree.symbol(function)
+                if len(node.args) != 1:
+                    raise tree.refused(f"has {name} of {len(node.args)} arguments; it takes one")
+                return getattr(np, FUNCTIONS[name][0])(of(node.args[0]))
+            case ast.BinOp(op=ast.Pow()):
+                return of(node.left) ** of(node.right)
+            case ast.BinOp(op=ast.Add() | ast.Sub()):
+                return total(summands(node))
+        (_, first), *others = factors(node)
+        product = of(first)
+        for divides, factor in others:
+            value = of(factor)
+            if divides and isinstance(value, int | float) and value == 0:
+                raise tree.refused("divides by zero")
+            product = product / value if divides else product * value
+        return product
+
+    def total(signed: Iterable[tuple[int, ast.expr]]) -> Any:
+        result: Any = 0
+        for sign, node in signed:
+            result = result + of(node) if sign > 0 else result - of(node)
+        return result
+
+    return total(tree.terms)
+
+
+def _is_coordinate(tree: FormulaTree, name: ast.Name) -> bool:
+    return isinstance(tree.symbol(name), Coordinate)
 
 
 class ParsedFunction:
