@@ -24,13 +24,9 @@ from coadjoint.systems.energy_derivatives import (
     functions_by_steps,
 )
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.hamiltonians.hamiltonian import (
-    FunctionOfConstants,
-    HamiltonianLike,
-    PolynomialHamiltonian,
-    as_hamiltonian,
-)
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants, HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
+from coadjoint.systems.hamiltonians.polynomial_hamiltonian import PolynomialHamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import (
     DISTANCE,

@@ -14,7 +14,9 @@ from coadjoint.algebra.exact.numbers import MAX_DIGITS, NUMBER, Constant, parse_
 from coadjoint.algebra.polynomials.monomials import read_coefficient
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names
 from coadjoint.errors import in_one_line
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short, short_rest
+from coadjoint.validation import read_integer, read_list
 
 MAX_CHARACTERS = 250_000
 MAX_NESTING = 60
@@ -25,6 +27,22 @@ NESTING_MESSAGE = "has brackets or signs that are nested too deeply"
 TERMS_PARSED_AT_ONCE = 256  # summands; keeps sums of any length from nesting
 MAX_QUOTED = 60  # letters of a formula in a message
 MAX_SHOWN_NAMES = 120  # letters of names in a message
+
+NOTATION = "write numbers, coordinates, parameters and operations on them, such as 0.5*x1^2 - x2*(x3 + 1)/3"
+FUNCTIONS: Mapping[str, tuple[str, str]] = {
+    "sin": ("sin", "sin"),
+    "cos": ("cos", "cos"),
+    "tan": ("tan", "tan"),
+    "atan": ("arctan", "atan"),
+    "exp": ("exp", "exp"),
+    "log": ("log", "log"),
+    "sqrt": ("sqrt", "sqrt"),
+    "sinh": ("sinh", "sinh"),
+    "cosh": ("cosh", "cosh"),
+    "tanh": ("tanh", "tanh"),
+}
+"""Function of formulas -> its names in NumPy and in python-flint."""
+BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 
 _WORD = r"[^\W\d]\w*(?:\[[\w, ]*\])?"
 NAME = re.compile(_WORD)
@@ -296,3 +314,23 @@ def names_and_parameters(text: str, dim: int, letter: str, numbers: Mapping[str,
         return Coordinate(index - 1)
 
     return value_of
+
+
+def check_syntax(text: str) -> None:
+    """Raise the ValueError of a formula that cannot be parsed, whatever its names mean."""
+    parse_tree(text, lambda name: Coordinate(0), FUNCTIONS, NOTATION)
+
+
+def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> int:
+    """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
+    if basis is None and dim is None:
+        check_syntax(text)
+        raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
+    names = () if basis is None else read_list(basis, "basis", "give a list of names")
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"basis is {short(basis)}; give different names, one for each coordinate")
+    count = read_integer(dim if basis is None else len(names), "dim of a Polynomial")
+    if dim is not None and count != dim:
+        raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
+    check_available_memory(BYTES_PER_EXPONENT * count, f"a formula of {short(count)} coordinates")
+    return count

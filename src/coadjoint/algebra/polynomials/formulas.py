@@ -13,7 +13,9 @@ from typing import Any, NamedTuple
 from coadjoint.algebra.exact.numbers import Constant, checked, is_finite, quotient, too_large
 from coadjoint.algebra.invariants.invariant import LogarithmicSum
 from coadjoint.algebra.polynomials.formula_tree import (
+    FUNCTIONS,
     MAX_QUOTED,
+    NOTATION,
     Coordinate,
     FormulaTree,
     coordinates_and_parameters,
@@ -41,21 +43,6 @@ BYTES_PER_EXPONENT = 8  # a reference in the key
 BITS_OF_CONSTANTS = 1400  # in which functions of numbers are computed, the range of float64 and 300 more
 
 _EXACT_NOTATION = "write whole numbers, names and operations on them, such as a*x1**2 - log(x2)/3"
-NOTATION = "write numbers, coordinates, parameters and operations on them, such as 0.5*x1^2 - x2*(x3 + 1)/3"
-FUNCTIONS: Mapping[str, tuple[str, str]] = {
-    "sin": ("sin", "sin"),
-    "cos": ("cos", "cos"),
-    "tan": ("tan", "tan"),
-    "atan": ("arctan", "atan"),
-    "exp": ("exp", "exp"),
-    "log": ("log", "log"),
-    "sqrt": ("sqrt", "sqrt"),
-    "sinh": ("sinh", "sinh"),
-    "cosh": ("cosh", "cosh"),
-    "tanh": ("tanh", "tanh"),
-}
-"""Function of formulas -> its names in NumPy and in python-flint."""
-
 _COMPARISONS: Mapping[type, Callable[[Any, Any], bool]] = {
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
@@ -77,11 +64,6 @@ def parse_polynomial(
     # Quotients of integers stay exact; products with floats are rounded in the order of the text.
     tree = parse_tree(text, coordinates_and_parameters(text, dim, names, parameters), FUNCTIONS, NOTATION)
     return Expansion(tree, dim).polynomial()
-
-
-def check_syntax(text: str) -> None:
-    """Raise the ValueError of a formula that cannot be parsed, whatever its names mean."""
-    parse_tree(text, lambda name: Coordinate(0), FUNCTIONS, NOTATION)
 
 
 def parse_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: str = "x") -> Formula:

@@ -22,6 +22,19 @@ def values_at(values: npt.NDArray[Any], index: npt.NDArray[Any]) -> npt.NDArray[
     return np.broadcast_to(values[:1], len(index)) if values.strides == (0,) and len(values) else values[index]
 
 
+def starts_of_rows(rows: npt.NDArray[Any], n: int) -> npt.NDArray[np.int64]:
+    """Return the starts of n compressed sparse rows whose entries have these rows."""
+    starts = np.zeros(n + 1, dtype=np.int64)
+    if len(rows):
+        np.cumsum(np.bincount(rows, minlength=n), out=starts[1:])
+    return starts
+
+
+def rows_of(starts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the row of every entry of compressed sparse rows."""
+    return np.repeat(np.arange(len(starts) - 1, dtype=np.int64), np.diff(starts))
+
+
 class RepeatedRows:
     """Compressed sparse rows of few shapes, with the attributes of `SparseRows`, which are expanded when read."""
 

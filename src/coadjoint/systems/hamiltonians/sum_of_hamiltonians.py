@@ -16,11 +16,12 @@ from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import (
     Hamiltonian,
     HamiltonianLike,
-    PolynomialHamiltonian,
     as_hamiltonian,
     is_plain_function,
 )
-from coadjoint.systems.hamiltonians.quadratic import BYTES_PER_ENTRY, Quadratic
+from coadjoint.systems.hamiltonians.matrix_entries import BYTES_PER_ENTRY
+from coadjoint.systems.hamiltonians.polynomial_hamiltonian import PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import Term, built_in

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import linear, quadratic
+from coadjoint.algebra.polynomials.quadratic_forms import of_entries
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, rows_of, starts_of_rows
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
 
@@ -79,19 +79,6 @@ def built_in(terms: Iterable[Term]) -> list[BuiltIn]:
     for term in terms:
         term.describe_to(reader)
     return found
-
-
-def starts_of_rows(rows: npt.NDArray[Any], n: int) -> npt.NDArray[np.int64]:
-    """Return the starts of n compressed sparse rows whose entries have these rows."""
-    starts = np.zeros(n + 1, dtype=np.int64)
-    if len(rows):
-        np.cumsum(np.bincount(rows, minlength=n), out=starts[1:])
-    return starts
-
-
-def rows_of(starts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the row of every entry of compressed sparse rows."""
-    return np.repeat(np.arange(len(starts) - 1, dtype=np.int64), np.diff(starts))
 
 
 @suggest_keywords
@@ -167,10 +154,7 @@ class QuadraticTerm:
 
     def to_polynomial(self) -> Polynomial:
         """Return the term as a polynomial."""
-        n = len(self.linear)
-        entries = zip(self.rows.tolist(), self.indices.tolist(), self.values.tolist(), strict=True)
-        squares = quadratic(((i, j, c / 2 if i == j else c) for i, j, c in entries if i <= j), n)
-        return squares + linear(dict(enumerate(self.linear.tolist())), n) + self.constant
+        return of_entries(self.rows, self.indices, self.values, self.linear, self.constant)
 
     def size_of_products(self, x: npt.NDArray[np.float64]) -> float:
         """Return a bound of the absolute products in a component of ``M x``."""

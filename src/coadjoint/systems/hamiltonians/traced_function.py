@@ -12,7 +12,7 @@ import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
-from coadjoint.systems.user_functions import MultipleOf
+from coadjoint.systems.user_functions import MultipleOf, without_multiples
 from coadjoint.validation import is_real
 
 DERIVED_MODULE = "derived_by_coadjoint"
@@ -180,13 +180,10 @@ class PicklableFunction(NamedTuple):
 
 def picklable_function(function: Any) -> Any:
     """Return a derived function, or a multiple of one, in a form that can be pickled; anything else unchanged."""
-    inner, multiples = function, []
-    while isinstance(inner, MultipleOf):
-        multiples.append((inner.factor, inner.scalar))
-        inner = inner.function
+    inner, multiples = without_multiples(function)
     if getattr(inner, "__module__", None) != DERIVED_MODULE:
         return function
-    return PicklableFunction(inner.__globals__["__source__"], tuple(reversed(multiples)))
+    return PicklableFunction(inner.__globals__["__source__"], tuple((one.factor, one.scalar) for one in multiples))
 
 
 def restored_function(function: Any) -> Any:

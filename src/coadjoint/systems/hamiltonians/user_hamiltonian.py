@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.formula_tree import (
+    FUNCTIONS,
+    NOTATION,
     Coordinate,
     FormulaTree,
     coordinates_and_parameters,
@@ -21,7 +23,7 @@ from coadjoint.algebra.polynomials.formula_tree import (
     read_parameters,
     summands,
 )
-from coadjoint.algebra.polynomials.formulas import FUNCTIONS, NOTATION, Expansion
+from coadjoint.algebra.polynomials.formulas import Expansion
 from coadjoint.errors import in_one_line
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
