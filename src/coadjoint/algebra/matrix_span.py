@@ -12,9 +12,16 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.exact.elimination import Span, Vector, add_multiple
-from coadjoint.algebra.exact.numbers import exact_number, is_finite, rounded
+from coadjoint.algebra.exact.numbers import (
+    Roots,
+    exact_number,
+    is_finite,
+    product_of_roots,
+    recognized_roots,
+    rounded,
+    rounded_sum,
+)
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats
-from coadjoint.algebra.exact.square_roots import Roots, product_of_roots, recognized_roots, rounded_sum
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF

@@ -26,8 +26,8 @@ from coadjoint.systems.energy_derivatives import (
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants, HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
-from coadjoint.systems.hamiltonians.polynomial_hamiltonian import PolynomialHamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.parameter_differences import (
     DISTANCE,
     MOST_DISTANCES,

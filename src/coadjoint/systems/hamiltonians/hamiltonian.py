@@ -18,9 +18,8 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
-from coadjoint.systems.hamiltonians.polynomial_hamiltonian import PolynomialHamiltonian, check_variables
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.summable import Summable
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summable, check_variables
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import (
     TracingError,

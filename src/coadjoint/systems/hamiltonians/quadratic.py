@@ -16,15 +16,18 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, plain, short
 from coadjoint.systems.evaluation import ProductSums, ignore_overflow, lossless_coefficients, read_point, scatter
-from coadjoint.systems.hamiltonians.matrix_entries import (
+from coadjoint.systems.hamiltonians.repeated_rows import (
     BYTES_PER_ENTRY,
     Entries,
+    RepeatedRows,
     check_symmetric,
     entries_of_polynomial,
     real_array,
+    repeated_rows,
+    rows_of,
     sparse_entries,
+    starts_of_rows,
 )
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, repeated_rows, rows_of, starts_of_rows
 from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Term
 from coadjoint.validation import read_finite, read_integer, read_number

@@ -19,11 +19,10 @@ from coadjoint.systems.hamiltonians.hamiltonian import (
     as_hamiltonian,
     is_plain_function,
 )
-from coadjoint.systems.hamiltonians.matrix_entries import BYTES_PER_ENTRY
-from coadjoint.systems.hamiltonians.polynomial_hamiltonian import PolynomialHamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.repeated_rows import BYTES_PER_ENTRY
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
-from coadjoint.systems.hamiltonians.summable import Summable
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summable
 from coadjoint.systems.hamiltonians.terms import Term, built_in
 from coadjoint.validation import is_real
 

@@ -156,10 +156,6 @@ class QuadraticTerm:
         """Return the term as a polynomial."""
         return of_entries(self.rows, self.indices, self.values, self.linear, self.constant)
 
-    def size_of_products(self, x: npt.NDArray[np.float64]) -> float:
-        """Return a bound of the absolute products in a component of ``M x``."""
-        return float(np.max(np.abs(self.values), initial=0.0) * np.abs(x).sum())
-
     def structure(self) -> tuple[Hashable, list[Any]]:
         """Return what tables depend on apart from coefficients, and the coefficients: linear ones and the entries."""
         return (self.piece, self.indptr.tobytes(), self.indices.tobytes()), [self.linear, self.values]
@@ -279,10 +275,6 @@ class PolynomialTerm:
         """Return the polynomial."""
         return self.polynomial
 
-    def size_of_products(self, x: npt.NDArray[np.float64]) -> float:
-        """Return 0: the size of the gradient is enough."""
-        return 0.0
-
     def structure(self) -> tuple[Hashable, list[Any]]:
         """Return the piece and the exponents, and the coefficients."""
         monomials = self.polynomial.monomials
@@ -376,10 +368,6 @@ class FunctionTerm:
 
     def to_polynomial(self) -> None:
         """Return None: it is no polynomial."""
-
-    def size_of_products(self, x: npt.NDArray[np.float64]) -> float:
-        """Return 0: the size of the gradient is enough."""
-        return 0.0
 
     def structure(self) -> tuple[Hashable, list[Any]]:
         """Return the piece, the coordinates and the functions, and no coefficients."""

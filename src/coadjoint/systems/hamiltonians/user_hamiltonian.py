@@ -198,7 +198,9 @@ def check_user_hamiltonian(H: Any, n: int) -> None:
             part = np.zeros((1, 1, n))
             term.add_gradients(part, x[None, None], [SAMPLE_TIME])
             total += part[0, 0]
-            size += term.size_of_products(x) + float(np.max(np.abs(part), initial=0.0))
+            size += float(np.max(np.abs(part), initial=0.0))
+            if term.form is not None:
+                size += float(np.max(np.abs(term.form.values), initial=0.0) * np.abs(x).sum())
         if not np.all(np.abs(total - declared) <= 2.0**10 * UNIT_ROUNDOFF * (size + np.abs(declared))):
             k = int(np.argmax(np.abs(total - declared)))
             raise ValueError(
