@@ -19,14 +19,7 @@ from coadjoint.algebra.exact.sparse_sums import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.separated_function import recorded_function
-from coadjoint.systems.hamiltonians.terms import (
-    BuiltIn,
-    FunctionTerm,
-    PolynomialTerm,
-    QuadraticTerm,
-    Term,
-    built_in,
-)
+from coadjoint.systems.hamiltonians.terms import BuiltIn, FunctionTerm, PolynomialTerm, QuadraticTerm, Term, built_in
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 
 Integers = NDArray[np.int64]

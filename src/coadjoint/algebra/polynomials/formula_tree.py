@@ -316,15 +316,10 @@ def names_and_parameters(text: str, dim: int, letter: str, numbers: Mapping[str,
     return value_of
 
 
-def check_syntax(text: str) -> None:
-    """Raise the ValueError of a formula that cannot be parsed, whatever its names mean."""
-    parse_tree(text, lambda name: Coordinate(0), FUNCTIONS, NOTATION)
-
-
 def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> int:
     """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
     if basis is None and dim is None:
-        check_syntax(text)
+        parse_tree(text, lambda name: Coordinate(0), FUNCTIONS, NOTATION)  # may be no formula at all
         raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
     names = () if basis is None else read_list(basis, "basis", "give a list of names")
     if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):

@@ -20,6 +20,8 @@ from coadjoint.systems.user_functions import check_derivative
 Pair = tuple[int, int]
 Monomials = dict[tuple[int, ...], Any]
 """The coordinates of each monomial, with multiplicity, to its coefficient."""
+Summands = dict[tuple[int, ...], list[tuple[Any, int]]]
+"""Coordinates to summands of them, with their factors."""
 
 MAX_MONOMIALS = 1000
 """Of a polynomial that is multiplied out."""
@@ -204,7 +206,7 @@ def separated(
     recorded = RecordedFunction(term.value, len(term.coordinates), term.timed)
     places = term.coordinates.tolist()
     total: Monomials = {}
-    functions: dict[tuple[int, ...], list[tuple[Any, int]]] = {}
+    functions: Summands = {}
     for factor, summand in recorded.summands():
         local = recorded.coordinates(summand)
         coordinates = [places[k] for k in local]
@@ -249,11 +251,9 @@ def _check_sum(term: FunctionTerm, terms: list[Term], n: int) -> None:
         raise TracingError("it is another function where its operations are recorded") from None
 
 
-def _joined(
-    functions: dict[tuple[int, ...], list[tuple[Any, int]]],
-) -> dict[tuple[int, ...], list[tuple[Any, int]]]:
+def _joined(functions: Summands) -> Summands:
     """Join functions of some coordinates to one of all of these and more, so that fewer are called."""
-    joined: dict[tuple[int, ...], list[tuple[Any, int]]] = {}
+    joined: Summands = {}
     for coordinates in sorted(functions, key=lambda names: (-len(names), names)):
         larger = next((names for names in joined if set(coordinates) <= set(names)), coordinates)
         joined.setdefault(larger, []).extend(functions[coordinates])

@@ -98,7 +98,7 @@ def value_at(tree: FormulaTree, x: Any) -> Any:
     constants = Expansion(tree, 1)
 
     def of(node: ast.expr) -> Any:
-        if not any(isinstance(part, ast.Name) and _is_coordinate(tree, part) for part in ast.walk(node)):
+        if not any(isinstance(part, ast.Name) and isinstance(tree.symbol(part), Coordinate) for part in ast.walk(node)):
             constant = constants.of(node)
             return constant if isinstance(constant, int) else float(constant)
         match node:
@@ -133,10 +133,6 @@ def value_at(tree: FormulaTree, x: Any) -> Any:
         return result
 
     return total(tree.terms)
-
-
-def _is_coordinate(tree: FormulaTree, name: ast.Name) -> bool:
-    return isinstance(tree.symbol(name), Coordinate)
 
 
 class ParsedFunction:
