@@ -108,17 +108,7 @@ class LieAlgebra(Structure, metaclass=Constructors):
             read_title(name, "name of a Lie algebra")
         triples = antisymmetric(parsed, size, names, complete)
         check_jacobi(triples, size, names)
-        if casimirs is not None and not isinstance(casimirs, Mapping):
-            raise TypeError(f"casimirs must be a mapping from names to functions, not {type(casimirs).__name__}")
-        for key, casimir in (casimirs or {}).items():
-            if not isinstance(key, str) or not isinstance(casimir, Polynomial | Invariant):
-                raise TypeError(
-                    f"casimirs has {short(key)}: {short(casimir)}; give a name, and a Polynomial or an Invariant"
-                )
-            if isinstance(casimir, Polynomial) and casimir.dim != size:
-                raise ValueError(
-                    f"casimirs has {short(key)} of {casimir.dim} variables; the algebra has dimension {size}"
-                )
+        _check_casimirs(casimirs, size)
         rho = None if representation is None else check_representation(representation, triples, size, names)
         self._store(triples, size, names, name, rho, casimirs or {})
 
@@ -383,57 +373,23 @@ class LieAlgebra(Structure, metaclass=Constructors):
     def __hash__(self) -> int:
         return hash((self._dim, *(column.tobytes() for column in self._triples)))
 
-    def casimirs(self, max_degree: int = 4) -> dict[str, Polynomial]:
-        """Find the polynomial Casimirs C, J(x) grad C(x) = 0, up to a degree, from the structure constants alone.
 
-        The homogeneous solutions of each degree form a linear space. A basis of it modulo the products of Casimirs of
-        lower degree is returned. So every polynomial Casimir up to `max_degree` is a polynomial in the ones returned.
-        They can be more than ``dim - generic_rank()``, with relations between them (A5,2 has C1 ... C4 for
-        three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
+def _check_casimirs(casimirs: Any, size: int) -> None:
+    """Raise an error for Casimirs that are not functions of the coordinates, by name."""
+    if casimirs is not None and not isinstance(casimirs, Mapping):
+        raise TypeError(f"casimirs must be a mapping from names to functions, not {type(casimirs).__name__}")
+    for key, casimir in (casimirs or {}).items():
+        if not isinstance(key, str) or not isinstance(casimir, Polynomial | Invariant):
+            raise TypeError(
+                f"casimirs has {short(key)}: {short(casimir)}; give a name, and a Polynomial or an Invariant"
+            )
+        dim = getattr(casimir, "dim", size)
+        if dim != size:
+            raise ValueError(f"casimirs has {short(key)} of {dim} variables; the algebra has dimension {size}")
 
-        If the constants round simple fractions (`coadjoint.algebra.exact.ranks`), the equations are solved
-        exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
-        clear gap (`coadjoint.algebra.exact.numerical_kernel`), and the coefficients are floats. Direct summands visible
-        in the basis are solved separately, equal ones once.
 
-        Parameters
-        ----------
-        max_degree : int, optional
-            Largest degree, from 1.
-
-        Returns
-        -------
-        dict of str to Polynomial
-            By degree and leading monomial: ``"C2"`` if there is one of degree 2, ``"C2_1", "C2_2"`` if there are two.
-            The Casimirs of one degree are the rows of a reduced row echelon form over the monomials in the order of
-            `Polynomial.monomials`, scaled to coprime integers with a positive leading one; in floats the leading
-            coefficient is 1. The repr of an empty result explains why it is empty.
-
-        Raises
-        ------
-        ValueError
-            `max_degree` is not a whole number from 1 up; a degree has more than 40 000 monomials in a summand, or more
-            coupled ones than fit a dense matrix; or rounded constants leave no clear gap.
-
-        See Also
-        --------
-        casimirs_known : Casimirs given with the algebra, of any kind.
-        generic_rank : for the number of independent Casimirs.
-
-        References
-        ----------
-        S. Reich, Numerical integration of the generalized Euler equations, section 2.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> co.algebras.so(4).casimirs()
-        {'C2_1': x1^2 + x2^2 + x3^2 + x4^2 + x5^2 + x6^2, 'C2_2': x1*x6 - x2*x5 + x3*x4}
-        """
-        from coadjoint.algebra.invariants.casimirs import EmptyCasimirs, casimirs
-
-        coordinates = names_of_basis(self.basis)
-        polynomials = {
-            key: casimir.named(coordinates) for key, casimir in casimirs(self._triples, self._dim, max_degree).items()
-        }
-        return polynomials or EmptyCasimirs(self._dim - self.generic_rank(), max_degree, list(self._casimirs))
+def read_algebra(argument: Any, rule: str) -> LieAlgebra:
+    """Return a Lie algebra; raise TypeError for anything else, with a rule that its type ends."""
+    if not isinstance(argument, LieAlgebra):
+        raise TypeError(f"{rule} a {type(argument).__name__}")
+    return argument

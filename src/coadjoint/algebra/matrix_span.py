@@ -5,16 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import check_algebra_memory
-from coadjoint.algebra.exact.elimination import Number, Span, Vector, add_multiple
-from coadjoint.algebra.exact.numbers import exact_number, is_finite, rounded
-from coadjoint.algebra.exact.ranks import as_fraction
+from coadjoint.algebra.exact.elimination import Span, Vector, add_multiple
+from coadjoint.algebra.exact.numbers import (
+    Roots,
+    exact_number,
+    is_finite,
+    product_of_roots,
+    recognized_roots,
+    rounded,
+    rounded_sum,
+)
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
@@ -22,17 +28,12 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import read_list, to_array
 
-MAX_RADICALS = 8  # square roots that are independent over the rationals, such as 1, sqrt(2), sqrt(3), sqrt(6)
-MAX_SQUARE = 10**4  # numerator and denominator of the square of a float that is recognized as a square root
-ROOT_ERROR = 4.0 * UNIT_ROUNDOFF  # of such a float: a root, a quotient and a product are rounded
 DISTANCE = 2.0**-40  # from a span, relative to the products in a commutator, below which a matrix belongs to it
 EXACT_INTEGERS = 2.0**53  # floats from here on are integers whatever was rounded
 PRECISION = 1024  # bits of the least squares
-ROOT_BITS = 512  # of square roots: far more than products of matrices lose
 MAX_DIM = 256  # of a closure
 BYTES_PER_NUMBER = 300  # of an exact number in a dictionary
 
-Roots = dict[int, Number]
 Entries = dict[tuple[int, int], Roots]
 Constants = list[tuple[int, int, int, float]]
 
@@ -81,7 +82,7 @@ def read_matrices(argument: Any) -> Matrices:
     certain = all(
         isinstance(part, int | Fraction) or (part.is_integer() and abs(part) < EXACT_INTEGERS) for part in parts
     )
-    roots = _recognized(parts)
+    roots = recognized_roots(parts)
     recognized = roots is not None
     entries, floats = [], np.zeros((len(arrays), size, size))
     for n, row in enumerate(numbers):
@@ -119,59 +120,6 @@ def _parts(value: Any, what: str) -> tuple[Any, Any]:
     return parts
 
 
-def _recognized(parts: list[Any]) -> dict[Any, Roots] | None:
-    """Return each number as a rational multiple of a square root; None if one is not recognized."""
-    found: dict[Any, Roots] = {}
-    radicals = {1}
-    for value in set(parts):
-        simple = value if isinstance(value, int | Fraction) else as_fraction(value)
-        found[value] = {1: simple} if simple is not None else _square_root(value)
-        if not found[value]:
-            return None
-        root = next(iter(found[value]))
-        if root not in radicals:
-            radicals |= {_product(root, other)[0] for other in radicals}
-            if len(radicals) > MAX_RADICALS:
-                return None
-    return found
-
-
-def _square_root(value: float) -> Roots:
-    """Return {m: q} if a float is q sqrt(m) to round-off, with a square q^2 m that is a simple fraction; else empty."""
-    square = (Fraction(value) ** 2).limit_denominator(MAX_SQUARE)
-    if not 0 < square.numerator <= MAX_SQUARE:
-        return {}
-    product, root, square_free = square.numerator * square.denominator, 1, 1
-    for prime in range(2, math.isqrt(product) + 1):
-        if prime * prime > product:
-            break
-        while product % (prime * prime) == 0:
-            product, root = product // prime**2, root * prime
-        if product % prime == 0:
-            product, square_free = product // prime, square_free * prime
-    factor = Fraction(root, square.denominator) * (1 if value > 0 else -1)
-    roots: Roots = {square_free * product: factor}
-    return roots if abs(_rounded(roots) - value) <= ROOT_ERROR * abs(value) else {}
-
-
-@lru_cache(maxsize=4096)
-def _product(a: int, b: int) -> tuple[int, int]:
-    """Return (m, s) with sqrt(a) sqrt(b) = s sqrt(m), for numbers without square factors."""
-    common = math.gcd(a, b)
-    return (a // common) * (b // common), common
-
-
-def _rounded(roots: Roots) -> float:
-    """Round a sum of rational multiples of square roots once."""
-    if all(root == 1 for root in roots):
-        return rounded(roots.get(1, 0))
-    total = sum(
-        (factor * Fraction(math.isqrt(root << (2 * ROOT_BITS)), 1 << ROOT_BITS) for root, factor in roots.items()),
-        start=Fraction(0),
-    )
-    return rounded(total)
-
-
 def _add_product(total: Entries, left: Entries, right: Entries, sign: int) -> None:
     by_row: dict[int, list[tuple[int, Roots]]] = {}
     for (row, column), value in right.items():
@@ -181,7 +129,7 @@ def _add_product(total: Entries, left: Entries, right: Entries, sign: int) -> No
             entry = total.setdefault((row, column), {})
             for p, u in a.items():
                 for q, v in b.items():
-                    root, factor = _product(p, q)
+                    root, factor = product_of_roots(p, q)
                     add_multiple(entry, sign * factor * u, {root: v})
 
 
@@ -201,7 +149,7 @@ class ExactSpan:
         for entries in matrices:
             for value in entries.values():
                 for root in value.keys() - found:
-                    found |= {_product(root, other)[0] for other in found}
+                    found |= {product_of_roots(root, other)[0] for other in found}
         self.roots = sorted(found)
         self._index = {root: number for number, root in enumerate(self.roots)}
         vectors = [self._vector(entries, root) for entries in matrices for root in self.roots]
@@ -218,7 +166,7 @@ class ExactSpan:
         vector: Vector = {}
         for (row, column), value in entries.items():
             for other, factor in value.items():
-                product, scale = _product(root, other)
+                product, scale = product_of_roots(root, other)
                 add_multiple(
                     vector, scale * factor, {(row * self._size + column) * len(self.roots) + self._index[product]: 1}
                 )
@@ -234,7 +182,7 @@ class ExactSpan:
             if value:
                 k, root = divmod(number, len(self.roots))
                 found.setdefault(k, {})[self.roots[root]] = value
-        return {k: _rounded(value) for k, value in found.items()}, 0.0
+        return {k: rounded_sum(value) for k, value in found.items()}, 0.0
 
 
 class NearestSpan:
@@ -372,7 +320,7 @@ def _shown(entries: Entries, given: Matrices) -> Any:
     """Return a matrix for messages: complex if the given ones are."""
     dense = np.zeros((given.size, given.size))
     for position, value in entries.items():
-        dense[position] = _rounded(value)
+        dense[position] = rounded_sum(value)
     if not given.complex:
         return dense
     d = given.size // 2
@@ -442,10 +390,10 @@ def closed(given: Matrices, names: list[str]) -> tuple[Constants, Floats, list[t
     floats[:generators] = given.floats
     for k in range(generators, len(matrices)):
         for position, value in matrices[k].items():
-            floats[(k, *position)] = _rounded(value)
+            floats[(k, *position)] = rounded_sum(value)
     return *spanned(given._replace(entries=matrices, floats=floats), names), added
 
 
 def _rounded_entries(entries: Entries) -> Entries:
-    values = {position: _rounded(value) for position, value in entries.items()}
+    values = {position: rounded_sum(value) for position, value in entries.items()}
     return {position: {1: exact_number(value)} for position, value in values.items() if value}

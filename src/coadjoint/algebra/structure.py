@@ -1,4 +1,4 @@
-"""Operations defined by structure constants: J(x), brackets, the coadjoint action, ranks, commuting basis elements."""
+"""Operations defined by structure constants: J(x), brackets, the coadjoint action, ranks, Casimirs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from coadjoint.algebra.exact.components import strongly_connected
 from coadjoint.algebra.exact.numbers import exact_numbers
 from coadjoint.algebra.exact.ranks import generic_rank
 from coadjoint.algebra.exact.sparse_sums import Integers, expand, groups
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.validation import not_numbers_error, read_integer, to_array
 
@@ -22,10 +24,12 @@ if TYPE_CHECKING:
 
 
 class Structure:
-    """Operations of the structure constants; a subclass sets `_dim` and `_triples`, sorted, unique, i < j."""
+    """Operations of the structure constants; a subclass sets `_dim`, names, and `_triples`, sorted, unique, i < j."""
 
     _dim: int
     _triples: Triples
+    _casimirs: dict[str, Any]
+    basis: Any
 
     @cached_property
     def _exact_constants(self) -> NDArray[Any]:
@@ -273,3 +277,58 @@ class Structure:
         row = indices[indptr[i] : indptr[i + 1]]
         position = int(np.searchsorted(row, j))
         return not (position < row.size and row[position] == j)
+
+    def casimirs(self, max_degree: int = 4) -> dict[str, Polynomial]:
+        """Find the polynomial Casimirs C, J(x) grad C(x) = 0, up to a degree, from the structure constants alone.
+
+        The homogeneous solutions of each degree form a linear space. A basis of it modulo the products of Casimirs of
+        lower degree is returned. So every polynomial Casimir up to `max_degree` is a polynomial in the ones returned.
+        They can be more than ``dim - generic_rank()``, with relations between them (A5,2 has C1 ... C4 for
+        three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
+
+        If the constants round simple fractions (`coadjoint.algebra.exact.ranks`), the equations are solved
+        exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
+        clear gap (`coadjoint.algebra.exact.numerical_kernel`), and the coefficients are floats. Direct summands visible
+        in the basis are solved separately, equal ones once.
+
+        Parameters
+        ----------
+        max_degree : int, optional
+            Largest degree, from 1.
+
+        Returns
+        -------
+        dict of str to Polynomial
+            By degree and leading monomial: ``"C2"`` if there is one of degree 2, ``"C2_1", "C2_2"`` if there are two.
+            The Casimirs of one degree are the rows of a reduced row echelon form over the monomials in the order of
+            `Polynomial.monomials`, scaled to coprime integers with a positive leading one; in floats the leading
+            coefficient is 1. The repr of an empty result explains why it is empty.
+
+        Raises
+        ------
+        ValueError
+            `max_degree` is not a whole number from 1 up; a degree has more than 40 000 monomials in a summand, or more
+            coupled ones than fit a dense matrix; or rounded constants leave no clear gap.
+
+        See Also
+        --------
+        casimirs_known : Casimirs given with the algebra, of any kind.
+        generic_rank : for the number of independent Casimirs.
+
+        References
+        ----------
+        S. Reich, Numerical integration of the generalized Euler equations, section 2.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.algebras.so(4).casimirs()
+        {'C2_1': x1^2 + x2^2 + x3^2 + x4^2 + x5^2 + x6^2, 'C2_2': x1*x6 - x2*x5 + x3*x4}
+        """
+        from coadjoint.algebra.invariants.casimirs import EmptyCasimirs, casimirs
+
+        coordinates = names_of_basis(self.basis)
+        polynomials = {
+            key: casimir.named(coordinates) for key, casimir in casimirs(self._triples, self._dim, max_degree).items()
+        }
+        return polynomials or EmptyCasimirs(self._dim - self.generic_rank(), max_degree, list(self._casimirs))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
-from coadjoint.systems.hamiltonians.hamiltonian import PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.registry import gallery_entry_of
 
 Function = TypeVar("Function")

@@ -24,14 +24,10 @@ from coadjoint.systems.energy_derivatives import (
     functions_by_steps,
 )
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.hamiltonians.hamiltonian import (
-    FunctionOfConstants,
-    HamiltonianLike,
-    PolynomialHamiltonian,
-    as_hamiltonian,
-)
+from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants, HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.parameter_differences import (
     DISTANCE,
     MOST_DISTANCES,

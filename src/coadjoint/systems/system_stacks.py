@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.forces.torque import is_constant_torque
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.hamiltonians.terms import Term, built_in
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs
 from coadjoint.systems.vanishing_products import without_cancelling
@@ -75,37 +75,9 @@ class SystemStack(NamedTuple):
         return joined if len(pieces) == 1 else joined.take(np.argsort(joined.numbers))
 
 
-class _Structure:
-    """Visitor that collects the structure of terms, and their coefficients."""
-
-    def __init__(self) -> None:
-        self.key: list[Hashable] = []
-        self.numbers: list[Any] = []
-        self.constant = 0.0
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        self.key.append((term.piece, term.indptr.tobytes(), term.indices.tobytes()))
-        self.numbers += [term.linear, term.values]
-        self.constant += float(term.constant)
-
-    def polynomial(self, term: PolynomialTerm) -> None:
-        monomials = term.polynomial.monomials
-        self.key.append((term.piece, tuple(monomials)))
-        self.numbers.append([float(value) for value in monomials.values()])
-
-    def function(self, term: FunctionTerm) -> None:
-        functions = term.value, term.gradient, term.hessian
-        self.key.append((term.piece, term.coordinates.tobytes(), *functions, term.scalar, term.timed))
-
-
 def counts_of(terms: Sequence[Term]) -> list[int]:
     """Return the number of coefficients of each term in a stack."""
-    counts = []
-    for term in terms:
-        structure = _Structure()
-        term.describe_to(structure)
-        counts.append(sum(map(len, structure.numbers)))
-    return counts
+    return [sum(len(numbers) for part in built_in([term]) for numbers in part.structure()[1]) for term in terms]
 
 
 def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
@@ -115,26 +87,28 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
     for m, system in enumerate(systems):
         if getattr(system, "_kind", None) is not LiePoissonSystem or system.dim > MAX_DIMENSION:
             continue
-        structure = _Structure()
-        for term in system.hamiltonian.terms():
-            term.describe_to(structure)
+        keys, coefficients, constant = list[Hashable](), list[Any](), 0.0
+        for term in built_in(system.hamiltonian.terms()):
+            structure, numbers = term.structure()
+            keys.append(structure)
+            coefficients += numbers
+            constant += float(term.constant)
+        coefficients.append((constant,))
         try:
-            key: Any = (*_algebra(system, known), type(system.hamiltonian), *structure.key)
-            chosen, columns = members.setdefault(key, ([], [[] for _ in range(len(structure.numbers) + 1)]))
+            key: Any = (*_algebra(system, known), type(system.hamiltonian), *keys)
+            chosen, columns = members.setdefault(key, ([], [[] for _ in coefficients]))
         except TypeError:  # functions that have no hash
             continue
         chosen.append(m)
-        for column, numbers in zip(columns, (*structure.numbers, (structure.constant,)), strict=True):
-            column.append(numbers)
+        for column, values in zip(columns, coefficients, strict=True):
+            column.append(values)
     stacks: list[SystemStack] = []
     for chosen, columns in members.values():
         if len(chosen) < 2:
             continue
-        coefficients = np.ascontiguousarray(
-            np.concatenate([np.array(column, dtype=np.float64).T for column in columns])
-        )
+        joined = np.ascontiguousarray(np.concatenate([np.array(column, dtype=np.float64).T for column in columns]))
         none = np.zeros((0, len(chosen)))
-        stack = SystemStack(systems, np.array(chosen), coefficients, coefficients, none, none)
+        stack = SystemStack(systems, np.array(chosen), joined, joined, none, none)
         groups = grouped(_presence(stack))
         pieces = [stack] if len(groups) == 1 else [stack.take(columns) for _, columns in groups]
         for piece in pieces:

@@ -52,6 +52,15 @@ class MultipleOf:
         return is_called_in_python(self.function)
 
 
+def without_multiples(function: Any) -> tuple[Any, list[MultipleOf]]:
+    """Return the function of which another one is a multiple, of multiples, and these, the innermost first."""
+    multiples: list[MultipleOf] = []
+    while isinstance(function, MultipleOf):
+        multiples.insert(0, function)
+        function = function.function
+    return function, multiples
+
+
 @dataclass(frozen=True)
 class SumOfShares:
     """A function of x as a sum: ``share(x, k)`` for each k below `shares`, which threads compute side by side."""

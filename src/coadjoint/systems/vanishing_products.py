@@ -18,8 +18,8 @@ from coadjoint.algebra.exact.numbers import exact_number
 from coadjoint.algebra.exact.sparse_sums import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.hamiltonians.separated_function import polynomial_arguments
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
+from coadjoint.systems.hamiltonians.separated_function import recorded_function
+from coadjoint.systems.hamiltonians.terms import BuiltIn, FunctionTerm, PolynomialTerm, QuadraticTerm, Term, built_in
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 
 Integers = NDArray[np.int64]
@@ -136,7 +136,7 @@ def divided_gradient(term: FunctionTerm, products: Mapping[int, Product]) -> Div
     # The parts of the gradient are those by different polynomials of the coordinates, found by recording the function.
     index = {int(k): a for a, k in enumerate(term.coordinates)}
     own = {q: each for q, each in products.items() if each.state in index and each.column in index}
-    arguments = polynomial_arguments(term.value, len(index), term.timed) if own and not term.scalar else None
+    arguments = recorded_function(term.value, len(index), term.timed) if own and not term.scalar else None
     if arguments is None:
         return DividedGradient(term, (frozenset(),))
     by_rows: dict[frozenset[int], list[int]] = {}
@@ -161,7 +161,7 @@ class FieldProducts(NamedTuple):
     # Rows (row, state, column, new column) of `changed`: -1 omits the product, from n on it takes a partial component
     # of the gradient: the sum of the entries of gradients (term, entry) in `partial`.
 
-    terms: tuple[QuadraticTerm | PolynomialTerm | FunctionTerm, ...]
+    terms: tuple[BuiltIn, ...]
     changed: Integers
     partial: tuple[tuple[tuple[int, int], ...], ...]
 
@@ -193,8 +193,8 @@ def without_cancelling(algebra: LieAlgebra, terms: Sequence[Term], coefficients:
     collected, products, chosen = _candidates(algebra, terms)
     if not len(chosen):
         return np.ones(coefficients.shape[1], dtype=bool)
-    forms = [term.form for term in collected.terms if term.form is not None]
-    if len(forms) < len(collected.terms):
+    forms = [term.form for term in collected if term.form is not None]
+    if len(forms) < len(collected):
         return np.zeros(coefficients.shape[1], dtype=bool)
     n, start = algebra.dim + 1, 0
     row, state, column, constant = (values[chosen] for values in products)
@@ -216,21 +216,20 @@ def without_cancelling(algebra: LieAlgebra, terms: Sequence[Term], coefficients:
     return np.all(np.abs(total) > CERTAIN * size, axis=0)
 
 
-def _candidates(algebra: LieAlgebra, terms: Sequence[Term]) -> tuple[_Collected, Products, Integers]:
+def _candidates(algebra: LieAlgebra, terms: Sequence[Term]) -> tuple[list[BuiltIn], Products, Integers]:
     """Return the forms of terms, the products of commuting coordinates, and those that may cancel."""
-    collected, products = _Collected(), commuting_products(algebra)
+    products = commuting_products(algebra)
     if not len(products.row):
-        return collected, products, np.zeros(0, dtype=np.int64)
-    for term in terms:
-        term.describe_to(collected)
+        return [], products, np.zeros(0, dtype=np.int64)
+    collected = built_in(terms)
     # A product cancels with another one of its row, and its coordinate is one that a gradient depends on.
     used = np.zeros(algebra.dim, dtype=bool)
-    for term in collected.terms:
+    for term in collected:
         used[term.used] = True
     chosen = np.flatnonzero(used[products.state] & used[products.column])
     chosen = chosen[np.bincount(products.row[chosen], minlength=algebra.dim)[products.row[chosen]] > 1]
-    if all(term.form is not None for term in collected.terms):
-        chosen = chosen[_repeated_monomials(algebra.dim, collected.terms, products, chosen)]
+    if all(term.form is not None for term in collected):
+        chosen = chosen[_repeated_monomials(algebra.dim, collected, products, chosen)]
     return collected, products, chosen
 
 
@@ -240,12 +239,12 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
     if not 0 < len(chosen) <= MAX_MONOMIALS:
         return None
     listed = {q: products.at(q) for q in chosen.tolist()}
-    separated: list[QuadraticTerm | PolynomialTerm | FunctionTerm] = []
+    separated: list[BuiltIn] = []
     # Entries of the gradient in each product, and whether their products are omitted.
     sources: dict[int, dict[tuple[int, int], bool]] = {q: {} for q in listed}
     candidates: list[tuple[int, tuple[int, int]]] = []
     found: list[tuple[int, int, list[GradientTerm], Any]] = []
-    for number, term in enumerate(collected.terms):
+    for number, term in enumerate(collected):
         if isinstance(term, FunctionTerm):
             one = divided_gradient(term, listed)
             size = len(term.coordinates)
@@ -293,18 +292,6 @@ def _repeated_monomials(n: int, terms: Sequence[Any], products: Products, chosen
     _, inverse, count = np.unique(np.concatenate(codes), return_inverse=True, return_counts=True)
     alone = np.bincount(owner, weights=count[inverse] == 1, minlength=len(chosen))
     return (alone == 0) & (np.bincount(owner, minlength=len(chosen)) > 0)
-
-
-class _Collected:
-    """Visitor that lists the forms of terms."""
-
-    def __init__(self) -> None:
-        self.terms: list[QuadraticTerm | PolynomialTerm | FunctionTerm] = []
-
-    def _add(self, term: Any) -> None:
-        self.terms.append(term)
-
-    quadratic = polynomial = function = _add
 
 
 def _gradient_monomials(

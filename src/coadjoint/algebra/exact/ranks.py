@@ -11,25 +11,12 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact.components import connected, parts
-from coadjoint.algebra.exact.numbers import exact_numbers
+from coadjoint.algebra.exact.numbers import as_fraction, exact_numbers
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, Integers, groups
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 MAX_DENSE_ROWS = 4000  # rows of a block that is eliminated as a dense matrix: at most 128 MB, a few seconds
 MIN_RANK_GAP = 2.0**10  # the smallest nonzero singular value must exceed round-off by this factor
-MAX_DENOMINATOR = 10**6
-# p/q is accepted if p q <= 2^45. About 0.3 * 2^45 / 2^52 such fractions round to the same float as a random number, so
-# one random number in 400 is mistaken for a fraction; the Jacobi identity must then confirm all fractions together.
-MAX_FRACTION_PRODUCT = 2**45
-
-
-def as_fraction(value: float) -> Fraction | None:
-    """Return the simple fraction that rounds to a float, or None: p/q with q <= 10^6 and p q <= 2^45, or an integer."""
-    simple = Fraction(value).limit_denominator(MAX_DENOMINATOR)
-    if float(simple) != value:
-        return None
-    plain = simple.denominator == 1 or abs(simple.numerator) * simple.denominator <= MAX_FRACTION_PRODUCT
-    return simple if plain else None
 
 
 def clear_denominators(values: list[Fraction]) -> NDArray[Any]:

@@ -59,6 +59,20 @@ class MatrixFamily(NamedTuple):
         """Return the number of independent Casimirs."""
         return (N // 2 if self.even else N - self.traceless) * (1 + self.has_complex_traces)
 
+    def adjoint(self, A: Matrix, q: int) -> Matrix:
+        """Return the adjoint, ``J^-1 A^T J``, conjugated if `conjugate`; the last `q` signs are negative."""
+        N, result = A.shape[-1], np.swapaxes(A, -1, -2)
+        signs = np.ones(N)
+        if self.form == "symplectic":
+            order = np.roll(np.arange(N), N // 2)
+            signs[N // 2 :] = -1.0
+            result = result[..., order[:, None], order]
+        else:
+            signs[N - q :] = -1.0
+        if self.conjugate:
+            result = np.conj(result)
+        return result if (signs > 0).all() else np.outer(signs, signs) * result
+
 
 KINDS = {
     "u": MatrixFamily(True, "diagonal", True, False, "skew-Hermitian"),
@@ -74,27 +88,6 @@ KINDS = {
 }
 INDEFINITE_KINDS = ("u", "su", "so")
 """Kinds that exist for forms of any signature."""
-
-
-class Adjoint:
-    """The adjoint by a form, ``J^-1 A^T J``, conjugated if `kind.conjugate`; the last `q` signs are negative."""
-
-    def __init__(self, kind: MatrixFamily, N: int, q: int) -> None:
-        self.conjugate, order, signs = kind.conjugate, np.arange(N), np.ones(N)
-        if kind.form == "symplectic":
-            order, signs[N // 2 :] = np.roll(order, N // 2), -1.0
-        else:
-            signs[N - q :] = -1.0
-        self._permuted = bool((order != np.arange(N)).any())
-        self._order, self._signs = order, None if (signs > 0).all() else np.outer(signs, signs)
-
-    def __call__(self, A: Matrix) -> Matrix:
-        result = np.swapaxes(A, -1, -2)
-        if self._permuted:
-            result = result[..., self._order[:, None], self._order]
-        if self.conjugate:
-            result = np.conj(result)
-        return result if self._signs is None else self._signs * result
 
 
 @suggest_keywords
@@ -302,7 +295,7 @@ class MatrixAlgebra:
             part = A[..., rows, rows]
             part = part if kind.complex else part.real
             if kind.form:
-                part = (part - Adjoint(kind, block.N, block.q)(part)) / 2
+                part = (part - kind.adjoint(part, block.q)) / 2
             if kind.traceless:
                 mean = np.trace(part, axis1=-2, axis2=-1) / block.N
                 mean = np.where(np.abs(mean) > spared * np.abs(part).max(axis=(-2, -1), initial=0.0), mean, 0.0)

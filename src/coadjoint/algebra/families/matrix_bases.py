@@ -20,45 +20,43 @@ Entry = tuple[int, int, int, float]
 Form = list[tuple[int, int, int | Fraction]]
 
 
-class SparseMatrices:
-    """Entries (number, row, column, value) of a list of sparse matrices, as arrays, matrix after matrix."""
-
-    def __init__(self, entries: Iterable[Entry]) -> None:
-        table = np.array(list(entries), dtype=np.float64).reshape(-1, 4)
-        table = table[np.argsort(table[:, 0], kind="stable")]
-        self.number, self.row, self.column = (column.astype(np.int64) for column in table.T[:3])
-        self.value: Floats = table[:, 3].copy()
+def sparse_matrices(entries: Iterable[Entry]) -> Triples:
+    """Return entries (number, row, column, value) of a list of sparse matrices as arrays, matrix after matrix."""
+    table = np.array(list(entries), dtype=np.float64).reshape(-1, 4)
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    number, row, column = (each.astype(np.int64) for each in table.T[:3])
+    return Triples(number, row, column, table[:, 3].copy())
 
 
-def commutator_constants(basis: SparseMatrices, coordinates: SparseMatrices, size: int) -> Triples:
+def commutator_constants(basis: Triples, coordinates: Triples, size: int) -> Triples:
     """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for a < b, unique and nonzero, of a sparse `basis`."""
     # Coordinate k of a matrix M is the sum of w_k[r, c] M[r, c], with w_k from `coordinates`. Exact if entries and
     # weights are small multiples of a power of two.
-    by_row, _ = groups(basis.row, basis.number)
-    by_column, _ = groups(basis.column, basis.number)
-    dim = int(basis.number.max(initial=0)) + 1
+    by_row, _ = groups(basis.j, basis.i)
+    by_column, _ = groups(basis.k, basis.i)
+    dim = int(basis.i.max(initial=0)) + 1
     joins: list[tuple[Integers, Integers]] = []
     # X_a X_b and X_b X_a for b > a: rows of X_b are joined with columns of X_a, then columns of X_b with rows of X_a.
-    for order, outer, middle in ((by_row, basis.row, basis.column), (by_column, basis.column, basis.row)):
-        key = (outer * dim + basis.number)[order]
-        start = np.searchsorted(key, middle * dim + basis.number, side="right")
+    for order, outer, middle in ((by_row, basis.j, basis.k), (by_column, basis.k, basis.j)):
+        key = (outer * dim + basis.i)[order]
+        start = np.searchsorted(key, middle * dim + basis.i, side="right")
         joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * dim), start)))
-    position = coordinates.row * size + coordinates.column
+    position = coordinates.j * size + coordinates.k
     weights, _ = groups(position)
     position = position[weights]
     cost = sum(stop - start for start, stop in joins)
     blocks: list[Triples] = []
-    for part in chunks(basis.number, np.asarray(cost, dtype=np.int64)):
+    for part in chunks(basis.i, np.asarray(cost, dtype=np.int64)):
         # p, q: entries of X_a and X_b in X_a X_b; r, s: in X_b X_a
         (p, q), (r, s) = (expand(start[part], stop[part]) for start, stop in joins)
         p, r, q, s = p + part.start, r + part.start, by_row[q], by_column[s]
-        first = np.concatenate([basis.number[p], basis.number[r]])
-        second = np.concatenate([basis.number[q], basis.number[s]])
-        target = np.concatenate([basis.row[p] * size + basis.column[q], basis.row[s] * size + basis.column[r]])
-        value = np.concatenate([basis.value[p] * basis.value[q], -basis.value[s] * basis.value[r]])
+        first = np.concatenate([basis.i[p], basis.i[r]])
+        second = np.concatenate([basis.i[q], basis.i[s]])
+        target = np.concatenate([basis.j[p] * size + basis.k[q], basis.j[s] * size + basis.k[r]])
+        value = np.concatenate([basis.c[p] * basis.c[q], -basis.c[s] * basis.c[r]])
         entry, match = expand(np.searchsorted(position, target), np.searchsorted(position, target, side="right"))
         weight = weights[match]
-        k, c = coordinates.number[weight], value[entry] * coordinates.value[weight]
+        k, c = coordinates.i[weight], value[entry] * coordinates.c[weight]
         blocks.append(_summed(first[entry], second[entry], k, c))
     return Triples(*(np.concatenate(column) for column in zip(*blocks, strict=True)))
 
@@ -73,12 +71,12 @@ def _summed(i: Integers, j: Integers, k: Integers, c: Floats) -> Triples:
     return Triples(i[representatives], j[representatives], k[representatives], total[nonzero])
 
 
-def matrices(basis: SparseMatrices, count: int, size: int) -> Floats | None:
+def matrices(basis: Triples, count: int, size: int) -> Floats | None:
     """Return the matrices as an array (count, size, size), or None above 128 MB."""
     if count * size**2 > MAX_REPRESENTATION_NUMBERS:
         return None
     result = np.zeros((count, size, size))
-    np.add.at(result, (basis.number, basis.row, basis.column), basis.value)
+    np.add.at(result, (basis.i, basis.j, basis.k), basis.c)
     return result
 
 
@@ -112,14 +110,14 @@ def matrix_algebra(
     >>> matrix_algebra("affine", affine, affine, 2, {})
     LieAlgebra('affine', dim=2: [e1, e2] = e2)
     """
-    sparse = SparseMatrices(basis)
-    dim = int(sparse.number.max()) + 1
+    sparse = sparse_matrices(basis)
+    dim = int(sparse.i.max()) + 1
     casimirs = {}
     if casimirs_fit(sum(map(len, forms.values())), dim):
         casimirs = {key: linear(dict.fromkeys(indices, 1), dim) for key, indices in (sums or {}).items()}
         casimirs |= {key: quadratic(form, dim) for key, form in forms.items()}
     # Matrix commutators satisfy all identities, and the matrices are a representation: no check is needed.
-    constants = commutator_constants(sparse, SparseMatrices(coordinates), size)
+    constants = commutator_constants(sparse, sparse_matrices(coordinates), size)
     return LieAlgebra._from_valid(constants, dim, read_basis(None, dim), name, matrices(sparse, dim, size), casimirs)
 
 

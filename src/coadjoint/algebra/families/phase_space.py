@@ -8,7 +8,7 @@ from math import comb
 import numpy as np
 
 from coadjoint.algebra.constants import Triples, check_algebra_memory
-from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, SparseMatrices, matrices
+from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, matrices, sparse_matrices
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
@@ -55,7 +55,7 @@ def heisenberg(n: int = 1) -> LieAlgebra:
     rho = None
     if (2 * n + 1) * (n + 2) ** 2 <= MAX_REPRESENTATION_NUMBERS:
         upper = [(i, 0, i + 1, 1.0) for i in range(n)] + [(n + i, i + 1, n + 1, 1.0) for i in range(n)]
-        rho = matrices(SparseMatrices([*upper, (2 * n, 0, n + 1, 1.0)]), 2 * n + 1, n + 2)
+        rho = matrices(sparse_matrices([*upper, (2 * n, 0, n + 1, 1.0)]), 2 * n + 1, n + 2)
     q = np.arange(n, dtype=np.int64)
     # All double brackets vanish, so the Jacobi identity holds.
     constants = Triples(q, q + n, np.full(n, 2 * n, dtype=np.int64), np.ones(n))
@@ -116,7 +116,7 @@ def moments(degree: int = 4) -> LieAlgebra:
     constants = Triples(first, second, image, c)
     # x20, x11 and x02 act on the (q, p) plane by traceless matrices.
     plane = [(0, 0, 1, -2.0), (1, 0, 0, -1.0), (1, 1, 1, 1.0), (2, 1, 0, 2.0)]
-    rho = matrices(SparseMatrices(plane), 3, 2) if degree == 2 else None
+    rho = matrices(sparse_matrices(plane), 3, 2) if degree == 2 else None
     names = tuple(moment_name(i, j) for i, j in powers)
     # The bracket is that of polynomials in q and p, so the Jacobi identity holds.
     return LieAlgebra._from_valid(constants, n, names, f"moments({degree})", rho, _casimirs(degree, n))

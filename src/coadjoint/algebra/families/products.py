@@ -11,8 +11,7 @@ import numpy as np
 from coadjoint.algebra.constants import BYTES_PER_CONSTANT, Triples, check_algebra_memory
 from coadjoint.algebra.exact.sparse_sums import Floats, groups
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS
-from coadjoint.algebra.invariants.invariant import LogarithmicInvariant
-from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.lie_algebra import LieAlgebra, read_algebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded
 from coadjoint.algebra.representation import check_representation
@@ -69,8 +68,7 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     ['|x|^2 [1]', '|x|^2 [2]', 'Pfaffian [2]']
     """
     for algebra in algebras:
-        if not isinstance(algebra, LieAlgebra):
-            raise TypeError(f"a direct sum is made of LieAlgebras, not of a {type(algebra).__name__}")
+        read_algebra(algebra, "a direct sum is made of LieAlgebras, not of")
     if not algebras:
         raise ValueError("a direct sum needs at least one algebra")
     begins = np.cumsum([0] + [algebra.dim for algebra in algebras]).tolist()
@@ -121,8 +119,7 @@ def copies(g: LieAlgebra, count: int) -> LieAlgebra:
     >>> lattice, lattice.triples.c.size, lattice.basis[3]
     (LieAlgebra('1000 so(3)', dim=3000, 3000 brackets), 3000, 'e1[2]')
     """
-    if not isinstance(g, LieAlgebra):
-        raise TypeError(f"copies are made of a LieAlgebra, not of a {type(g).__name__}")
+    read_algebra(g, "copies are made of a LieAlgebra, not of")
     count = read_integer(count, "count of copies(g, count)")
     c = g.triples.c
     # Names are made when they are read.
@@ -174,10 +171,9 @@ def _summand_casimirs(algebras: Sequence[LieAlgebra], begins: Sequence[int]) -> 
     result: dict[str, Any] = {}
     for number, (algebra, begin) in enumerate(zip(algebras, begins, strict=False), 1):
         for name, casimir in algebra.casimirs_known.items():
-            if isinstance(casimir, Polynomial):
-                result[f"{name} [{number}]"] = embedded(casimir, begin, dim)
-            elif isinstance(casimir, LogarithmicInvariant):
-                result[f"{name} [{number}]"] = casimir.changed(functools.partial(embedded, begin=begin, dim=dim))
+            placed = casimir._transformed(functools.partial(embedded, begin=begin, dim=dim))
+            if placed is not None:
+                result[f"{name} [{number}]"] = placed
     return result
 
 

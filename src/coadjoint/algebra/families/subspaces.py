@@ -13,8 +13,7 @@ from coadjoint.algebra.constants import read_basis
 from coadjoint.algebra.exact.elimination import Number, Span, Vector, add_multiple, read_vector
 from coadjoint.algebra.exact.numbers import exact_number, rounded
 from coadjoint.algebra.exact.sparse_sums import Floats
-from coadjoint.algebra.invariants.invariant import LogarithmicInvariant
-from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.lie_algebra import LieAlgebra, read_algebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.quadratic_forms import substituted
 from coadjoint.keyword_hints import suggest_keywords
@@ -30,8 +29,7 @@ Brackets = Mapping[tuple[int, int], Mapping[int, Number]]
 
 def _parse_vectors(g: LieAlgebra, argument: Any, what: str) -> list[Vector]:
     """Parse vectors of g, given as components or names of basis elements."""
-    if not isinstance(g, LieAlgebra):
-        raise TypeError(f"{what} belongs to a LieAlgebra, not to a {type(g).__name__}")
+    read_algebra(g, f"{what} belongs to a LieAlgebra, not to")
     if isinstance(argument, np.ndarray) and argument.dtype.kind == "U":
         argument = argument.tolist()
     if not isinstance(argument, list | tuple) and np.ndim(argument := to_array(argument, what)) == 0:
@@ -107,12 +105,10 @@ def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exa
 
     result: dict[str, Any] = {}
     for name, casimir in g.casimirs_known.items():
-        if isinstance(casimir, Polynomial):
-            form = changed(casimir)
-            if form.degree:
+        if len(rows) == dim or isinstance(casimir, Polynomial):
+            form = casimir._transformed(changed)
+            if form is not None and getattr(form, "degree", True):
                 result[name] = form
-        elif isinstance(casimir, LogarithmicInvariant) and len(rows) == dim:
-            result[name] = casimir.changed(changed)
     return result
 
 

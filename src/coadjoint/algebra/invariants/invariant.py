@@ -71,6 +71,10 @@ class Invariant:
             raise ValueError(f"period of an Invariant is {period!r}; it must not be negative")
         object.__setattr__(self, "period", period)
 
+    def _transformed(self, change: Callable[[Polynomial], Polynomial]) -> Any:
+        """Return None: in other coordinates a function of the user is not known."""
+        return None
+
     def gradient_and_size(self, x: Any) -> tuple[NDArray[Any], NDArray[Any], int]:
         """Return the gradient, its absolute values, and a bound of the operations: twenty bits may be lost."""
         assert self.gradient is not None
@@ -256,7 +260,7 @@ class LogarithmicInvariant(Invariant):
     def __reduce__(self) -> tuple[Any, ...]:
         return LogarithmicSum.invariant, (self.formula,)  # closures cannot be pickled; the formula can
 
-    def changed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicInvariant:
+    def _transformed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicInvariant:
         """Return the same invariant in other coordinates, see `LogarithmicSum.transformed`."""
         return self.formula.transformed(change).invariant()
 

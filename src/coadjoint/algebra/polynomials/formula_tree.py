@@ -4,13 +4,19 @@
 from __future__ import annotations
 
 import ast
+import math
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from coadjoint.algebra.exact.numbers import NUMBER, Constant, parse_number
+from coadjoint.algebra.exact.numbers import MAX_DIGITS, NUMBER, Constant, parse_number
+from coadjoint.algebra.polynomials.monomials import read_coefficient
+from coadjoint.algebra.polynomials.polynomial_format import coordinate_names
+from coadjoint.errors import in_one_line
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short, short_rest
+from coadjoint.validation import read_integer, read_list
 
 MAX_CHARACTERS = 250_000
 MAX_NESTING = 60
@@ -20,9 +26,27 @@ MAX_OPERATIONS = 1000
 NESTING_MESSAGE = "has brackets or signs that are nested too deeply"
 TERMS_PARSED_AT_ONCE = 256  # summands; keeps sums of any length from nesting
 MAX_QUOTED = 60  # letters of a formula in a message
+MAX_SHOWN_NAMES = 120  # letters of names in a message
+
+NOTATION = "write numbers, coordinates, parameters and operations on them, such as 0.5*x1^2 - x2*(x3 + 1)/3"
+FUNCTIONS: Mapping[str, tuple[str, str]] = {
+    "sin": ("sin", "sin"),
+    "cos": ("cos", "cos"),
+    "tan": ("tan", "tan"),
+    "atan": ("arctan", "atan"),
+    "exp": ("exp", "exp"),
+    "log": ("log", "log"),
+    "sqrt": ("sqrt", "sqrt"),
+    "sinh": ("sinh", "sinh"),
+    "cosh": ("cosh", "cosh"),
+    "tanh": ("tanh", "tanh"),
+}
+"""Function of formulas -> its names in NumPy and in python-flint."""
+BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 
 _WORD = r"[^\W\d]\w*(?:\[[\w, ]*\])?"
 NAME = re.compile(_WORD)
+_X = re.compile(r"x\d+")
 _TOKEN = re.compile(
     rf"\s*(?:(?P<number>{NUMBER})|(?P<name>{_WORD})|(?P<sign>\*\*|[<>=!]=|[-+*/^(),<>]))|\s*(?P<end>\Z)"
 )
@@ -223,3 +247,85 @@ class _Scanner:
     def _syntax_error(self, begin: int) -> ValueError:
         where = short_rest(self._text[begin:], MAX_QUOTED)
         return ValueError(f"{short(self._text, MAX_QUOTED)} cannot be parsed {where}; {self._notation}")
+
+
+def names_in(text: str, dim: int, names: Sequence[str] | None) -> Sequence[str] | None:
+    """Return the names of the coordinates if a text has one that is not among x1, x2, ...; otherwise None."""
+    if names is None:
+        return None
+    default, used = coordinate_names(dim), NAME.findall(text)
+    index = {name: k for k, name in enumerate(names)}
+    place = {name: k for k, name in enumerate(default)}
+    if not any(name in index and name not in place for name in used):
+        return None
+    for name in used:
+        if name in index and name in place and index[name] != place[name]:
+            raise ValueError(
+                f"{short(text)} has {name}, which is the name of coordinate {index[name]} and, in polynomials in "
+                f"x1, x2, ..., that of coordinate {place[name]}; give a list of [coefficient, [exponents]]"
+            )
+    return names
+
+
+def coordinates_and_parameters(
+    text: str, dim: int, names: Sequence[str] | None, parameters: Mapping[str, Any] | None
+) -> Callable[[str], Any]:
+    """Return the function from the names in a formula to coordinates and numbers; ``pi`` has its usual value."""
+    numbers = {} if parameters is None else read_parameters(parameters, names or ())
+    if names is None:
+        return names_and_parameters(text, dim, "x", {"pi": math.pi} | numbers)
+    places = {name: Coordinate(k) for k, name in reversed(list(enumerate(names)))}
+
+    def value_of(name: str) -> Any:
+        if name not in places and name not in numbers and name != "pi":
+            raise ValueError(
+                f"{short(text, MAX_QUOTED)} has {short(name, MAX_QUOTED)}; the coordinates are "
+                f"{in_one_line(', '.join(names), MAX_SHOWN_NAMES)}"
+                + (f", and the parameters {in_one_line(', '.join(numbers), MAX_QUOTED)}" if numbers else "")
+            )
+        return places[name] if name in places else numbers.get(name, math.pi)
+
+    return value_of
+
+
+def read_parameters(parameters: Mapping[str, Any], names: Sequence[str] = ()) -> dict[str, Constant]:
+    """Validate parameters of formulas; a name must be one word, and no coordinate."""
+    if not isinstance(parameters, Mapping):
+        raise TypeError(f"parameters are {short(parameters)}; give a mapping from names to numbers")
+    for name in parameters:
+        if not isinstance(name, str) or NAME.fullmatch(name) is None:
+            raise ValueError(f"a parameter is named {short(name)}; give a word of letters and digits")
+        if name in names or _X.fullmatch(name):
+            raise ValueError(f"the parameter {short(name)} has the name of a coordinate; give another one")
+    return {name: read_coefficient(value, f"the parameter {name}") for name, value in parameters.items()}
+
+
+def names_and_parameters(text: str, dim: int, letter: str, numbers: Mapping[str, Any]) -> Callable[[str], Any]:
+    """Return the function from the names in a formula to numbers, and to coordinates: a letter and their number."""
+
+    def value_of(name: str) -> Any:
+        if name[:1] != letter or not name[1:].isdecimal():
+            return numbers.get(name)
+        index = int(name[1:]) if len(name) <= MAX_DIGITS else 0
+        if not 1 <= index <= dim:
+            raise ValueError(
+                f"{short(text, MAX_QUOTED)} has the coordinate {name[:20]}; there are {letter}1 to {letter}{dim}"
+            )
+        return Coordinate(index - 1)
+
+    return value_of
+
+
+def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> int:
+    """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
+    if basis is None and dim is None:
+        parse_tree(text, lambda name: Coordinate(0), FUNCTIONS, NOTATION)  # may be no formula at all
+        raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
+    names = () if basis is None else read_list(basis, "basis", "give a list of names")
+    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"basis is {short(basis)}; give different names, one for each coordinate")
+    count = read_integer(dim if basis is None else len(names), "dim of a Polynomial")
+    if dim is not None and count != dim:
+        raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
+    check_available_memory(BYTES_PER_EXPONENT * count, f"a formula of {short(count)} coordinates")
+    return count

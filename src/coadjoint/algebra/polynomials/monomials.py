@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import exact_number, exact_numbers, is_finite
 from coadjoint.short_repr import short
-from coadjoint.validation import is_integer
+from coadjoint.validation import is_integer, read_integer
 
 Coefficient = int | float | Fraction
 Exponents = tuple[int, ...]
@@ -64,6 +64,32 @@ def read_coefficient(value: Any, what: str) -> Coefficient:
     if not is_finite(number):
         raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
     return number
+
+
+def read_monomials(monomials: Any, dim: Any) -> tuple[dict[Exponents, Coefficient], int]:
+    """Validate the monomials of a polynomial, and its dimension; without one, it is the number of exponents."""
+    if not isinstance(monomials, Mapping):
+        raise TypeError(
+            "monomials must be a mapping {exponents: coefficient}, or a text such as '0.5*x1^2 - x2*x3', not "
+            f"{type(monomials).__name__}"
+        )
+    if dim is not None:
+        dim = read_integer(dim, "dim of a Polynomial")
+    if not monomials and dim is None:
+        raise ValueError("dim must be given for a Polynomial without monomials")
+    collected: dict[Exponents, Coefficient] = {}
+    for key, value in monomials.items():
+        exponents = read_exponents(key)
+        if dim is None:
+            dim = len(exponents)
+        if len(exponents) != dim:
+            raise ValueError(
+                f"exponents {short(key)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
+            )
+        collected[exponents] = read_coefficient(value, f"the coefficient of {short(key)}")
+    if dim is None or dim < 1:
+        raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
+    return collected, int(dim)
 
 
 def differentiated(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from numbers import Rational
 from types import MappingProxyType
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import is_finite, quotient
+from coadjoint.algebra.polynomials.formula_tree import BYTES_PER_EXPONENT, read_dimension
 from coadjoint.algebra.polynomials.monomials import (
     Coefficient,
     Exponents,
@@ -20,20 +21,26 @@ from coadjoint.algebra.polynomials.monomials import (
     differentiated,
     exponents_of,
     read_coefficient,
-    read_exponents,
+    read_monomials,
 )
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
+from coadjoint.algebra.polynomials.polynomial_format import (
+    coordinate_names,
+    latex,
+    plain,
+    read_names,
+    special_names,
+    sympy_of,
+)
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import plain as plain_form
 from coadjoint.short_repr import short
-from coadjoint.validation import MAX_TITLE_LENGTH, read_integer, read_list, read_title, to_array
+from coadjoint.validation import read_integer, to_array
 
 # Values beyond float64 become infinite without a warning.
 IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
 MAX_DEGREE = 1024
 TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
-BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 
 
 @suggest_keywords
@@ -89,32 +96,11 @@ class Polynomial:
         if isinstance(monomials, str):
             monomials, dim = _read_text(monomials, dim, basis, parameters)
             if basis is not None:
-                self._names = _names_if_special(tuple(basis))
+                self._names = special_names(tuple(basis))
         elif basis is not None or parameters is not None:
             name, meaning = ("basis", "coordinates") if basis is not None else ("parameters", "numbers")
             raise TypeError(f"{name} is given with exponents; it names the {meaning} of a text, so omit it")
-        if not isinstance(monomials, Mapping):
-            raise TypeError(
-                "monomials must be a mapping {exponents: coefficient}, or a text such as '0.5*x1^2 - x2*x3', not "
-                f"{type(monomials).__name__}"
-            )
-        if dim is not None:
-            dim = read_integer(dim, "dim of a Polynomial")
-        if not monomials and dim is None:
-            raise ValueError("dim must be given for a Polynomial without monomials")
-        collected: dict[Exponents, Coefficient] = {}
-        for key, value in monomials.items():
-            exponents = read_exponents(key)
-            if dim is None:
-                dim = len(exponents)
-            if len(exponents) != dim:
-                raise ValueError(
-                    f"exponents {short(key)} have length {len(exponents)}; this Polynomial has dimension {short(dim)}"
-                )
-            collected[exponents] = read_coefficient(value, f"the coefficient of {short(key)}")
-        if dim is None or dim < 1:
-            raise ValueError("a Polynomial needs at least one coordinate; its exponents are empty")
-        self._fill(collected, int(dim))
+        self._fill(*read_monomials(monomials, dim))
 
     def _fill(self, monomials: Mapping[Exponents, Coefficient], dim: int) -> None:
         order = sorted(monomials, key=lambda e: (sum(e), tuple(map(operator.neg, e))))
@@ -170,13 +156,7 @@ class Polynomial:
 
     def named(self, names: Sequence[str]) -> Polynomial:
         """Return this polynomial with other names of the coordinates in its printed forms."""
-        given = read_list(names, "names", "give one name for each coordinate")
-        if len(given) != self._dim:
-            raise ValueError(f"names has {len(given)} entries; this Polynomial has {self._dim} coordinates")
-        if not _are_titles(given):
-            for name in given:
-                read_title(name, "a name of a coordinate")
-        special = _names_if_special(given)
+        special = special_names(read_names(names, self._dim))
         if special == self._names:
             return self
         if self._renamed is None or self._renamed._names != special:
@@ -184,6 +164,10 @@ class Polynomial:
             renamed.__dict__.update(self.__dict__, _names=special, _renamed=None)
             self._renamed = renamed
         return self._renamed
+
+    def _transformed(self, change: Callable[[Polynomial], Polynomial]) -> Polynomial:
+        """Return what `change` makes of it, the same function in other coordinates."""
+        return change(self)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_renamed"}
@@ -397,37 +381,6 @@ class Polynomial:
         """
         check_available_memory(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
-
-
-def _are_titles(names: tuple[Any, ...]) -> bool:
-    """Return whether `read_title` accepts all names; for speed, since each Casimir gets those of all spins."""
-    return (
-        set(map(type, names)) <= {str}
-        and all(names)
-        and "".join(names).isprintable()
-        and max(map(len, names)) <= MAX_TITLE_LENGTH
-    )
-
-
-def _names_if_special(names: tuple[str, ...]) -> tuple[str, ...] | None:
-    return None if all(name == f"x{i}" for i, name in enumerate(names, 1)) else names
-
-
-def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> int:
-    """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
-    if basis is None and dim is None:
-        from coadjoint.algebra.polynomials.formulas import check_syntax
-
-        check_syntax(text)
-        raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
-    names = () if basis is None else read_list(basis, "basis", "give a list of names")
-    if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):
-        raise ValueError(f"basis is {short(basis)}; give different names, one for each coordinate")
-    count = read_integer(dim if basis is None else len(names), "dim of a Polynomial")
-    if dim is not None and count != dim:
-        raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
-    check_available_memory(BYTES_PER_EXPONENT * count, f"a formula of {short(count)} coordinates")
-    return count
 
 
 def _read_text(

@@ -9,6 +9,7 @@ from typing import Any
 
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import require_packages
+from coadjoint.validation import MAX_TITLE_LENGTH, read_list, read_title
 
 Monomials = Mapping[tuple[int, ...], Coefficient]
 MAX_DIGITS = 6  # of numbers that are shown, as of format "g"
@@ -23,6 +24,28 @@ def coordinate_names(dim: int) -> list[str]:
 def names_of_basis(basis: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the coordinates for those of the basis elements; e1, e2, ... become x1, x2, ..."""
     return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
+
+
+def read_names(names: Any, dim: int) -> tuple[str, ...]:
+    """Validate names of the coordinates of a polynomial."""
+    given = read_list(names, "names", "give one name for each coordinate")
+    if len(given) != dim:
+        raise ValueError(f"names has {len(given)} entries; this Polynomial has {dim} coordinates")
+    # Each Casimir gets the names of all spins, which are tested together.
+    if not (
+        set(map(type, given)) <= {str}
+        and all(given)
+        and "".join(given).isprintable()
+        and max(map(len, given)) <= MAX_TITLE_LENGTH
+    ):
+        for name in given:
+            read_title(name, "a name of a coordinate")
+    return given
+
+
+def special_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
+    """Return names of coordinates; None if they are x1, ..., xn."""
+    return None if all(name == f"x{i}" for i, name in enumerate(names, 1)) else names
 
 
 def plain(monomials: Monomials, names: Sequence[str]) -> str:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
+from numpy.typing import NDArray
+
+from coadjoint.algebra.exact.numbers import quotient
 from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 
@@ -27,6 +31,20 @@ def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Poly
 def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
     """Return the sum of c_i x_i."""
     return Polynomial._from_valid({exponents_of((i,), dim): value for i, value in entries.items()}, dim)
+
+
+def of_entries(
+    rows: NDArray[Any], columns: NDArray[Any], entries: NDArray[Any], coefficients: NDArray[Any], constant: Coefficient
+) -> Polynomial:
+    """Return ``x . M x / 2 + coefficients . x + constant`` for entries of both triangles of M; exact if they are."""
+    n = len(coefficients)
+    monomials: dict[tuple[int, ...], Any] = {(0,) * n: constant}
+    for i, c in enumerate(coefficients.tolist()):
+        monomials[exponents_of((i,), n)] = c
+    for i, j, c in zip(rows.tolist(), columns.tolist(), entries.tolist(), strict=True):
+        if i <= j:
+            monomials[exponents_of((i, j), n)] = c if i < j else quotient(c, 2)
+    return Polynomial(monomials, dim=n)
 
 
 def substituted(p: Polynomial, rows: Sequence[Mapping[int, Coefficient]], dim: int) -> Polynomial:

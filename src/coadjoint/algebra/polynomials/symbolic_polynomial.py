@@ -80,8 +80,4 @@ class SymbolicPolynomial:
 
 
 def _exact(value: Any, name: str) -> Any:
-    return (
-        value
-        if isinstance(value, int | Fraction) and not isinstance(value, bool)
-        else exact_number(read_number(value, name))
-    )
+    return exact_number(value if type(value) in (int, Fraction) else read_number(value, name))

@@ -17,7 +17,8 @@ from coadjoint.algebra.brackets import parse_brackets
 from coadjoint.algebra.exact.numbers import TOO_LARGE, Constant, fits
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
-from coadjoint.algebra.polynomials.formulas import add_term, names_in, read_parameters, too_high
+from coadjoint.algebra.polynomials.formula_tree import names_in, read_parameters
+from coadjoint.algebra.polynomials.formulas import add_term, too_high
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis

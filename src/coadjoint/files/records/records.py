@@ -22,10 +22,11 @@ from coadjoint.short_repr import plain
 from coadjoint.systems.batch import Axis, Batch
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, formula_of
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, formula_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem

@@ -13,8 +13,9 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
 from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.program.numbers import Number, array_of, roundoff
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, PolynomialHamiltonian, as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.system import System
 
 

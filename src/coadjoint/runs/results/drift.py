@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.terms import built_in
 
 Floats = NDArray[np.float64]
 
@@ -118,29 +119,6 @@ def sum_of_absolute_terms(invariant: Any, x: Floats) -> Floats:
     if not terms:
         return np.zeros(())
     total = np.zeros(x.shape[:-1])
-    for term in terms:
-        total += term.describe_to(_AbsoluteSum(np.abs(x)))
+    for term in built_in(terms):
+        total += term.sum_of_absolute_values(np.abs(x))
     return total
-
-
-class _AbsoluteSum:
-    """Visitor of the terms of a Hamiltonian that returns the sums of their absolute values."""
-
-    def __init__(self, size: Floats) -> None:
-        self.size = size
-
-    def quadratic(self, term: Any) -> Floats:
-        x = self.size
-        # Contiguous rows are summed in the same order for one state and for many.
-        products = np.ascontiguousarray(x[..., term.rows] * np.abs(term.values) * x[..., term.indices])
-        linear = np.ascontiguousarray(np.abs(term.linear) * x)
-        return np.asarray(abs(term.constant) + np.sum(linear, axis=-1) + np.sum(products, axis=-1) / 2)
-
-    def polynomial(self, term: Any) -> Floats:
-        total = np.zeros(self.size.shape[:-1])
-        for exponents, coefficient in term.polynomial.monomials.items():
-            total += abs(float(coefficient)) * np.prod(self.size ** np.array(exponents), axis=-1)
-        return total
-
-    def function(self, term: Any) -> Floats:
-        return np.zeros(self.size.shape[:-1])

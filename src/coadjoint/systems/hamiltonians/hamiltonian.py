@@ -10,16 +10,17 @@ from typing import Any, NamedTuple, Protocol, Self, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.formulas import NotPolynomial, names_in, parse_polynomial
+from coadjoint.algebra.polynomials.formula_tree import names_in, read_dimension
+from coadjoint.algebra.polynomials.formulas import NotPolynomial, parse_polynomial
 from coadjoint.algebra.polynomials.monomials import Coefficient
-from coadjoint.algebra.polynomials.polynomial import Polynomial, read_dimension
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
-from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
+from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summable, check_variables
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import (
     TracingError,
     picklable_function,
@@ -35,7 +36,6 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import (
     is_array_of_jax,
 )
 from coadjoint.systems.user_functions import (
-    MultipleOf,
     SumOfShares,
     all_take_time,
     callable_from_compiled,
@@ -43,6 +43,7 @@ from coadjoint.systems.user_functions import (
     evaluate,
     multiple_of,
     sample_points,
+    without_multiples,
 )
 from coadjoint.validation import read_integer
 
@@ -287,74 +288,6 @@ class FunctionOfConstants(NamedTuple):
         return energy
 
 
-class PolynomialHamiltonian(Summable):
-    """A `Polynomial` as a Hamiltonian; `as_hamiltonian` makes it for degree three and higher."""
-
-    timed = False
-
-    def __init__(self, polynomial: Polynomial) -> None:
-        self.polynomial = polynomial
-        self.dim: int | None = polynomial.dim
-
-    def bind(self, n: int) -> PolynomialHamiltonian:
-        """Return itself; raise ValueError if n is not the number of variables."""
-        _check_variables(self.polynomial, n)
-        return self
-
-    def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor."""
-        return type(self)(factor * self.polynomial)
-
-    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
-        """Return the value of the polynomial at x."""
-        return self.polynomial(read_point(x, self.dim))
-
-    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the gradient, shape (n,)."""
-        return self.polynomial.gradient(read_point(x, self.dim))
-
-    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the second derivatives, shape (n, n)."""
-        return self.polynomial.hessian(read_point(x, self.dim))
-
-    def gradient_and_size(self, x: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
-        """Return that of the polynomial."""
-        return self.polynomial.gradient_and_size(x)
-
-    has_linear = True
-
-    def linear_part(self) -> npt.NDArray[np.float64]:
-        """Return the coefficients of the linear term, (n,)."""
-        linear = np.zeros(self.polynomial.dim)
-        for exponents, coefficient in self.polynomial.monomials.items():
-            if sum(exponents) == 1:
-                linear[exponents.index(1)] = float(coefficient)
-        return linear
-
-    def with_linear(self, linear: npt.NDArray[np.float64]) -> PolynomialHamiltonian:
-        """Return the polynomial with another linear part."""
-        monomials = {e: c for e, c in self.polynomial.monomials.items() if sum(e) != 1}
-        n = self.polynomial.dim
-        for k in np.flatnonzero(linear).tolist():
-            monomials[tuple(int(i == k) for i in range(n))] = float(linear[k])
-        return PolynomialHamiltonian(Polynomial(monomials, dim=n))
-
-    def terms(self) -> tuple[Term, ...]:
-        """Return the single `PolynomialTerm`."""
-        return (PolynomialTerm(self.polynomial),)
-
-    def __repr__(self) -> str:
-        text = repr(self.polynomial)
-        if len(text) > MAX_SHOWN_LENGTH:
-            text = f"{len(self.polynomial.monomials)} monomials in {self.dim} coordinates"
-        return f"PolynomialHamiltonian({text})"
-
-
-def _check_variables(polynomial: Polynomial, n: int, owner: str = "the system") -> None:
-    if polynomial.dim != n:
-        raise ValueError(f"the polynomial has {polynomial.dim} variables but {owner} has dimension {n}; give {n}")
-
-
 # Members of an ensemble share Casimirs, so the conversion is cached. Polynomials of floats and of integers can compare
 # equal, so the number types are part of the key.
 @lru_cache(maxsize=64)
@@ -423,11 +356,8 @@ def _of_formula(
 
 def formula_of(H: Any) -> tuple[ParsedFunction, tuple[Coefficient, ...]] | None:
     """Return the formula of a Hamiltonian and the factors that multiply it, in their order; None if it has none."""
-    function, factors = getattr(H, "_value", None), []
-    while isinstance(function, MultipleOf):
-        factors.append(function.factor)
-        function = function.function
-    return (function, tuple(reversed(factors))) if isinstance(function, ParsedFunction) else None
+    function, multiples = without_multiples(getattr(H, "_value", None))
+    return (function, tuple(one.factor for one in multiples)) if isinstance(function, ParsedFunction) else None
 
 
 def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[str] | None = None) -> HamiltonianLike:
@@ -438,13 +368,12 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[st
         except ValueError as reason:
             raise ValueError(f"the Hamiltonian {reason}") from None
     if isinstance(H, Polynomial):
-        _check_variables(H, n, owner)
+        check_variables(H, n, owner)
         if H.degree > 2:
             return PolynomialHamiltonian(H)
-        monomials = H.monomials
-        if len(monomials) > MAX_CACHED_MONOMIALS:
+        if len(H.monomials) > MAX_CACHED_MONOMIALS:
             return Quadratic.from_polynomial(H)
-        return _quadratic(H, tuple(map(type, monomials.values())))
+        return _quadratic(H, tuple(map(type, H.monomials.values())))
     # A Quadratic is one, and the test of a protocol takes much of the time to make a small system.
     if isinstance(H, type) or not (type(H) is Quadratic or isinstance(H, HamiltonianLike)):
         missing = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]

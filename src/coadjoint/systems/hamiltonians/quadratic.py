@@ -4,34 +4,35 @@ from __future__ import annotations
 
 import copy
 from fractions import Fraction
-from typing import Any, NamedTuple, Self, cast
+from typing import Any, Self, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.exact.sparse_sums import distinct
-from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
+from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.quadratic_forms import of_entries
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, plain, short
 from coadjoint.systems.evaluation import ProductSums, ignore_overflow, lossless_coefficients, read_point, scatter
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, repeated_rows
+from coadjoint.systems.hamiltonians.repeated_rows import (
+    BYTES_PER_ENTRY,
+    Entries,
+    RepeatedRows,
+    check_symmetric,
+    entries_of_polynomial,
+    real_array,
+    repeated_rows,
+    rows_of,
+    sparse_entries,
+    starts_of_rows,
+)
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Term, rows_of, starts_of_rows
-from coadjoint.validation import REAL_KINDS, read_finite, read_integer, read_number, to_array
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Term
+from coadjoint.validation import read_finite, read_integer, read_number
 
 UNBOUND = "Quadratic of a number has no dimension yet; call bind(n) first"
-
-
-class Entries(NamedTuple):
-    """The entries of a quadratic Hamiltonian: rows, columns and values of M, and the linear part."""
-
-    rows: npt.NDArray[np.int64]
-    columns: npt.NDArray[np.int64]
-    entries: npt.NDArray[Any]
-    linear: npt.NDArray[Any]
 
 
 @suggest_keywords
@@ -80,6 +81,7 @@ class Quadratic(Summable):
     """
 
     timed = False
+    _terms: tuple[Term, ...] | None = None
 
     def __init__(self, M: Any, linear: npt.ArrayLike | None = None, constant: Any = 0.0) -> None:
         self._linear: npt.NDArray[Any] | None = None if linear is None else real_array(linear, "linear")
@@ -150,9 +152,8 @@ class Quadratic(Summable):
         """Return the Hamiltonian of a symmetric matrix without zeros: repeated rows, or starts, columns and values."""
         quadratic = cls(np.zeros(1))
         repeated = rows if isinstance(rows, RepeatedRows) else repeated_rows(*rows)
-        n = len(repeated.shape) if repeated is not None else len(cast(Any, rows)[0]) - 1
-        quadratic.dim, quadratic._repeated = n, repeated
-        quadratic._sparse = None if repeated is not None else cast(Any, rows)
+        quadratic._repeated, quadratic._sparse = repeated, None if repeated is not None else cast(Any, rows)
+        quadratic.dim = n = len(repeated.shape) if repeated is not None else len(cast(Any, rows)[0]) - 1
         quadratic._linear = np.broadcast_to(0.0, n) if linear is None else real_array(linear, "linear")
         for array in (*(quadratic._sparse or ()), quadratic._linear):
             array.flags.writeable = False
@@ -189,29 +190,8 @@ class Quadratic(Summable):
             raise TypeError(f"the polynomial is {short(polynomial)}; give a Polynomial")
         if polynomial.degree > 2:
             raise ValueError(f"the polynomial has degree {polynomial.degree}; a quadratic Hamiltonian has at most 2")
-        n = polynomial.dim
-        exact = not all(isinstance(c, float) for c in polynomial.monomials.values())
-        kind: Any = object if exact else np.float64
-        linear = np.full(n, 0, dtype=kind)
-        constant: Any = 0.0
-        rows: list[int] = []
-        columns: list[int] = []
-        entries: list[Any] = []
-        for exponents, coefficient in polynomial.monomials.items():
-            factors = factors_of(exponents)
-            if len(factors) == 2:
-                i, j = factors
-                rows += [i] if i == j else [i, j]
-                columns += [i] if i == j else [j, i]
-                entries += [2 * coefficient] if i == j else [coefficient, coefficient]
-            elif len(factors) == 1:
-                linear[factors[0]] = coefficient
-            else:
-                constant = coefficient
-        packed = np.empty(len(entries), dtype=kind)
-        packed[:] = entries
-        positions = np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64)
-        return cls.from_entries(n, *positions, packed, linear, constant)
+        entries, constant = entries_of_polynomial(polynomial)
+        return cls.from_entries(polynomial.dim, *entries, constant)
 
     @classmethod
     def from_entries(
@@ -255,17 +235,7 @@ class Quadratic(Summable):
         >>> Quadratic([[1.0, -1.0], [-1.0, 0.0]], linear=[0.0, 3.0]).to_polynomial()
         3.0*x2 + 0.5*x1^2 - x1*x2
         """
-        rows, columns, entries, linear = (array.tolist() for array in self.as_given())
-        unit = [0] * len(linear)
-        monomials: dict[tuple[int, ...], Any] = {tuple(unit): self._constant}
-        for i, c in enumerate(linear):
-            monomials[(*unit[:i], 1, *unit[i + 1 :])] = c
-        for i, j, c in zip(rows, columns, entries, strict=True):
-            if i == j:
-                monomials[(*unit[:i], 2, *unit[i + 1 :])] = c / 2 if isinstance(c, float) else Fraction(c) / 2
-            elif i < j:
-                monomials[(*unit[:i], 1, *unit[i + 1 : j], 1, *unit[j + 1 :])] = c
-        return Polynomial(monomials, dim=len(linear))
+        return of_entries(*self.as_given(), self._constant)
 
     def bind(self, n: int) -> Quadratic:
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix."""
@@ -280,12 +250,10 @@ class Quadratic(Summable):
     def check_dimension(self, n: int, owner: str = "the system") -> None:
         """Raise ValueError if the dimension of M is not n, that of `owner`; a number as M has any dimension."""
         if self.dim not in (None, read_integer(n, "the dimension")):
-            raise ValueError(f"{self._size()}; {owner} has dimension {n}; give {n}")
-
-    def _size(self) -> str:
-        """Describe the size of M in the form in which it was probably given."""
-        diagonal = np.array_equal(self._rows, self._indices)
-        return f"M has {self.dim} entries" if diagonal else f"M is {self.dim} x {self.dim}"
+            # The size of M in the form in which it was probably given.
+            diagonal = np.array_equal(self._rows, self._indices)
+            size = f"has {self.dim} entries" if diagonal else f"is {self.dim} x {self.dim}"
+            raise ValueError(f"M {size}; {owner} has dimension {n}; give {n}")
 
     @property
     def scalar(self) -> Any:
@@ -324,8 +292,7 @@ class Quadratic(Summable):
     def linear_part(self) -> npt.NDArray[np.float64]:
         """Return the coefficients of the linear term, (n,)."""
         (term,) = self.terms()
-        assert term.form is not None
-        return np.array(term.form.linear)
+        return np.array(cast(QuadraticTerm, term).linear)
 
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
         """Return the same bound Hamiltonian with another linear part; M is shared."""
@@ -349,8 +316,7 @@ class Quadratic(Summable):
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return ``x . M x / 2 + linear . x + constant``."""
         bound, y = self._at(x)
-        linear = bound._linear_part(y)
-        half = bound._product(y)
+        linear, half = bound._linear_part(y), bound._product(y)
         if y.dtype != object:
             return (0.5 * (half @ y) + linear @ y + float(bound._constant)).item()
         constant = lossless_coefficients(np.array([bound._constant], dtype=object), y)[0]
@@ -406,17 +372,14 @@ class Quadratic(Summable):
             self._terms = self._new_terms()
         return self._terms
 
-    _terms: tuple[Term, ...] | None = None
-
     def _new_terms(self) -> tuple[Term, ...]:
-        if self._repeated is not None and self._linear is not None:
-            linear = self._linear.astype(np.float64, copy=False)
-            return (RepeatedTerm(self._repeated, linear, float(self._constant)),)
-        if self._sparse is None or self._linear is None:
+        if self._linear is None:
             raise TypeError(UNBOUND)
-        starts, columns, entries = self._sparse
-        floats = entries.astype(np.float64, copy=False), self._linear.astype(np.float64, copy=False)
-        return (QuadraticTerm(starts, columns, *floats, float(self._constant)),)
+        linear, constant = self._linear.astype(np.float64, copy=False), float(self._constant)
+        if self._repeated is not None:
+            return (RepeatedTerm(self._repeated, linear, constant),)
+        starts, columns, entries = cast(Any, self._sparse)
+        return (QuadraticTerm(starts, columns, entries.astype(np.float64, copy=False), linear, constant),)
 
     def __repr__(self) -> str:
         if self._scalar is not None:
@@ -438,58 +401,3 @@ class Quadratic(Summable):
 @plain.register(Quadratic)
 def _(value: Quadratic) -> Any:
     return plain(value.to_polynomial())
-
-
-BYTES_PER_ENTRY = 100  # peak, while entries are sorted and compared with the transposed ones
-SPARSE = "give a sparse matrix, or a diagonal"
-
-
-def real_array(argument: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
-    """Return a copy as float64, or as objects if it contains fractions; raise an error unless real and finite."""
-    array = to_array(argument, name)
-    check_available_memory(BYTES_PER_ENTRY * array.size, f"{name} of shape {array.shape}", SPARSE)
-    floats = read_finite(array, name)
-    if array.dtype != object:
-        return floats
-    exact = np.empty(array.shape, dtype=object)
-    # NumPy integers in an array of objects would overflow silently.
-    for index, entry in np.ndenumerate(array):
-        exact[index] = entry.item() if isinstance(entry, np.generic) else entry
-    return exact
-
-
-def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], bool]:
-    """Return n, rows, columns and values of a SciPy sparse matrix, sorted by rows, and whether it is symmetric."""
-    if M.ndim != 2 or M.shape[0] != M.shape[1]:
-        raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
-    check_available_memory(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")
-    csr = M.tocsr().copy()
-    csr.sum_duplicates()
-    csr.eliminate_zeros()
-    if csr.dtype.kind not in REAL_KINDS:
-        raise TypeError(f"M has numbers of type {csr.dtype}; give real numbers")
-    n, entries = int(M.shape[0]), csr.data.astype(np.float64)
-    rows = np.repeat(np.arange(n, dtype=np.int64), np.diff(csr.indptr))
-    bad = np.flatnonzero(~np.isfinite(entries))
-    if bad.size:
-        raise ValueError(f"M[{rows[bad[0]]}, {csr.indices[bad[0]]}] is {entries[bad[0]]}; give finite numbers")
-    transposed = csr.transpose().tocsr()
-    pairs = ((transposed.indptr, csr.indptr), (transposed.indices, csr.indices), (transposed.data, csr.data))
-    return n, rows, csr.indices, entries, all(np.array_equal(a, b) for a, b in pairs)
-
-
-def check_symmetric(n: int, rows: npt.NDArray[Any], columns: npt.NDArray[Any], values: npt.NDArray[Any]) -> None:
-    """Raise ValueError for asymmetry beyond 64 u of the largest entry, the round-off of a computed symmetric matrix."""
-    above, below = rows < columns, rows > columns
-    upper, lower = rows[above] * n + columns[above], columns[below] * n + rows[below]
-    positions = distinct(np.concatenate([upper, lower]))
-    first, second = np.zeros(positions.size), np.zeros(positions.size)
-    first[np.searchsorted(positions, upper)] = values[above]
-    second[np.searchsorted(positions, lower)] = values[below]
-    bad = np.flatnonzero(np.abs(first - second) > 64 * UNIT_ROUNDOFF * np.abs(values).max(initial=0.0))
-    if bad.size:
-        i, j = divmod(int(positions[bad[0]]), n)
-        raise ValueError(
-            f"M is not symmetric: M[{i}, {j}] = {first[bad[0]]:g} but M[{j}, {i}] = {second[bad[0]]:g}; "
-            "give both the same value"
-        )

@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from types import SimpleNamespace
+from typing import Any, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.quadratic_forms import of_entries
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, rows_of, starts_of_rows
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
-
-
-class TermReader(Protocol):
-    """Interface of visitors of the terms of a Hamiltonian, which build tables or parts of a splitting."""
-
-    def quadratic(self, term: QuadraticTerm) -> Any:
-        """Visit a quadratic term."""
-
-    def polynomial(self, term: PolynomialTerm) -> Any:
-        """Visit a polynomial term."""
-
-    def function(self, term: FunctionTerm) -> Any:
-        """Visit a function term."""
 
 
 class Term(Protocol):
@@ -76,21 +65,20 @@ class Term(Protocol):
     def add_gradients(self, total: npt.NDArray[np.float64], x: npt.NDArray[np.float64], times: Sequence[float]) -> None:
         """Add the gradients at states (points, members, n) and at the time of each point to `total`."""
 
-    def describe_to(self, reader: TermReader) -> Any:
-        """Pass the term to a reader, in one or several of its forms; return the last result."""
+    def describe_to(self, reader: Any) -> Any:
+        """Pass the term to `quadratic`, `polynomial` or `function` of a reader, in one or several of its forms."""
 
 
-def starts_of_rows(rows: npt.NDArray[Any], n: int) -> npt.NDArray[np.int64]:
-    """Return the starts of n compressed sparse rows whose entries have these rows."""
-    starts = np.zeros(n + 1, dtype=np.int64)
-    if len(rows):
-        np.cumsum(np.bincount(rows, minlength=n), out=starts[1:])
-    return starts
+BuiltIn: TypeAlias = "QuadraticTerm | PolynomialTerm | FunctionTerm"
 
 
-def rows_of(starts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """Return the row of every entry of compressed sparse rows."""
-    return np.repeat(np.arange(len(starts) - 1, dtype=np.int64), np.diff(starts))
+def built_in(terms: Iterable[Term]) -> list[BuiltIn]:
+    """Return the forms in which terms, which may be of a user-defined type, describe themselves."""
+    found: list[BuiltIn] = []
+    reader = SimpleNamespace(quadratic=found.append, polynomial=found.append, function=found.append)
+    for term in terms:
+        term.describe_to(reader)
+    return found
 
 
 @suggest_keywords
@@ -164,7 +152,22 @@ class QuadraticTerm:
         M = csr_array((self.values, self.indices, self.indptr), shape=(n, n))
         total += (M @ x.reshape(-1, n).T).T.reshape(x.shape) + self.linear
 
-    def describe_to(self, reader: TermReader) -> Any:
+    def to_polynomial(self) -> Polynomial:
+        """Return the term as a polynomial."""
+        return of_entries(self.rows, self.indices, self.values, self.linear, self.constant)
+
+    def structure(self) -> tuple[Hashable, list[Any]]:
+        """Return what tables depend on apart from coefficients, and the coefficients: linear ones and the entries."""
+        return (self.piece, self.indptr.tobytes(), self.indices.tobytes()), [self.linear, self.values]
+
+    def sum_of_absolute_values(self, size: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the sums of the absolute values of the monomials where coordinates have the absolute values `size`."""
+        # Contiguous rows are summed in the same order for one state and for many.
+        products = np.ascontiguousarray(size[..., self.rows] * np.abs(self.values) * size[..., self.indices])
+        first = np.ascontiguousarray(np.abs(self.linear) * size)
+        return np.asarray(abs(self.constant) + np.sum(first, axis=-1) + np.sum(products, axis=-1) / 2)
+
+    def describe_to(self, reader: Any) -> Any:
         """Pass the term to `reader.quadratic`."""
         return reader.quadratic(self)
 
@@ -268,7 +271,23 @@ class PolynomialTerm:
         """Add the gradients of the polynomial."""
         total += self.polynomial.gradient(x)
 
-    def describe_to(self, reader: TermReader) -> Any:
+    def to_polynomial(self) -> Polynomial:
+        """Return the polynomial."""
+        return self.polynomial
+
+    def structure(self) -> tuple[Hashable, list[Any]]:
+        """Return the piece and the exponents, and the coefficients."""
+        monomials = self.polynomial.monomials
+        return (self.piece, tuple(monomials)), [[float(value) for value in monomials.values()]]
+
+    def sum_of_absolute_values(self, size: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the sums of the absolute values of the monomials where coordinates have the absolute values `size`."""
+        total = np.zeros(size.shape[:-1])
+        for exponents, coefficient in self.polynomial.monomials.items():
+            total += abs(float(coefficient)) * np.prod(size ** np.array(exponents), axis=-1)
+        return total
+
+    def describe_to(self, reader: Any) -> Any:
         """Pass the term to `reader.polynomial`."""
         return reader.polynomial(self)
 
@@ -347,6 +366,18 @@ class FunctionTerm:
             for m in range(x.shape[1]):
                 total[k, m, self.coordinates] += self._gradient_at(x[k, m], t)
 
-    def describe_to(self, reader: TermReader) -> Any:
+    def to_polynomial(self) -> None:
+        """Return None: it is no polynomial."""
+
+    def structure(self) -> tuple[Hashable, list[Any]]:
+        """Return the piece, the coordinates and the functions, and no coefficients."""
+        functions = self.value, self.gradient, self.hessian
+        return (self.piece, self.coordinates.tobytes(), *functions, self.scalar, self.timed), []
+
+    def sum_of_absolute_values(self, size: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return zeros: absolute terms of functions are not known."""
+        return np.zeros(size.shape[:-1])
+
+    def describe_to(self, reader: Any) -> Any:
         """Pass the term to `reader.function`."""
         return reader.function(self)

@@ -6,13 +6,13 @@ import hashlib
 import linecache
 import math
 from collections.abc import Callable, Collection, Container, Iterable, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
-from coadjoint.systems.user_functions import MultipleOf
+from coadjoint.systems.user_functions import MultipleOf, without_multiples
 from coadjoint.validation import is_real
 
 DERIVED_MODULE = "derived_by_coadjoint"
@@ -61,30 +61,54 @@ class TracingError(TypeError):
 
 
 def _slopes_of_power(base: Any, exponent: Any, value: Any) -> tuple[Any, Any]:
-    if not isinstance(exponent, Traced):
+    if constant_of(exponent) is not None:
         return exponent * (base ** (exponent - 1) if exponent != 1 else 1), 0
     slope = exponent * base ** (exponent - 1)
-    return slope, value * (cast(Any, base).log() if isinstance(base, Traced) else math.log(base))
+    return slope, value * (base.log() if constant_of(base) is None else math.log(base))
 
 
 class Graph:
-    """Recorded operations: each an operation with its arguments, which are earlier entries or constants."""
+    """Recorded operations: each an operation with its arguments, which are earlier entries: variables, numbers, too."""
 
     def __init__(self) -> None:
-        self.nodes: list[tuple[str, tuple[Any, ...]]] = []
-        self.inputs: list[tuple[int, ...]] = []  # the arguments of each node that are entries
-        self._known: dict[Any, Traced] = {}
+        self.operations: list[str] = []
+        self.inputs: list[tuple[int, ...]] = []  # the arguments of each entry
+        self.numbers: dict[int, int | float] = {}
+        self._variables: dict[int, str] = {}
+        self._known: dict[Any, int] = {}
+
+    def _add(self, operation: str, inputs: tuple[int, ...] = (), text: str = "") -> int:
+        """Return the number of an entry; equal ones are recorded once."""
+        key = operation, inputs, text
+        if key not in self._known:
+            if operation != "number" and len(self.operations) - len(self.numbers) >= MAX_OPERATIONS:
+                raise TracingError(f"it takes more than {MAX_OPERATIONS} operations")
+            self._known[key] = len(self.operations)
+            self.operations.append(operation)
+            self.inputs.append(inputs)
+        return self._known[key]
+
+    def variable(self, text: str) -> Traced:
+        """Return a variable, written as a text."""
+        index = self._add("variable", text=text)
+        self._variables[index] = text
+        return Traced(self, index)
+
+    def entry(self, argument: Any) -> int:
+        """Return the number of the entry of a `Traced` one or of a number."""
+        if constant_of(argument) is None:
+            return int(argument.index)
+        index = self._add("number", text=repr(argument))
+        self.numbers[index] = argument
+        return index
+
+    def at(self, index: int) -> Any:
+        """Return an entry, the inverse of `entry`."""
+        return self.numbers[index] if index in self.numbers else Traced(self, index)
 
     def record(self, operation: str, *arguments: Any) -> Traced:
-        """Return the result of an operation; equal operations are recorded once."""
-        key = (operation, *((type(a), a.index if isinstance(a, Traced) else a) for a in arguments))
-        if key not in self._known:
-            if len(self.nodes) >= MAX_OPERATIONS:
-                raise TracingError(f"it takes more than {MAX_OPERATIONS} operations")
-            self._known[key] = Traced(self, len(self.nodes))
-            self.nodes.append((operation, arguments))
-            self.inputs.append(tuple(a.index for a in arguments if isinstance(a, Traced)))
-        return self._known[key]
+        """Return the result of an operation."""
+        return Traced(self, self._add(operation, tuple(map(self.entry, arguments))))
 
     def needed(self, ends: Iterable[int], known: Container[int] = ()) -> list[int]:
         """Return some entries and those that they depend on, in order; without known ones, and what only these need."""
@@ -101,48 +125,40 @@ class Graph:
 
         The entries `ends` count as independent of their arguments.
         """
-        if not isinstance(result, Traced):
-            return [0] * len(variables)
-        slopes: dict[int, Any] = {result.index: 1}
-        for index in range(result.index, -1, -1):
-            operation, arguments = self.nodes[index]
-            slope = slopes.get(index, 0)
-            if constant_of(slope) == 0 or not arguments or operation == "variable":
+        last = self.entry(result)
+        slopes: dict[int, Any] = {last: 1}
+        for index in range(last, -1, -1):
+            operation, inputs, slope = self.operations[index], self.inputs[index], slopes.get(index, 0)
+            if constant_of(slope) == 0 or not inputs or index in ends:
                 continue
-            if index in ends:
-                continue
-            value = Traced(self, index)
+            arguments, value = [self.at(k) for k in inputs], Traced(self, index)
             if operation == "neg":
                 factors: tuple[Any, ...] = (-1,)
             elif operation in UNARY:
                 factors = (UNARY[operation](arguments[0], value),)
             else:
                 factors = BINARY[operation][1](*arguments, value)
-            for argument, factor in zip(arguments, factors, strict=True):
-                if isinstance(argument, Traced):
-                    slopes[argument.index] = slopes.get(argument.index, 0) + slope * factor
+            for argument, factor in zip(inputs, factors, strict=True):
+                if argument not in self.numbers:
+                    slopes[argument] = slopes.get(argument, 0) + slope * factor
         return [slopes.get(variable.index, 0) for variable in variables]
 
     def function(self, results: Sequence[Any], returned: str, timed: bool) -> Callable[..., Any]:
         """Return a function of (x) or (x, t) that computes results, written as ``{0}, {1}, ...`` in `returned`."""
-        needed = self.needed(r.index for r in results if isinstance(r, Traced))
-        lines = [f"    v{index} = {self._text(index)}" for index in needed]
-        texts = [_operand(r) if isinstance(r, Traced) else repr(float(r)) for r in results]
+        entries = [self.entry(result) for result in results]
+        lines = [f"    v{index} = {self._text(index)}" for index in self.needed(entries) if index not in self.numbers]
+        texts = [repr(float(self.numbers[k])) if k in self.numbers else f"v{k}" for k in entries]
         heading = f"def derived(x{', t' if timed else ''}):"
         return _defined("\n".join([heading, *lines, f"    return {returned.format(', '.join(texts))}", ""]))
 
     def _text(self, index: int) -> str:
-        operation, arguments = self.nodes[index]
-        if operation == "variable":
-            return str(arguments[0])
-        operands = [_operand(a) for a in arguments]
+        if index in self._variables:
+            return self._variables[index]
+        operation = self.operations[index]
+        operands = [f"({self.numbers[k]!r})" if k in self.numbers else f"v{k}" for k in self.inputs[index]]
         if operation == "neg":
             return f"-{operands[0]}"
         return f"np.{operation}({operands[0]})" if operation in UNARY else BINARY[operation][0].format(*operands)
-
-
-def _operand(argument: Any) -> str:
-    return f"v{argument.index}" if isinstance(argument, Traced) else f"({argument!r})"
 
 
 def _defined(source: str) -> Callable[..., Any]:
@@ -164,13 +180,10 @@ class PicklableFunction(NamedTuple):
 
 def picklable_function(function: Any) -> Any:
     """Return a derived function, or a multiple of one, in a form that can be pickled; anything else unchanged."""
-    inner, multiples = function, []
-    while isinstance(inner, MultipleOf):
-        multiples.append((inner.factor, inner.scalar))
-        inner = inner.function
+    inner, multiples = without_multiples(function)
     if getattr(inner, "__module__", None) != DERIVED_MODULE:
         return function
-    return PicklableFunction(inner.__globals__["__source__"], tuple(reversed(multiples)))
+    return PicklableFunction(inner.__globals__["__source__"], tuple((one.factor, one.scalar) for one in multiples))
 
 
 def restored_function(function: Any) -> Any:
@@ -183,8 +196,10 @@ def restored_function(function: Any) -> Any:
     return restored
 
 
-def _constant(value: Any) -> int | float:
-    """Return a constant of the function as an int or a float."""
+def _operand(value: Any) -> Any:
+    """Return an operand of a recorded operation: a `Traced` one unchanged, a constant as an int or a float."""
+    if isinstance(value, Traced):
+        return value
     if not is_real(value):
         raise TracingError(f"it combines a coordinate with {short(value)}")
     number = int(value) if isinstance(value, int | np.integer) else float(value)
@@ -194,7 +209,7 @@ def _constant(value: Any) -> int | float:
 
 
 def constant_of(argument: Any) -> Any:
-    """Return an argument of an operation that is a number; None for a `Traced` one."""
+    """Return an operand that is a number; None for a `Traced` one."""
     return None if isinstance(argument, Traced) else argument
 
 
@@ -223,8 +238,7 @@ def _binary(operation: str, swapped: bool = False) -> Callable[[Traced, Any], An
             return NotImplemented
         if isinstance(other, np.ndarray):
             other = other.item()
-        if not isinstance(other, Traced):
-            other = _constant(other)
+        other = _operand(other)
         a, b = (other, self) if swapped else (self, other)
         folded = _folded(operation, a, b)
         return self.graph.record(operation, a, b) if folded is None else folded
@@ -306,16 +320,16 @@ class TracedFunction(NamedTuple):
 def traced(function: Callable[..., Any], n: int, timed: bool) -> TracedFunction:
     """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if impossible."""
     graph = Graph()
-    variables = tuple(graph.record("variable", f"x[{k}]") for k in range(n))
+    variables = tuple(graph.variable(f"x[{k}]") for k in range(n))
     x = np.empty(n, dtype=object)
     x[:] = variables
     function = getattr(function, "py_func", function)
     try:
-        result = function(x, graph.record("variable", "t")) if timed else function(x)
+        result = function(x, graph.variable("t")) if timed else function(x)
     except TracingError:
         raise
     except Exception as reason:
         raise TracingError(f"{type(reason).__name__}: {in_one_line(str(reason), 200)}") from reason
     if isinstance(result, np.ndarray) and result.size == 1:
         result = result.item()
-    return TracedFunction(graph, variables, result if isinstance(result, Traced) else _constant(result), timed)
+    return TracedFunction(graph, variables, _operand(result), timed)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -11,18 +12,22 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.formula_tree import parse_tree
-from coadjoint.algebra.polynomials.formulas import (
+from coadjoint.algebra.polynomials.formula_tree import (
     FUNCTIONS,
     NOTATION,
+    Coordinate,
+    FormulaTree,
     coordinates_and_parameters,
+    factors,
+    parse_tree,
     read_parameters,
-    value_at,
+    summands,
 )
+from coadjoint.algebra.polynomials.formulas import Expansion
 from coadjoint.errors import in_one_line
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
+from coadjoint.systems.hamiltonians.terms import built_in
 from coadjoint.systems.hamiltonians.traced_function import TracingError, traced
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_derivative, evaluate, sample_points
 
@@ -88,6 +93,48 @@ def check_traceable(function: Callable[..., Any], n: int, timed: bool) -> None:
         )
 
 
+def value_at(tree: FormulaTree, x: Any) -> Any:
+    """Return the value of a formula at x, by arithmetic and functions of NumPy; numbers in it are rounded first."""
+    constants = Expansion(tree, 1)
+
+    def of(node: ast.expr) -> Any:
+        if not any(isinstance(part, ast.Name) and isinstance(tree.symbol(part), Coordinate) for part in ast.walk(node)):
+            constant = constants.of(node)
+            return constant if isinstance(constant, int) else float(constant)
+        match node:
+            case ast.Name():
+                return x[tree.symbol(node).index]
+            case ast.UnaryOp(op=ast.USub()):
+                return -of(node.operand)
+            case ast.UnaryOp():
+                return of(node.operand)
+            case ast.Call(func=ast.Name() as function):
+                name = tree.symbol(function)
+                if len(node.args) != 1:
+                    raise tree.refused(f"has {name} of {len(node.args)} arguments; it takes one")
+                return getattr(np, FUNCTIONS[name][0])(of(node.args[0]))
+            case ast.BinOp(op=ast.Pow()):
+                return of(node.left) ** of(node.right)
+            case ast.BinOp(op=ast.Add() | ast.Sub()):
+                return total(summands(node))
+        (_, first), *others = factors(node)
+        product = of(first)
+        for divides, factor in others:
+            value = of(factor)
+            if divides and isinstance(value, int | float) and value == 0:
+                raise tree.refused("divides by zero")
+            product = product / value if divides else product * value
+        return product
+
+    def total(signed: Iterable[tuple[int, ast.expr]]) -> Any:
+        result: Any = 0
+        for sign, node in signed:
+            result = result + of(node) if sign > 0 else result - of(node)
+        return result
+
+    return total(tree.terms)
+
+
 class ParsedFunction:
     """The function of x of a formula, such as ``"a*x1^2/2 + cos(x2)"``: its operations as a plain Python function."""
 
@@ -142,39 +189,17 @@ def check_user_hamiltonian(H: Any, n: int) -> None:
         declared = evaluate(H.gradient, x, H.timed)
         if isinstance(declared, Exception):
             continue
-        term_gradient = _Gradient(x)
-        for term in terms:
-            term.describe_to(term_gradient)
-        total, size = term_gradient.total, term_gradient.size
+        total, size = np.zeros(n), 0.0
+        for term in built_in(terms):
+            part = np.zeros((1, 1, n))
+            term.add_gradients(part, x[None, None], [SAMPLE_TIME])
+            total += part[0, 0]
+            size += float(np.max(np.abs(part), initial=0.0))
+            if term.form is not None:
+                size += float(np.max(np.abs(term.form.values), initial=0.0) * np.abs(x).sum())
         if not np.all(np.abs(total - declared) <= 2.0**10 * UNIT_ROUNDOFF * (size + np.abs(declared))):
             k = int(np.argmax(np.abs(total - declared)))
             raise ValueError(
                 f"{kind}.terms() contradict {gradient}: component {k} is {total[k]:.6g} by the terms and "
                 f"{float(declared[k]):.6g} by the gradient at a sample point; correct the one that is wrong"
             )
-
-
-class _Gradient:
-    """The gradient of a sum of terms at a sample point, and the sum of absolute values for tolerances."""
-
-    def __init__(self, x: npt.NDArray[np.float64]) -> None:
-        self.x, self.total, self.size = x, np.zeros(len(x)), 0.0
-
-    def _add(self, part: npt.NDArray[np.float64]) -> None:
-        self.total += part
-        self.size += float(np.max(np.abs(part), initial=0.0))
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        part = term.linear.astype(np.float64)
-        np.add.at(part, term.rows, term.values * self.x[term.indices])
-        self.size += float(np.max(np.abs(term.values), initial=0.0) * np.abs(self.x).sum())
-        self._add(part)
-
-    def polynomial(self, term: PolynomialTerm) -> None:
-        self._add(np.asarray(term.polynomial.gradient(self.x), dtype=np.float64))
-
-    def function(self, term: FunctionTerm) -> None:
-        y, part = self.x[term.coordinates], np.zeros(len(self.x))
-        values = term.gradient(y[0] if term.scalar else y, *((SAMPLE_TIME,) if term.timed else ()))
-        np.add.at(part, term.coordinates, np.asarray(values, dtype=np.float64).reshape(len(y)))
-        self._add(part)

@@ -9,8 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.systems.coefficients import EnergyCoefficients, encoded
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.repeated_rows import MIN_ROWS, RepeatedRows, shapes_of
-from coadjoint.systems.hamiltonians.terms import starts_of_rows
+from coadjoint.systems.hamiltonians.repeated_rows import MIN_ROWS, RepeatedRows, shapes_of, starts_of_rows
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
