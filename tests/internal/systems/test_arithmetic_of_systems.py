@@ -9,7 +9,7 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.systems.evaluation import MAX_BITS, ProductSums, lossless_coefficients, scatter
-from coadjoint.systems.forces import random_forcing
+from coadjoint.systems.forces import fluid_forces
 from coadjoint.systems.forces.base import normal_deviates
 from coadjoint.systems.forces.double_bracket import exponential
 from coadjoint.systems.forces.rates import apply_metric, metric_root
@@ -84,14 +84,12 @@ def test_the_noise_feeds_in_its_rate_and_each_mode_has_the_same_share(surface, l
     for band, eigenvalues in BANDS[surface].items():
         force = co.forces.RandomForcing(rate, band, seed=3, layer=layer)
         asked, squares = [], np.zeros(fluid.degrees.shape)
-        monkeypatch.setattr(
-            random_forcing, "normal_deviates", lambda *a, asked=asked: asked.append(a) or np.zeros(a[-1])
-        )
+        monkeypatch.setattr(fluid_forces, "normal_deviates", lambda *a, asked=asked: asked.append(a) or np.zeros(a[-1]))
         np.testing.assert_array_equal(force.flow(s, x, 0.5, tau), x)
         (((seed, stream, moment, part, count)),) = asked
         assert (seed, stream, moment, part) == (3, 0, 0.5, 0)
         for unit in np.eye(count):
-            monkeypatch.setattr(random_forcing, "normal_deviates", lambda *a, unit=unit: unit)
+            monkeypatch.setattr(fluid_forces, "normal_deviates", lambda *a, unit=unit: unit)
             late = s.from_vector(force.flow(s, x, 0.5, tau))
             if s is not fluid:
                 assert not late[1].any()

@@ -25,7 +25,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import callable_from_compiled, check_arguments, evaluate, sample_points
-from coadjoint.validation import read_finite
+from coadjoint.validation import as_tuples, read_finite
 
 Floats = npt.NDArray[np.float64]
 Made = TypeVar("Made", bound=BodiesSystem)
@@ -237,7 +237,7 @@ def inertial_parameters(inertias: tuple[BodyInertia, ...], masses: Floats) -> di
     """Return inertias and masses as plain numbers; moments as tensors where another body has one."""
     given = [inertia.given for inertia in inertias]
     if len({np.ndim(one) for one in given}) > 1:
-        given = [tuple(map(tuple, inertia.tensor.tolist())) for inertia in inertias]
+        given = [as_tuples(inertia.tensor) for inertia in inertias]
     return {"inertias": tuple(given), "masses": tuple(masses.tolist())}
 
 

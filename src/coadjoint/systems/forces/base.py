@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.short_repr import record_repr
+from coadjoint.validation import read_integer, set_fields
 
 
 class Noise(NamedTuple):
@@ -83,6 +84,11 @@ class Force(metaclass=ExplainedCalls):
 
     def __repr__(self) -> str:
         return record_repr(self) if is_dataclass(self) else self.label
+
+    def _read(self, **readers: Callable[[Any, str], Any]) -> None:
+        """Replace fields by what a function returns of each and of its name in messages, in their order."""
+        for name, read in readers.items():
+            set_fields(self, **{name: read(getattr(self, name), f"{name} of {type(self).__name__}")})
 
     @abstractmethod
     def check(self, system: Any) -> None:
@@ -202,6 +208,14 @@ class Force(metaclass=ExplainedCalls):
         if not is_dataclass(self):
             return {}
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+MAX_SEED = 2**62
+
+
+def read_seed(value: Any, what: str) -> int:
+    """Validate the seed or the stream of a noise."""
+    return read_integer(value, what, 0, MAX_SEED)
 
 
 def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.float64]:

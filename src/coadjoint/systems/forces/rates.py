@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.user_functions import sample_points
-from coadjoint.validation import read_finite, to_array
+from coadjoint.validation import as_tuples, read_finite, to_array
 
 Plain = float | tuple[Any, ...]
 
@@ -22,8 +22,8 @@ def read_matrix(argument: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2
     if array.ndim not in dimensions or not square or not array.size:
         shapes = " or ".join(("a number", "(n,)", "(n, n)")[k] for k in dimensions)
         raise ValueError(f"{what} has the shape {array.shape}; it must be {shapes}")
-    plain = array.tolist()
-    return tuple(map(_in_tuples, plain)) if isinstance(plain, list) else float(plain)
+    plain: Plain = as_tuples(array)
+    return plain
 
 
 def read_state(argument: Any, what: str, number: bool = False) -> Any:
@@ -35,19 +35,13 @@ def read_state(argument: Any, what: str, number: bool = False) -> Any:
         return read_matrix(argument, what, (0, 1) if number else (1,))
     if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():
         raise ValueError(f"{what} has the shape {matrix.shape}; a matrix must be (N, N), of finite numbers")
-    rows = matrix.astype(complex if matrix.dtype.kind == "c" else float).tolist()
-    return tuple(tuple(map(_in_tuples, row)) for row in rows)
-
-
-def has_matrix_state(system: Any) -> bool:
-    """Return whether the state of a system is a matrix."""
-    return hasattr(system, "from_vector")
+    return as_tuples(matrix.astype(complex if matrix.dtype.kind == "c" else float))
 
 
 def check_state(argument: Any, what: str, system: Any) -> None:
     """Raise an error if a state does not belong to a system; a scalar must be zero for systems of matrices."""
     shape = np.shape(argument)
-    if has_matrix_state(system):
+    if system.has_matrices:
         if shape or argument != 0.0:
             system.read(argument, what)
     elif len(shape) > 1:
@@ -58,7 +52,7 @@ def check_state(argument: Any, what: str, system: Any) -> None:
 
 def state_vector(argument: Any, system: Any) -> NDArray[np.float64]:
     """Return a state as a vector of real numbers, (n,)."""
-    if has_matrix_state(system) and np.ndim(argument):
+    if system.has_matrices and np.ndim(argument):
         return np.asarray(system.read(argument))
     return np.asarray(np.broadcast_to(np.asarray(argument, dtype=np.float64), (system.dim,)))
 
@@ -66,11 +60,7 @@ def state_vector(argument: Any, system: Any) -> NDArray[np.float64]:
 def sample_states(system: Any) -> list[NDArray[Any]]:
     """Return seeded sample states of different kinds, in the form in which user functions take them."""
     points = sample_points(system.dim)
-    return [system.algebra.projected(system.from_vector(x)) for x in points] if has_matrix_state(system) else points
-
-
-def _in_tuples(entry: Any) -> Any:
-    return tuple(entry) if isinstance(entry, list) else entry
+    return [system.algebra.projected(system.from_vector(x)) for x in points] if system.has_matrices else points
 
 
 def check_dimension(argument: Plain, what: str, system: Any) -> None:
