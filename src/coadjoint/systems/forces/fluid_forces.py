@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import ForceReader, normal_deviates, read_seed
 from coadjoint.systems.forces.mode_force import ModeRates, OnLayer, PerMode, modes_of, read_layer, values_by_scale
-from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
+from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves
 from coadjoint.systems.matrices.torus_modes import representatives
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer, read_nonnegative, read_number
@@ -254,7 +254,7 @@ class RandomForcing(OnLayer):
         # On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
         numbers: list[Numbers] = []
         energies: PerMode = []
-        stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
+        stream = system.stream if self.layer == "vorticity" else system.second_stream
         self.layer_index(system)
         if stream is None:
             raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
@@ -265,7 +265,7 @@ class RandomForcing(OnLayer):
                 candidates = candidates[: modes.N // 2]
             scales = modes.scales(d, candidates)
             numbers.append(candidates[(self.band[0] <= scales) & (scales <= self.band[1])])
-            energies.append(system.energy_factor * stream_values(stream, modes, d, numbers[d]))
+            energies.append(system.energy_factor * stream.on_modes(modes, d, numbers[d]))
             components += (2 if d or waves else 1) * len(numbers[d])
         if not components:
             raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")
