@@ -113,7 +113,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
     known: dict[Hashable, int] = {}
     members: dict[Hashable, tuple[list[int], list[Any]]] = {}
     for m, system in enumerate(systems):
-        if getattr(system, "_kind", None) is not LiePoissonSystem or system.dim > MAX_DIMENSION:
+        if system._kind is not LiePoissonSystem or system.dim > MAX_DIMENSION:
             continue
         structure = _Structure()
         for term in system.hamiltonian.terms():

@@ -161,7 +161,7 @@ class BodyMotion(SolutionAttributes):
 
     def _rotations(self) -> NDArray[np.float64]:
         """Return the attitudes from the body to space, (times, 3, 3), with axes of members and bodies inside."""
-        if getattr(self.system.unforced, "has_attitude", False):
+        if self.system.unforced.has_attitude:
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
             if self.carried is None:

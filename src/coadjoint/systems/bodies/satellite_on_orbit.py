@@ -19,7 +19,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import callable_from_compiled
-from coadjoint.validation import as_tuples, read_finite, read_number
+from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 Floats = npt.NDArray[np.float64]
 
@@ -222,7 +222,7 @@ def satellite_on_orbit(
         name="satellite_on_orbit",
         parameters=parameters,
     )
-    system._set(mean_motion=rate, eccentricity=e)
+    set_fields(system, mean_motion=rate, eccentricity=e)
     return system
 
 

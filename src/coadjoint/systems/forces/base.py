@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import struct
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from itertools import accumulate
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import ExplainedCalls
-from coadjoint.short_repr import record_repr
+from coadjoint.short_repr import record_repr, short
 from coadjoint.validation import read_integer, set_fields
 
 
@@ -236,3 +237,46 @@ def random_words(seed: int, stream: int, moment: float, part: int, count: int) -
     counter = (((part << 192) | (stream << 128) | (time_bits << 64)) - 1) % (1 << 256)
     words = np.random.Philox(key=seed, counter=counter).random_raw(-(-count // 4) * 4)
     return np.asarray(words[:count], dtype=np.uint64)
+
+
+MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
+
+
+def forces_on(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
+    """Return a system with space in its state for the numbers that forces hold, and the forces, which can act on it."""
+    for force in forces:
+        if not isinstance(force, Force):
+            raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
+    counts = [force.held_numbers(system) for force in forces]
+    if any(counts):
+        starts = accumulate(counts, initial=0)
+        forces = [
+            replace(force, first=first) if count else force
+            for force, count, first in zip(forces, counts, starts, strict=False)
+        ]
+        system = system.with_held(sum(counts))
+    for force in forces:
+        force.check(system)
+    streams = [(force.seed, force.stream) for force in forces if force.random]
+    if len(set(streams)) < len(streams):
+        raise ValueError("two forces have the same seed and stream, and so the same noise; give each its own seed")
+    return system, tuple(forces)
+
+
+def labels_of(forces: Sequence[Force]) -> tuple[str, ...]:
+    """Return the labels of forces, numbered from the second of a label on."""
+    labels: list[str] = []
+    for k, force in enumerate(forces):
+        earlier = sum(other.label == force.label for other in forces[:k])
+        labels.append(f"{force.label} {earlier + 1}" if earlier else force.label)
+    return tuple(labels)
+
+
+def forces_text(forces: Sequence[Force]) -> str:
+    """Return the forces with their parameters; of many the names, and of more their number."""
+    text = ", ".join(map(str, forces))
+    if len(text) > MAX_FORCES_TEXT:
+        text = ", ".join(force.label for force in forces)
+    if len(text) > MAX_FORCES_TEXT:
+        return ", ".join(short(force.label) for force in forces[:2]) + f", and {len(forces) - 2} more"
+    return text

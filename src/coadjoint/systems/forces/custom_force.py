@@ -84,7 +84,7 @@ class OwnForce(Force):
 
     def check(self, system: Any) -> None:
         shape, failure = system.shape, ""
-        kinds = "fiuc" if getattr(system, "complex", False) else "fiu"
+        kinds = "fiuc" if system.has_matrices and system.complex else "fiu"
         for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):

@@ -73,7 +73,7 @@ class DoubleBracketDamping(Force):
 
     def check(self, system: Any) -> None:
         name = type(self).__name__
-        if system.algebra is None or getattr(system.algebra, "triples", None) is None:
+        if not system.has_structure_constants:
             raise ValueError(
                 f"{name} moves states along coadjoint orbits, by structure constants, which {system.name} does not "
                 "have; take LinearDamping"

@@ -16,7 +16,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
 from coadjoint.systems.arguments import read_closed_form, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
-from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.base import Force, forces_text
 from coadjoint.systems.matrices.matrix_invariants import (
     MatrixEnergy,
     applied,
@@ -26,7 +26,7 @@ from coadjoint.systems.matrices.matrix_invariants import (
     values_of,
 )
 from coadjoint.systems.matrices.streams import FunctionStream, Stream
-from coadjoint.systems.system import System, forces_text
+from coadjoint.systems.system import System
 from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
 
 Matrix = npt.NDArray[Any]
