@@ -201,7 +201,7 @@ def with_group(
         units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
-        if system.unforced.has_attitude:
+        if getattr(system.unforced, "has_attitude", False):
             raise ValueError(
                 f"attitude has the shape {initial.shape}; the attitude of {system.name} is part of its state: give it "
                 f"to {system.name}.state, and leave attitude out"

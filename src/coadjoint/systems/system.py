@@ -78,10 +78,6 @@ class System:
     is_batch: Literal[False] = False
     has_matrices = False
     """Whether states are matrices, with streams, traces and spectra."""
-    has_attitude: bool = False
-    """Whether the attitudes of bodies are part of the state."""
-    bodies: tuple[int, ...] | None = None
-    """Axes of bodies in arrays, () for one body whose momentum comes first; None for other systems."""
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
     _checked_function: Callable[..., Any] | None = None

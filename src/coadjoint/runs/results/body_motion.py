@@ -161,7 +161,7 @@ class BodyMotion(SolutionAttributes):
 
     def _rotations(self) -> NDArray[np.float64]:
         """Return the attitudes from the body to space, (times, 3, 3), with axes of members and bodies inside."""
-        if self.system.unforced.has_attitude:
+        if getattr(self.system.unforced, "has_attitude", False):
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
             if self.carried is None:

@@ -237,7 +237,7 @@ class SolutionAttributes:
 def missing_attitude(solution: Any) -> str:
     """Explain why a run has no group element, and where its attitude is found."""
     what = f"the run of {solution.system.name} has no"
-    if solution.system.unforced.has_attitude:
+    if getattr(solution.system.unforced, "has_attitude", False):
         return f"{what} group element, since attitudes are part of its states; take sol.rotation"
     return f"{what} attitude; give attitude=True to integrate"
 

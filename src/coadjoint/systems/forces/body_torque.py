@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_states import read_attitudes
-from coadjoint.systems.forces.rates import read_matrix
+from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
 from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments
 from coadjoint.validation import as_tuples, read_choice, read_finite
@@ -58,7 +58,7 @@ def _on_state(force: BodyTorque, system: Any) -> tuple[Callable[..., Any], str]:
 
 def check_one_body(system: Any, label: str) -> None:
     """Raise TypeError for a system other than one body with its angular momentum as the first three coordinates."""
-    if system.bodies != ():
+    if getattr(system, "bodies", None) != ():
         raise TypeError(
             f"{label} acts on one body, and {system.name} is none; take co.systems.body or rigid_body, or write a "
             "co.forces.Torque"

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import sample_states
+from coadjoint.systems.forces.base import Force, ForceReader, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
 from coadjoint.validation import read_bool, read_title
 

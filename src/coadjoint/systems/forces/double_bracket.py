@@ -9,9 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.systems.forces.base import Force, ForceReader, Noise
+from coadjoint.systems.forces.base import (
+    Force,
+    ForceReader,
+    Noise,
+    apply_metric,
+    check_dimension,
+    metric_root,
+    read_matrix,
+)
 from coadjoint.systems.forces.orbit_flow import Exponential, Midpoint, OrbitFlow, bracket_of, constant_hessian
-from coadjoint.systems.forces.rates import apply_metric, check_dimension, metric_root, read_matrix
 from coadjoint.validation import read_nonnegative
 
 MAX_SUBSTEPS = 192  # iterations of the midpoint rule; convergent ones take some ten

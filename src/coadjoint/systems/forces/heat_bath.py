@@ -10,10 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.base import Noise, normal_deviates, read_seed
+from coadjoint.systems.forces.base import Noise, Plain, apply_metric, metric_root, normal_deviates, read_seed
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential, exponential_with_tangent
 from coadjoint.systems.forces.orbit_flow import Exponential, OrbitFlow, bracket_of
-from coadjoint.systems.forces.rates import Plain, apply_metric, metric_root
 from coadjoint.validation import read_nonnegative
 
 

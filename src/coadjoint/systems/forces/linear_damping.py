@@ -9,8 +9,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import (
+from coadjoint.systems.forces.base import (
+    Force,
+    ForceReader,
     apply_metric,
     check_dimension,
     check_state,

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import check_state, read_state, sample_states, state_vector
+from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, takes_time
 from coadjoint.validation import read_numbers, set_fields
 
@@ -101,7 +100,7 @@ def constant_in_time(torque: NDArray[np.float64]) -> Callable[..., Any]:
 
 def check_attitude(system: Any, what: str = "the torque") -> None:
     """Raise TypeError for a system without attitudes in its state."""
-    if not system.has_attitude:
+    if not getattr(system, "has_attitude", False):
         raise TypeError(
             f"{what} is a function of the attitude A, which the state of {system.name} does not have; take "
             "co.systems.body(inertia) or co.systems.bodies, whose states have it"
@@ -260,7 +259,7 @@ class Torque(StateTorque):
                 return
             torque = read_numbers(value, "the value of the torque")
             if torque.shape != shape:
-                has_attitude = "A" not in arguments and system.has_attitude
+                has_attitude = "A" not in arguments and getattr(system, "has_attitude", False)
                 hint = f", or {torque_shape(system)} of a function of (x, A)" if has_attitude else ""
                 raise ValueError(
                     f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
