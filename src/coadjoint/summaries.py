@@ -15,6 +15,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.methods.suggested_scheme import suggested_scheme
 from coadjoint.systems.description import description
 from coadjoint.systems.registry import gallery_entry_of
+from coadjoint.validation import as_tuples
 
 LINE_WIDTH = 100  # characters of a line of the text
 MAX_NAMED = 30  # coordinates that are listed by name: some two lines
@@ -82,11 +83,7 @@ def _named(name: str, formula: str | None) -> str:
 
 
 def _shown(value: Any) -> str:
-    return repr(tuple(_tuples(v) for v in value)) if isinstance(value, list) else repr(value)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value
+    return repr(as_tuples(value))
 
 
 MAX_BRACKETS = 20  # shown; a screen with the other lines

@@ -225,6 +225,14 @@ def read_positive(value: Any, what: str) -> float:
     return number
 
 
+def read_nonnegative(value: Any, what: str) -> float:
+    """Validate one number that is zero or positive and return a float."""
+    number = read_number(value, what)
+    if number < 0.0:
+        raise ValueError(f"{what} is {number!r}; it must be zero or positive")
+    return number
+
+
 def check_power(number: float, power: int, what: str) -> None:
     """Raise a ValueError if a power of a number is beyond float64."""
     if power * math.log2(max(abs(number), 1.0)) >= 1024.0:
@@ -268,6 +276,18 @@ def read_title(value: Any, what: str) -> str:
 def truncate_title(text: str) -> str:
     """Truncate a composed name to the maximum length of a title."""
     return text if len(text) <= MAX_TITLE_LENGTH else f"{text[: MAX_TITLE_LENGTH - 3]}..."
+
+
+def as_tuples(values: Any) -> Any:
+    """Return an array or nested lists as nested tuples of Python numbers; a single number stays one."""
+    entries = values.tolist() if isinstance(values, np.ndarray) else values
+    return tuple(map(as_tuples, entries)) if isinstance(entries, list) else entries
+
+
+def set_fields(instance: Any, **fields: Any) -> None:
+    """Set fields of an object that is frozen, in its constructor."""
+    for name, value in fields.items():
+        object.__setattr__(instance, name, value)
 
 
 def read_mode(mode: Any, value: Any, form: str) -> tuple[int, int, complex]:

@@ -15,7 +15,7 @@ from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.forces.heat_bath import MAX_SEED
+from coadjoint.systems.forces.base import read_seed
 from coadjoint.validation import read_choice, read_finite, read_integer
 
 Floats = NDArray[np.float64]
@@ -140,7 +140,7 @@ def thermal_states(
     """
     energies = spin_energy(system, "thermal_states")
     choice = read_choice(method, "method", tuple(METHODS))
-    key = read_integer(seed, "seed", 0, MAX_SEED)
+    key = read_seed(seed, "seed")
     count = read_integer(sweeps, "sweeps", 1, MAX_SWEEPS, floats=True)
     extra = read_integer(over_relaxation, "over_relaxation", 0, MAX_OVER_RELAXATION)
     kT = read_finite(temperature, "temperature")

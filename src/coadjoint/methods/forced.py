@@ -17,7 +17,6 @@ from coadjoint.methods.protocol.method import Method, Representation, declared_p
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.forces.rates import has_matrix_state
 
 if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
@@ -89,7 +88,7 @@ def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, t
         return FlowOfForce(end, np.asarray(known, dtype=np.float64), "formula")
     found = derivative_of(lambda z: force.flow_of_order(system, z, t, tau, order), x)
     derivative = found.derivative
-    if has_matrix_state(system):
+    if system.has_matrices:
         derivative = system.to_vector(system.algebra.projected(system.from_vector(derivative)))
     return FlowOfForce(found.value, np.asarray(derivative), found.by)
 
@@ -210,7 +209,7 @@ class Forced(Wrapper):
     def step(self, system: Any, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy; noise is that of the first member."""
         self.properties(system)
-        if np.ndim(x) > 1 and hasattr(system.unforced, "from_vector"):
+        if np.ndim(x) > 1 and system.unforced.has_matrices:
             return np.asarray(system.unforced.from_vector(self.step(system, system.unforced.to_vector(x), t, h)))
         y = np.asarray(x)
         for begin, length in substeps_of(self.fractions, t, h):

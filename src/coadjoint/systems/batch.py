@@ -157,7 +157,7 @@ def with_state_axes(batch: Batch, axes: Mapping[str, Axis]) -> Batch:
 
 def _difference(first: Any, other: Any) -> str:
     """Describe how the structure of a system differs from that of the first member; empty if it does not."""
-    if getattr(other, "_kind", type(other)) is not getattr(first, "_kind", type(first)):
+    if other._kind is not first._kind:
         return f"is a {type(other).__name__} and member 0 a {type(first).__name__}"
     if other.dim != first.dim:
         return f"has dimension {other.dim} and member 0 has {first.dim}"

@@ -12,7 +12,16 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
-from coadjoint.validation import read_bool, read_finite, read_integer, read_list, read_number, read_positive, read_title
+from coadjoint.validation import (
+    read_bool,
+    read_finite,
+    read_integer,
+    read_list,
+    read_number,
+    read_positive,
+    read_title,
+    set_fields,
+)
 
 Floats = npt.NDArray[np.float64]
 
@@ -63,8 +72,7 @@ class Picture:
     options: Mapping[str, Any]
 
     def __init__(self, kind: str, **options: Any) -> None:
-        object.__setattr__(self, "kind", read_title(kind, "kind of a picture"))
-        object.__setattr__(self, "options", options)
+        set_fields(self, kind=read_title(kind, "kind of a picture"), options=options)
 
     def __repr__(self) -> str:
         return f"Picture({', '.join([repr(self.kind), *(f'{key}={short(v)}' for key, v in self.options.items())])})"
@@ -125,16 +133,18 @@ class GalleryEntry:
     quantity: str = "momentum"
 
     def __post_init__(self) -> None:
-        set_field = object.__setattr__
-        set_field(self, "t_span", tuple(read_number(t, "a time of t_span") for t in _as_tuple(self.t_span, "t_span")))
-        set_field(self, "step", read_positive(self.step, "step"))
-        set_field(self, "save_every", read_integer(self.save_every, "save_every"))
-        set_field(self, "attitude", read_bool(self.attitude, "attitude"))
+        set_fields(
+            self,
+            t_span=tuple(read_number(t, "a time of t_span") for t in _as_tuple(self.t_span, "t_span")),
+            step=read_positive(self.step, "step"),
+            save_every=read_integer(self.save_every, "save_every"),
+            attitude=read_bool(self.attitude, "attitude"),
+        )
         pictures = _as_tuple(self.pictures, "pictures")
         for picture in (*pictures, self.components):
             if not isinstance(picture, Picture):
                 raise TypeError(f"a picture is {short(picture)}; give a Picture, such as Picture('body axis', axis=1)")
-        set_field(self, "pictures", pictures)
+        set_fields(self, pictures=pictures)
         for text, what in ((self.caption, "caption"), (self.quantity, "quantity")):
             if not isinstance(text, str) or not text:
                 raise TypeError(f"{what} is {short(text)}; give a string")

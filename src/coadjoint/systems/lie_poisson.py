@@ -25,6 +25,7 @@ from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
 from coadjoint.systems.system import System
 from coadjoint.systems.vanishing_products import Products, field_products
+from coadjoint.validation import set_fields
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
 
@@ -107,11 +108,6 @@ class LiePoissonSystem(System):
     _integrals: Mapping[str, Any]
     _layout: dict[str, Any]
 
-    @property
-    def _kind(self) -> type[LiePoissonSystem]:
-        """The class of the systems with which a batch mixes this one."""
-        return type(self)
-
     def __init__(
         self,
         algebra: LieAlgebra,
@@ -127,12 +123,10 @@ class LiePoissonSystem(System):
     ) -> None:
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
-        set_field = object.__setattr__
-        set_field(self, "algebra", algebra)
-        set_field(self, "sign", read_sign(sign))
+        set_fields(self, algebra=algebra, sign=read_sign(sign))
         names = names_of_basis(algebra.basis) if isinstance(hamiltonian, str) else None
         owner = algebra.name or "the algebra"
-        set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, algebra.dim, owner, names))
+        set_fields(self, hamiltonian=as_hamiltonian(hamiltonian, algebra.dim, owner, names))
         for summand in summands_of(self.hamiltonian):
             if isinstance(summand, SplitHamiltonian):
                 summand.check_commuting(algebra)
@@ -142,18 +136,20 @@ class LiePoissonSystem(System):
         )
         products = self._product, self._absolute_product
         given_casimirs = None if casimirs is None else read_casimirs(casimirs, algebra.dim, *products)
-        set_field(self, "_casimirs", given_casimirs)
         given_integrals = {} if integrals is None else integrals
-        set_field(self, "_integrals", read_integrals(given_integrals, self.hamiltonian, algebra.dim, *products))
+        found_integrals = read_integrals(given_integrals, self.hamiltonian, algebra.dim, *products)
         matrices = algebra.representation
         if representation is not None:
             matrices = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
-        set_field(self, "representation", matrices)
-        set_field(self, "name", read_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
-        set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
-        set_field(self, "_parameters", read_parameters(parameters))
-        set_field(self, "_exact", read_closed_form(exact))
-        set_field(self, "_layout", read_layout(layout))
+        set_fields(self, _casimirs=given_casimirs, _integrals=found_integrals, representation=matrices)
+        set_fields(self, name=read_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
+        set_fields(
+            self,
+            hamiltonian=in_coordinates_of(self, self.hamiltonian),
+            _parameters=read_parameters(parameters),
+            _exact=read_closed_form(exact),
+            _layout=read_layout(layout),
+        )
 
     @property
     def dim(self) -> int:  # type: ignore[override]
@@ -163,7 +159,7 @@ class LiePoissonSystem(System):
     def casimirs(self) -> dict[str, Any]:
         """Name to `Polynomial`, `Quadratic` or `Invariant` (a copy); empty by default for many `copies`."""
         if self._casimirs is None:
-            object.__setattr__(self, "_casimirs", dict(known_or_found_casimirs(self.algebra)))
+            set_fields(self, _casimirs=dict(known_or_found_casimirs(self.algebra)))
         return dict(self._named_casimirs)
 
     @cached_property

@@ -18,7 +18,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamil
 from coadjoint.systems.recorded_invariants import read_casimirs
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import check_derivative, takes_time
-from coadjoint.validation import read_integer
+from coadjoint.validation import read_integer, set_fields
 
 BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
@@ -111,16 +111,21 @@ class PoissonSystem(System):
         check_available_memory(
             BYTES_PER_PRODUCT * n**2, f"a Poisson system of dimension {short(n)}, whose J(x) is dense,"
         )
-        set_field = object.__setattr__
-        set_field(self, "sign", read_sign(sign))
-        set_field(self, "_dim", n)
-        set_field(self, "hamiltonian", as_hamiltonian(hamiltonian, self.dim))
-        set_field(self, "structure_function", structure_matrix)
-        set_field(self, "derivative_function", derivative)
-        set_field(self, "name", read_name(name, f"Poisson system of dimension {n}"))
-        set_field(self, "hamiltonian", in_coordinates_of(self, self.hamiltonian))
-        set_field(self, "_parameters", read_parameters(parameters))
-        set_field(self, "_exact", read_closed_form(exact))
+        set_fields(
+            self,
+            sign=read_sign(sign),
+            _dim=n,
+            hamiltonian=as_hamiltonian(hamiltonian, n),
+            structure_function=structure_matrix,
+            derivative_function=derivative,
+            name=read_name(name, f"Poisson system of dimension {n}"),
+        )
+        set_fields(
+            self,
+            hamiltonian=in_coordinates_of(self, self.hamiltonian),
+            _parameters=read_parameters(parameters),
+            _exact=read_closed_form(exact),
+        )
         self.check_structure()
         if derivative is not None:
             shape = (self.dim, self.dim)
@@ -128,11 +133,8 @@ class PoissonSystem(System):
             check_derivative(
                 structure_matrix, derivative, names=names, shapes=(shape, (*shape, self.dim)), n=self.dim, timed=False
             )
-        set_field(
-            self,
-            "_casimirs",
-            read_casimirs({} if casimirs is None else casimirs, self.dim, self._product, self._absolute_product),
-        )
+        given = {} if casimirs is None else casimirs
+        set_fields(self, _casimirs=read_casimirs(given, n, self._product, self._absolute_product))
 
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.abs(self.structure_matrix(x)) @ np.abs(u)

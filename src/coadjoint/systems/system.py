@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from itertools import accumulate
 from types import MappingProxyType
 from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
-from coadjoint.systems.forces.base import Force
+from coadjoint.systems.forces.base import Force, forces_on, forces_text, labels_of
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
-from coadjoint.systems.user_functions import sample_points
-from coadjoint.validation import read_number, read_numbers, truncate_title
-
-MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
+from coadjoint.systems.user_functions import check_skew
+from coadjoint.validation import read_number, read_numbers, set_fields, truncate_title
 
 
 class System:
@@ -85,9 +80,15 @@ class System:
     """Whether states are matrices, with streams, traces and spectra."""
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
+    _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
     _exact: Callable[..., Any] | None = None
+
+    @property
+    def _kind(self) -> type[System]:
+        """The class of the systems with which a batch mixes this one."""
+        return type(self)
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -150,28 +151,15 @@ class System:
     def check_structure(self) -> None:
         """Raise an error unless `structure_function` is a function whose values at sample points are skew (n, n)."""
         function = self.structure_function
-        if function is None:
+        if function is None or function is self._checked_function:
             return
         if getattr(function, "__self__", None) is self:
             raise TypeError(
                 f"structure_function of {self.name} is its method, which is not compiled; make it a function of x, "
                 "by @staticmethod or in __init__"
             )
-        for x in sample_points(self.dim):
-            with np.errstate(all="ignore"):
-                J = read_numbers(function(x), "the value of structure_matrix")
-                if J.shape != (self.dim, self.dim):
-                    raise ValueError(
-                        f"structure_matrix returns shape {J.shape}; it must return ({self.dim}, {self.dim})"
-                    )
-                size, excess = np.abs(J).max(initial=0.0), np.abs(J + J.T)
-            # A point where J is not finite is skipped: it may lie outside the domain.
-            if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
-                i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
-                raise ValueError(
-                    f"structure_matrix is not skew at a sample point: J[{i}, {j}] = {J[i, j]:g} and J[{j}, {i}] = "
-                    f"{J[j, i]:g}; their sum must be zero"
-                )
+        check_skew(function, "structure_matrix", self.dim)
+        set_fields(self, _checked_function=function)
 
     def _constants(self) -> Any:
         """Return the algebra, whose structure constants are in memory."""
@@ -348,21 +336,11 @@ class System:
         """
         if not forces:
             raise TypeError("with_forces was given no force; give one or more, such as co.forces.LinearDamping(0.1)")
-        for force in forces:
-            if not isinstance(force, Force):
-                raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
-        plain, forces = _with_held_numbers(self.unforced, (*self.forces, *forces))
-        for force in forces:
-            force.check(plain)
-        streams = [(force.seed, force.stream) for force in forces if force.random]  # type: ignore[attr-defined]
-        if len(set(streams)) < len(streams):
-            raise ValueError("two forces have the same seed and stream, and so the same noise; give each its own seed")
+        plain, acting = forces_on(self.unforced, (*self.forces, *forces))
         forced = copy.copy(plain)
         vars(forced).pop("in_numbers", None)
-        labels = ", ".join(_labels(forces))
-        fields = {"forces": forces, "_unforced": plain, "name": truncate_title(f"{plain.name} with {labels}")}
-        for field, value in {**fields, "_parameters": None, "_exact": None}.items():
-            object.__setattr__(forced, field, value)
+        name = truncate_title(f"{plain.name} with {', '.join(labels_of(acting))}")
+        set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, _exact=None)
         return forced
 
     def numbered_from(self, first: int) -> Self:
@@ -402,7 +380,7 @@ class System:
     @property
     def labels(self) -> tuple[str, ...]:
         """Labels of the forces, numbered from the second of a type on."""
-        return _labels(self.forces)
+        return labels_of(self.forces)
 
     @property
     def labelled_forces(self) -> tuple[tuple[str, Force], ...]:
@@ -463,34 +441,3 @@ class System:
         from coadjoint.systems.description import system_table
 
         return system_table(self, **({"forces": forces_text(self.forces)} if self.forces else {}))
-
-
-def _labels(forces: Sequence[Force]) -> tuple[str, ...]:
-    labels: list[str] = []
-    for k, force in enumerate(forces):
-        earlier = sum(other.label == force.label for other in forces[:k])
-        labels.append(f"{force.label} {earlier + 1}" if earlier else force.label)
-    return tuple(labels)
-
-
-def _with_held_numbers(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
-    """Return a system with room in its state for the numbers that forces hold, and the forces with their places."""
-    counts = [force.held_numbers(system) for force in forces]
-    if not any(counts):
-        return system, tuple(forces)
-    starts = [0, *accumulate(counts)]
-    placed = [
-        replace(force, first=first) if count else force
-        for force, count, first in zip(forces, counts, starts, strict=False)
-    ]
-    return system.with_held(starts[-1]), tuple(placed)
-
-
-def forces_text(forces: Sequence[Force]) -> str:
-    """Return the forces with their parameters; of many the names, and of more their number."""
-    text = ", ".join(map(str, forces))
-    if len(text) > MAX_FORCES_TEXT:
-        text = ", ".join(force.label for force in forces)
-    if len(text) > MAX_FORCES_TEXT:
-        return ", ".join(short(force.label) for force in forces[:2]) + f", and {len(forces) - 2} more"
-    return text

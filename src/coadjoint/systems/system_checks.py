@@ -16,7 +16,7 @@ def check_system(system: Any) -> None:
             f"system is {short(system)}; it must be a LiePoissonSystem or another System, such as "
             "co.systems.rigid_body()"
         )
-    if isinstance(system, System):
+    if not system.is_batch:
         missing = [field for field in ("name", "sign", "dim", "hamiltonian") if not hasattr(system, field)]
         if missing:
             kind = type(system).__name__
@@ -26,7 +26,7 @@ def check_system(system: Any) -> None:
 def check_one_system(system: Any, forces: bool = False) -> None:
     """Raise TypeError for a batch, an object that is not a system, and a system with forces unless they are allowed."""
     check_system(system)
-    if isinstance(system, Batch):
+    if system.is_batch:
         raise TypeError(f"system is {short(system)}; it must be one system, such as a member of the batch, batch[0]")
     if system.forces and not forces:
         raise TypeError(

@@ -85,7 +85,7 @@ def stacks_of(systems: Sequence[Any]) -> list[SystemStack]:
     known: dict[Hashable, int] = {}
     members: dict[Hashable, tuple[list[int], list[Any]]] = {}
     for m, system in enumerate(systems):
-        if getattr(system, "_kind", None) is not LiePoissonSystem or system.dim > MAX_DIMENSION:
+        if system._kind is not LiePoissonSystem or system.dim > MAX_DIMENSION:
             continue
         keys, coefficients, constant = list[Hashable](), list[Any](), 0.0
         for term in built_in(system.hamiltonian.terms()):

@@ -16,6 +16,7 @@ from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
+from coadjoint.validation import read_numbers
 
 SEED = 1993  # of sample points; any other would do
 SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
@@ -275,3 +276,20 @@ def _compare(
             f"{names[1]} contradicts {names[0]}: along a sample direction it gives {float(declared[index]):.6g}, "
             f"but the central difference of {names[0]} is {float(fine[index]):.6g}; correct the one that is wrong"
         )
+
+
+def check_skew(function: Callable[..., Any], name: str, n: int) -> None:
+    """Raise ValueError unless a function of x returns skew (n, n) arrays at sample points."""
+    for x in sample_points(n):
+        with np.errstate(all="ignore"):
+            J = read_numbers(function(x), f"the value of {name}")
+            if J.shape != (n, n):
+                raise ValueError(f"{name} returns shape {J.shape}; it must return ({n}, {n})")
+            size, excess = np.abs(J).max(initial=0.0), np.abs(J + J.T)
+        # A point where J is not finite is skipped: it may lie outside the domain.
+        if np.isfinite(size) and excess.max(initial=0.0) > 64 * UNIT_ROUNDOFF * size:
+            i, j = (int(q) for q in np.unravel_index(np.argmax(excess), J.shape))
+            raise ValueError(
+                f"{name} is not skew at a sample point: J[{i}, {j}] = {J[i, j]:g} and J[{j}, {i}] = {J[j, i]:g}; their "
+                "sum must be zero"
+            )

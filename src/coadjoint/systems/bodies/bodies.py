@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.bodies.attitude_algebra import (
     PER_BODY,
     axis_products,
@@ -16,7 +17,8 @@ from coadjoint.systems.bodies.attitude_algebra import (
     momentum_in_space,
 )
 from coadjoint.systems.bodies.body_inertia import BodyInertia, inverse_of_moving, read_inertias
-from coadjoint.systems.bodies.body_systems import BodiesSystem
+from coadjoint.systems.bodies.body_states import read_angular_velocities, read_attitudes, read_states, read_vectors
+from coadjoint.systems.bodies.body_systems import Bodies, joined, over_members
 from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -25,13 +27,117 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import callable_from_compiled, check_arguments, evaluate, sample_points
-from coadjoint.validation import read_finite
+from coadjoint.validation import as_tuples, read_finite, set_fields
 
 Floats = npt.NDArray[np.float64]
-Made = TypeVar("Made", bound=BodiesSystem)
+Made = TypeVar("Made", bound="BodiesSystem")
 
 ROD_TORQUE = 2.0**-30
 """Largest torque along a rod, relative to the derivatives of the potential, that is taken for their rounding."""
+
+
+class BodiesSystem(Bodies):
+    """Several bodies with their centres in space; `bodies` and `gravitating_bodies` make it."""
+
+    def __init__(self, inertias: tuple[BodyInertia, ...], masses: Floats, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        set_fields(self, inertias=inertias, masses=masses, bodies=(len(inertias),))
+
+    masses: Floats
+
+    def positions(self, x: npt.ArrayLike) -> Floats:
+        """Return the positions of the centres of mass in space.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., k, 3)
+        """
+        return self._centres(x, PER_BODY + 3)
+
+    def velocities(self, x: npt.ArrayLike) -> Floats:
+        """Return the velocities of the centres of mass in space.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., k, 3)
+        """
+        return self._centres(x, PER_BODY) / self.masses[:, None]
+
+    def _centres(self, x: Any, begin: int) -> Floats:
+        states, count = read_states(self, x), len(self.inertias)
+        return states[..., begin * count : (begin + 3) * count].reshape(*states.shape[:-1], count, 3).copy()
+
+    @suggest_keywords
+    def state(
+        self,
+        positions: npt.ArrayLike,
+        velocities: npt.ArrayLike | None = None,
+        attitudes: Any = None,
+        angular_velocities: npt.ArrayLike | None = None,
+        *,
+        scalar_first: bool = False,
+        degrees: bool = False,
+        frame: str = "body",
+    ) -> Floats:
+        """Return the state of k bodies at positions in space, with attitudes and velocities.
+
+        Parameters
+        ----------
+        positions : (k, 3)
+            Of the centres of mass, in space.
+        velocities : (k, 3), optional
+            Of the centres, in space; zero by default.
+        attitudes : k of (3, 3), (4,) or scipy.spatial.transform.Rotation, optional
+            From each body to space, as an array, a list, or a Rotation of length k; by default those of space.
+        angular_velocities : (k, 3), optional
+            In radians per time; zero by default.
+        scalar_first : bool
+            Whether quaternions are (w, x, y, z) instead of (x, y, z, w).
+        degrees : bool
+            Whether the angular velocities are in degrees per time.
+        frame : {"body", "space"}
+            Frame of the angular velocities: that of each body, or space.
+
+        Returns
+        -------
+        ndarray, shape (dim,) or (members, dim)
+            With an axis of members if an argument has one before the stated shape.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Wrong shapes, no rotations, or an angular velocity along a rod.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> pair = co.systems.gravitating_bodies(masses=(3.0, 1.0))
+        >>> x0 = pair.state([[0, 0, 0], [4, 0, 0]], velocities=[[0, -0.25, 0], [0, 0.75, 0]])
+        >>> pair.velocities(x0)[1]
+        array([0.  , 0.75, 0.  ])
+        """
+        shape, bodies = (*self.bodies, 3), self.bodies
+        still = np.zeros(shape)
+        r = read_vectors(positions, "positions", shape)
+        v = still if velocities is None else read_vectors(velocities, "velocities", shape)
+        given = np.tile(np.eye(3), (*bodies, 1, 1)) if attitudes is None else attitudes
+        A = read_attitudes(given, "attitudes", bodies, scalar_first)
+        turning = still if angular_velocities is None else angular_velocities
+        omega = read_angular_velocities(turning, "angular_velocities", A, bodies, frame, degrees)
+        L = self._momentum(omega, "angular_velocities")
+        L, A, r, p = over_members((L[..., None, :], 3), (A, 3), (r, 2), (v * self.masses[:, None], 2))
+        parts = np.concatenate([L, A], axis=-2).reshape(*r.shape[:-2], -1), joined(p), joined(r)
+        return np.concatenate([*parts, np.ones((*r.shape[:-2], 1))], axis=-1)
 
 
 def kinetic_matrix(inertias: npt.NDArray[Any], masses: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
@@ -237,7 +343,7 @@ def inertial_parameters(inertias: tuple[BodyInertia, ...], masses: Floats) -> di
     """Return inertias and masses as plain numbers; moments as tensors where another body has one."""
     given = [inertia.given for inertia in inertias]
     if len({np.ndim(one) for one in given}) > 1:
-        given = [tuple(map(tuple, inertia.tensor.tolist())) for inertia in inertias]
+        given = [as_tuples(inertia.tensor) for inertia in inertias]
     return {"inertias": tuple(given), "masses": tuple(masses.tolist())}
 
 

@@ -12,11 +12,10 @@ from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia import (
     check_symmetric_matrix,
     inverse_of,
-    plain,
     positive_moments,
     warn_unphysical_inertia,
 )
-from coadjoint.validation import check_finite, is_real, read_finite, read_list, read_numbers
+from coadjoint.validation import as_tuples, check_finite, is_real, read_finite, read_list, read_numbers
 
 Floats = npt.NDArray[np.float64]
 
@@ -56,11 +55,11 @@ def read_body_inertia(inertia: Any, what: str = "inertia") -> BodyInertia:
         raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
     check_finite(array, what)
     if not array.any():
-        return BodyInertia(plain(array), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
+        return BodyInertia(as_tuples(array), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
     inverse, rotating = (_inverse_moments if array.ndim == 1 else _inverse_tensor)(array, what)
     warn_unphysical_inertia(array, None, what)
     tensor = np.diag(array) if array.ndim == 1 else np.triu(array) + np.triu(array, 1).T
-    return BodyInertia(plain(array), tensor, inverse, rotating)
+    return BodyInertia(as_tuples(array), tensor, inverse, rotating)
 
 
 def read_inertias(inertias: Any) -> tuple[BodyInertia, ...]:
@@ -143,7 +142,7 @@ class Rotors(NamedTuple):
     @property
     def given(self) -> tuple[Any, Any]:
         """Wheels and gyros as nested tuples."""
-        return plain(self.wheels), plain(self.gyros)
+        return as_tuples(self.wheels), as_tuples(self.gyros)
 
 
 NO_ROTORS = Rotors(np.zeros((0, 3)), np.zeros((0, 2, 3)))

@@ -18,23 +18,18 @@ from coadjoint.systems.bodies.body_states import (
     read_states,
     read_vectors,
 )
-from coadjoint.systems.hamiltonians.site_forces import SiteTables
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
-from coadjoint.validation import read_choice, read_numbers
+from coadjoint.validation import read_choice, read_numbers, set_fields
 
 Floats = npt.NDArray[np.float64]
 
 
-class _Bodies(LiePoissonSystem):
+class Bodies(LiePoissonSystem):
     """Base class of systems of bodies: `inertias` of each body, and `bodies`, the axis of bodies in arrays, if any."""
 
     inertias: tuple[BodyInertia, ...]
     bodies: tuple[int, ...] = ()
-
-    def _set(self, **fields: Any) -> None:
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
 
     has_attitude: bool = True
     """Whether the attitudes are part of the state."""
@@ -145,7 +140,7 @@ class _Bodies(LiePoissonSystem):
         return self._of_bodies(vectors, 1)
 
 
-class BodySystem(_Bodies):
+class BodySystem(Bodies):
     """One body; `body` makes it."""
 
     def __init__(
@@ -153,7 +148,7 @@ class BodySystem(_Bodies):
     ) -> None:
         super().__init__(*arguments, **named)
         has_attitude = self.dim - len(rotors.names) - held > 3
-        self._set(inertias=(inertia,), rotors=rotors, held=held, has_attitude=has_attitude)
+        set_fields(self, inertias=(inertia,), rotors=rotors, held=held, has_attitude=has_attitude)
 
     rotors: Rotors
     held: int
@@ -283,164 +278,25 @@ class BodySystem(_Bodies):
         speeds = unit * _read_rotors(wheel_speeds, "wheel_speeds", count)
         angles = unit * _read_rotors(gimbal_angles, "gimbal_angles", gimbals)
         along = np.einsum("mi,...i->...m", self.rotors.momenta[:count], omega)
-        L, speeds, along, angles = _over_members((L, 1), (speeds, 1), (along, 1), (angles, 1))
-        turns = _joined(np.stack([np.cos(angles), np.sin(angles)], axis=-1))
+        L, speeds, along, angles = over_members((L, 1), (speeds, 1), (along, 1), (angles, 1))
+        turns = joined(np.stack([np.cos(angles), np.sin(angles)], axis=-1))
         momenta = np.einsum("...q,qi->...i", turns, self.rotors.momenta[count:])
         L = L + np.einsum("...m,mi->...i", speeds, self.rotors.wheels) + momenta
-        axes = np.zeros(0) if A is None else _joined(A)
+        axes = np.zeros(0) if A is None else joined(A)
         rows = (L, axes, self.rotors.moments * (speeds + along), turns, np.zeros(self.held))
-        return np.concatenate(_over_members(*((row, 1) for row in rows)), axis=-1)
-
-
-class BodiesSystem(_Bodies):
-    """Several bodies with their centres in space; `bodies` and `gravitating_bodies` make it."""
-
-    def __init__(self, inertias: tuple[BodyInertia, ...], masses: Floats, *arguments: Any, **named: Any) -> None:
-        super().__init__(*arguments, **named)
-        self._set(inertias=inertias, masses=masses, bodies=(len(inertias),))
-
-    masses: Floats
-
-    def positions(self, x: npt.ArrayLike) -> Floats:
-        """Return the positions of the centres of mass in space.
-
-        Parameters
-        ----------
-        x : (..., dim)
-            States.
-
-        Returns
-        -------
-        ndarray, shape (..., k, 3)
-        """
-        return self._centres(x, PER_BODY + 3)
-
-    def velocities(self, x: npt.ArrayLike) -> Floats:
-        """Return the velocities of the centres of mass in space.
-
-        Parameters
-        ----------
-        x : (..., dim)
-            States.
-
-        Returns
-        -------
-        ndarray, shape (..., k, 3)
-        """
-        return self._centres(x, PER_BODY) / self.masses[:, None]
-
-    def _centres(self, x: Any, begin: int) -> Floats:
-        states, count = read_states(self, x), len(self.inertias)
-        return states[..., begin * count : (begin + 3) * count].reshape(*states.shape[:-1], count, 3).copy()
-
-    @suggest_keywords
-    def state(
-        self,
-        positions: npt.ArrayLike,
-        velocities: npt.ArrayLike | None = None,
-        attitudes: Any = None,
-        angular_velocities: npt.ArrayLike | None = None,
-        *,
-        scalar_first: bool = False,
-        degrees: bool = False,
-        frame: str = "body",
-    ) -> Floats:
-        """Return the state of k bodies at positions in space, with attitudes and velocities.
-
-        Parameters
-        ----------
-        positions : (k, 3)
-            Of the centres of mass, in space.
-        velocities : (k, 3), optional
-            Of the centres, in space; zero by default.
-        attitudes : k of (3, 3), (4,) or scipy.spatial.transform.Rotation, optional
-            From each body to space, as an array, a list, or a Rotation of length k; by default those of space.
-        angular_velocities : (k, 3), optional
-            In radians per time; zero by default.
-        scalar_first : bool
-            Whether quaternions are (w, x, y, z) instead of (x, y, z, w).
-        degrees : bool
-            Whether the angular velocities are in degrees per time.
-        frame : {"body", "space"}
-            Frame of the angular velocities: that of each body, or space.
-
-        Returns
-        -------
-        ndarray, shape (dim,) or (members, dim)
-            With an axis of members if an argument has one before the stated shape.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Wrong shapes, no rotations, or an angular velocity along a rod.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> pair = co.systems.gravitating_bodies(masses=(3.0, 1.0))
-        >>> x0 = pair.state([[0, 0, 0], [4, 0, 0]], velocities=[[0, -0.25, 0], [0, 0.75, 0]])
-        >>> pair.velocities(x0)[1]
-        array([0.  , 0.75, 0.  ])
-        """
-        shape, bodies = (*self.bodies, 3), self.bodies
-        still = np.zeros(shape)
-        r = read_vectors(positions, "positions", shape)
-        v = still if velocities is None else read_vectors(velocities, "velocities", shape)
-        given = np.tile(np.eye(3), (*bodies, 1, 1)) if attitudes is None else attitudes
-        A = read_attitudes(given, "attitudes", bodies, scalar_first)
-        turning = still if angular_velocities is None else angular_velocities
-        omega = read_angular_velocities(turning, "angular_velocities", A, bodies, frame, degrees)
-        L = self._momentum(omega, "angular_velocities")
-        L, A, r, p = _over_members((L[..., None, :], 3), (A, 3), (r, 2), (v * self.masses[:, None], 2))
-        parts = np.concatenate([L, A], axis=-2).reshape(*r.shape[:-2], -1), _joined(p), _joined(r)
-        return np.concatenate([*parts, np.ones((*r.shape[:-2], 1))], axis=-1)
-
-
-class MoleculesSystem(BodiesSystem):
-    """Rigid molecules with forces between their sites; `rigid_molecules` makes it."""
-
-    tables: SiteTables
-
-    def sites(self, x: npt.ArrayLike) -> Floats:
-        """Return the positions of the sites of all molecules in space, molecule by molecule.
-
-        Parameters
-        ----------
-        x : (..., dim)
-            States.
-
-        Returns
-        -------
-        ndarray, shape (..., sites, 3)
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> water = co.systems.rigid_molecules(count=2)
-        >>> O, H, _ = water.sites(water.state([[0, 0, 0], [0.3, 0, 0]]))[3:]
-        >>> float(np.linalg.norm(H - O).round(4))
-        0.0957
-        """
-        A, r, begin, first = self.attitudes(x), self.positions(x), 0, 0
-        found = []
-        for count, types in zip(self.tables.molecules.tolist(), self.tables.types.tolist(), strict=True):
-            own, places = slice(begin, begin + count), self.tables.places[first : first + types]
-            turned = np.einsum("...mij,sj->...msi", A[..., own, :, :], places)
-            found.append((r[..., own, None, :] + turned).reshape(*r.shape[:-2], -1, 3))
-            begin, first = begin + count, first + types
-        return np.concatenate(found, axis=-2)
+        return np.concatenate(over_members(*((row, 1) for row in rows)), axis=-1)
 
 
 def _read_rotors(values: Any, what: str, count: int) -> Floats:
     return np.zeros(count) if values is None else read_vectors(values, what, (count,))
 
 
-def _joined(array: Floats) -> Floats:
+def joined(array: Floats) -> Floats:
     """Return the last two axes as one."""
     return array.reshape(*array.shape[:-2], -1)
 
 
-def _over_members(*parts: tuple[Floats, int]) -> list[Floats]:
+def over_members(*parts: tuple[Floats, int]) -> list[Floats]:
     """Return arrays with the same axis of members before their last axes, where any has one."""
     members = {array.shape[0] for array, axes in parts if array.ndim > axes}
     if len(members) > 1:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
 from coadjoint.systems.bodies.bodies import (
+    BodiesSystem,
     inertial_parameters,
     kinetic_matrix,
     potential_coordinates,
@@ -17,7 +18,6 @@ from coadjoint.systems.bodies.bodies import (
     system_of_bodies,
 )
 from coadjoint.systems.bodies.body_inertia import anisotropic_part, read_inertias
-from coadjoint.systems.bodies.body_systems import BodiesSystem
 from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants

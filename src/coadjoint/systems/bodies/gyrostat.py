@@ -15,7 +15,6 @@ from coadjoint.systems.bodies.inertia import (
     axis_of_symmetry,
     inverse_of,
     momentum_along,
-    plain,
     principal,
     read_inertia,
     read_vector,
@@ -32,6 +31,7 @@ from coadjoint.systems.closed_forms.free_rigid_body import fixed_axis
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made
+from coadjoint.validation import as_tuples
 
 Floats = npt.NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
         H,
         sign=-1,
         name="gyrostat",
-        parameters={"inertia": plain(moments), "rotors": tuple(k.tolist())},
+        parameters={"inertia": as_tuples(moments), "rotors": tuple(k.tolist())},
         exact=None if axis is None or m is None else partial(_symmetric, m, k, axis),
         integrals=momentum_along(axis, "x", 3),
     )

@@ -16,7 +16,6 @@ from coadjoint.systems.bodies.inertia import (
     axis_of_symmetry,
     inverse_of,
     momentum_along,
-    plain,
     principal,
     read_inertia,
     read_vector,
@@ -25,6 +24,7 @@ from coadjoint.systems.bodies.inertia import (
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made
+from coadjoint.validation import as_tuples
 
 Floats = npt.NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (
     moments, w = read_inertia(inertia), read_vector(lever, "lever")
     energy = _energy(moments, w)
     warn_unphysical_inertia(moments, "e(3)")
-    return top_under_gravity(energy, "heavy_top", {"inertia": plain(moments), "lever": tuple(w.tolist())})
+    return top_under_gravity(energy, "heavy_top", {"inertia": as_tuples(moments), "lever": tuple(w.tolist())})
 
 
 def top_under_gravity(energy: tuple[Floats, Floats], name: str, parameters: dict[str, Any]) -> ClassicalBody:

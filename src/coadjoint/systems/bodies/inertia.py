@@ -27,11 +27,6 @@ def read_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> npt.NDArray[n
     return positive_moments(array, what) if array.ndim == 1 else array
 
 
-def plain(array: npt.NDArray[np.float64]) -> Any:
-    """Return an array as nested tuples of numbers."""
-    return tuple(map(plain, array)) if array.ndim > 1 else tuple(array.tolist())
-
-
 def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.float64]:
     """Validate a vector of n finite numbers; `what` is its name in messages."""
     vector = read_finite(values, what)

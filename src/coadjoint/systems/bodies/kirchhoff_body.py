@@ -10,11 +10,11 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.bodies.classical_body import ClassicalBody
 from coadjoint.systems.bodies.heavy_top import rigid_motions
-from coadjoint.systems.bodies.inertia import inverse_of, plain, principal, read_inertia
+from coadjoint.systems.bodies.inertia import inverse_of, principal, read_inertia
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_finite
+from coadjoint.validation import as_tuples, read_finite
 
 Floats = npt.NDArray[np.float64]
 
@@ -115,7 +115,7 @@ def kirchhoff_body(
         Quadratic(matrix),
         sign=-1,
         name="kirchhoff_body",
-        parameters={"inertia": plain(moments), "mass": plain(masses), "coupling": plain(B)},
+        parameters={"inertia": as_tuples(moments), "mass": as_tuples(masses), "coupling": as_tuples(B)},
         integrals={} if B.any() else _of_revolution(matrix[:3, :3], matrix[3:, 3:]),
     )
 

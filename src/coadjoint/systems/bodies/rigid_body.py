@@ -11,12 +11,13 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.bodies.classical_body import ClassicalBody
-from coadjoint.systems.bodies.inertia import inverse_of, plain, read_inertia, warn_unphysical_inertia
+from coadjoint.systems.bodies.inertia import inverse_of, read_inertia, warn_unphysical_inertia
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
+from coadjoint.validation import as_tuples
 
 
 def _energy(inertia: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
@@ -86,7 +87,7 @@ def rigid_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0)) -> ClassicalBody:
     moments = read_inertia(inertia)
     energy = _energy(moments)
     warn_unphysical_inertia(moments)
-    return so3_body(ClassicalBody, *energy, sign=-1, name="rigid_body", parameters={"inertia": plain(moments)})
+    return so3_body(ClassicalBody, *energy, sign=-1, name="rigid_body", parameters={"inertia": as_tuples(moments)})
 
 
 def so3_body(kind: type[Kind], M: npt.NDArray[np.float64], *, sign: int, name: str, parameters: dict[str, Any]) -> Kind:

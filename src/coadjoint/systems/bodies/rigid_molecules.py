@@ -12,14 +12,13 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
-from coadjoint.systems.bodies.bodies import system_of_bodies
+from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
 from coadjoint.systems.bodies.body_inertia import BodyInertia, read_body_inertia
-from coadjoint.systems.bodies.body_systems import MoleculesSystem
-from coadjoint.systems.bodies.inertia import plain, read_in_range
+from coadjoint.systems.bodies.inertia import read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_choice, read_finite, read_integer, read_list, read_number
+from coadjoint.validation import as_tuples, read_choice, read_finite, read_integer, read_list, read_number, set_fields
 
 Floats = npt.NDArray[np.float64]
 
@@ -33,6 +32,41 @@ BYTES_PER_MOLECULE = 20_000
 KIND = "give one molecule, or a list of kinds, of which each of sites, charges, lj, masses and count has one"
 
 WATER = ((0.0, 0.0, 0.0), (0.0756950, 0.0, 0.0585882), (-0.0756950, 0.0, 0.0585882))
+
+
+class MoleculesSystem(BodiesSystem):
+    """Rigid molecules with forces between their sites; `rigid_molecules` makes it."""
+
+    tables: SiteTables
+
+    def sites(self, x: npt.ArrayLike) -> Floats:
+        """Return the positions of the sites of all molecules in space, molecule by molecule.
+
+        Parameters
+        ----------
+        x : (..., dim)
+            States.
+
+        Returns
+        -------
+        ndarray, shape (..., sites, 3)
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> water = co.systems.rigid_molecules(count=2)
+        >>> O, H, _ = water.sites(water.state([[0, 0, 0], [0.3, 0, 0]]))[3:]
+        >>> float(np.linalg.norm(H - O).round(4))
+        0.0957
+        """
+        A, r, begin, first = self.attitudes(x), self.positions(x), 0, 0
+        found = []
+        for count, types in zip(self.tables.molecules.tolist(), self.tables.types.tolist(), strict=True):
+            own, places = slice(begin, begin + count), self.tables.places[first : first + types]
+            turned = np.einsum("...mij,sj->...msi", A[..., own, :, :], places)
+            found.append((r[..., own, None, :] + turned).reshape(*r.shape[:-2], -1, 3))
+            begin, first = begin + count, first + types
+        return np.concatenate(found, axis=-2)
 
 
 class MoleculeKind(NamedTuple):
@@ -185,7 +219,7 @@ def rigid_molecules(
     given = zip(*(kind.given for kind in kinds), strict=True)
     named = dict(zip(("sites", "charges", "lj", "masses", "count"), given, strict=True))
     parameters = {key: values if several else values[0] for key, values in named.items()} | {
-        "box": None if box is None else plain(sides),
+        "box": None if box is None else as_tuples(sides),
         "cutoff": None if cutoff is None else ends[1],
         "switch_from": None if switch_from is None else ends[0],
         "dielectric": ends[2],
@@ -202,7 +236,7 @@ def rigid_molecules(
         integrals=momentum_in_space(total, 18 * total + 1, turning=box is None),
         kind=MoleculesSystem,
     )
-    system._set(tables=tables)
+    set_fields(system, tables=tables)
     return system
 
 
@@ -240,7 +274,7 @@ def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count
             raise ValueError(f"{name}{which} has shape {array.shape}; give {shape}, as sites{which} has {size} sites")
     for array, name in ((pairs, "lj"), (m, "masses")):
         if (array < 0.0).any():
-            raise ValueError(f"{name}{which} is {short(plain(array))}; its numbers must not be negative")
+            raise ValueError(f"{name}{which} is {short(as_tuples(array))}; its numbers must not be negative")
     number = read_integer(count, f"count{which}")
     mass = read_in_range(math.fsum(m), f"the sum of masses{which}")
     # Relative to the first site, so that an atom is at its centre exactly.
@@ -257,7 +291,9 @@ def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count
     diagonal = not (tensor - np.diag(np.diag(tensor))).any()
     inertia = read_body_inertia(np.diag(tensor) if diagonal else tensor, f"the inertia of sites{which}")
     _check_axis(inertia, from_centre, which)
-    return MoleculeKind(from_centre, q, pairs, mass, inertia, (plain(places), plain(q), plain(pairs), plain(m), number))
+    return MoleculeKind(
+        from_centre, q, pairs, mass, inertia, (as_tuples(places), as_tuples(q), as_tuples(pairs), as_tuples(m), number)
+    )
 
 
 def _check_axis(inertia: BodyInertia, places: Floats, which: str) -> None:

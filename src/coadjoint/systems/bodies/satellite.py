@@ -25,6 +25,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
+from coadjoint.validation import as_tuples
 
 Floats = npt.NDArray[np.float64]
 MAX_ITERATIONS = 200  # of doublings, and of Newton's method within a bracket, which 64 halvings close to round-off
@@ -125,7 +126,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     moments, along = principal(found.tensor), principal(found.inverse)
     free_flight = ((3, 4, 5), Quadratic(1 / mass))
     if moments is None or along is None:
-        potential = _potential_of_tensor(tuple(map(tuple, found.tensor.tolist())), mass, gravity)
+        potential = _potential_of_tensor(as_tuples(found.tensor), mass, gravity)
         rotation = np.zeros((10, 10))
         rotation[:3, :3] = found.inverse
         H: Any = Quadratic(rotation) + SplitHamiltonian([free_flight, ((6, 7, 8), potential)])

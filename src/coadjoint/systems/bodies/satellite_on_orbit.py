@@ -19,7 +19,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import callable_from_compiled
-from coadjoint.validation import read_finite, read_number
+from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 Floats = npt.NDArray[np.float64]
 
@@ -207,7 +207,7 @@ def satellite_on_orbit(
     if e:
         kinetic = np.zeros((PER_BODY, PER_BODY))
         kinetic[:3, :3] = found.inverse if found.inverse.ndim == 2 else np.diag(found.inverse)
-        turning, torque = _on_ellipse(rate, e, tuple(map(tuple, found.anisotropic.tolist())))
+        turning, torque = _on_ellipse(rate, e, as_tuples(found.anisotropic))
         frame = [((i, NORMAL.start + i), turning) for i in range(3)]
         H: Any = Quadratic(kinetic) + SplitHamiltonian([*frame, ((3, 4, 5), torque)])
     else:
@@ -222,7 +222,7 @@ def satellite_on_orbit(
         name="satellite_on_orbit",
         parameters=parameters,
     )
-    system._set(mean_motion=rate, eccentricity=e)
+    set_fields(system, mean_motion=rate, eccentricity=e)
     return system
 
 

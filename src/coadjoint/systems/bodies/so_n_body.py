@@ -11,7 +11,7 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.inertia import check_symmetric_matrix, plain, warn_negative_mass, with_change
+from coadjoint.systems.bodies.inertia import check_symmetric_matrix, warn_negative_mass, with_change
 from coadjoint.systems.closed_forms.manakov_integrals import (
     halves_of_so4,
     inverse_of_form,
@@ -24,7 +24,7 @@ from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import check_finite, read_numbers
+from coadjoint.validation import as_tuples, check_finite, read_numbers
 
 BYTES_PER_ENTRY = 500  # for a matrix of fractions with its inverse
 
@@ -141,6 +141,6 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
         Quadratic(M),
         sign=-1,
         name="so_n_body",
-        parameters={"inertia": plain(values)},
+        parameters={"inertia": as_tuples(values)},
         integrals=manakov_integrals(a),
     )

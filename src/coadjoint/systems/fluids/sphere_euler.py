@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from math import pi
 from typing import Any
 
@@ -272,7 +272,7 @@ class SphereEuler(FluidSystem):
         ``observe=system.integrals``.
         """
         axes = "z" if self.rotation else "xyz"
-        return {f"angular momentum {axis}": sphere_states.MomentumAlong(axis) for axis in axes}
+        return {f"angular momentum {axis}": partial(sphere_states.momentum_along, axis) for axis in axes}
 
 
 def _unstable_jet() -> Matrix:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -65,9 +66,7 @@ class ReactionWheels(Sampled):
 
     max_momentum: Any = None
 
-    def _read_limits(self, name: str, shape: tuple[int, ...] = ()) -> None:
-        for limit in ("max_torque", "max_momentum"):
-            super()._read_limits(limit, ())
+    _limits = dict.fromkeys(("max_torque", "max_momentum"), partial(read_limits, shape=()))
 
     def _count(self, system: Any) -> int:
         count = len(system.rotors.wheels)
@@ -174,9 +173,8 @@ class ControlMomentGyros(Sampled):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.max_rate is not None:
-            object.__setattr__(self, "max_rate", read_positive(self.max_rate, f"max_rate of {self.label}"))
-        share = read_positive(self.regularization, f"regularization of {self.label}")
-        object.__setattr__(self, "regularization", share)
+            self._read(max_rate=read_positive)
+        self._read(regularization=read_positive)
 
     def _count(self, system: Any) -> int:
         if not len(system.rotors.gyros):
@@ -288,8 +286,7 @@ class Thrusters(Sampled):
         for name, what in (("max_torque", "torque of a pair while it fires"), ("min_impulse", "smallest impulse")):
             if getattr(self, name) is None:
                 raise TypeError(f"{name} of Thrusters was not given; give the {what}")
-        limits = read_limits(self.min_impulse, "min_impulse of Thrusters", zero=True)
-        object.__setattr__(self, "min_impulse", limits)
+        self._read(min_impulse=partial(read_limits, zero=True))
 
     def _command(self, system: Any) -> Callable[..., Any]:
         full, least = (np.array(np.broadcast_to(value, 3)) for value in (self.max_torque, self.min_impulse))

@@ -1,18 +1,24 @@
-"""Base class of forces: the flow, the invariants that it preserves, the interface to the kernels, and the noise."""
+"""Base class of forces, their noise, lists of them, and their rates and metrics: numbers, diagonals or matrices."""
 
 from __future__ import annotations
 
 import struct
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from itertools import accumulate
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import ExplainedCalls
-from coadjoint.short_repr import record_repr
+from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import record_repr, short
+from coadjoint.systems.user_functions import sample_points
+from coadjoint.validation import as_tuples, read_finite, read_integer, set_fields, to_array
+
+Plain = float | tuple[Any, ...]
 
 
 class Noise(NamedTuple):
@@ -83,6 +89,11 @@ class Force(metaclass=ExplainedCalls):
 
     def __repr__(self) -> str:
         return record_repr(self) if is_dataclass(self) else self.label
+
+    def _read(self, **readers: Callable[[Any, str], Any]) -> None:
+        """Replace fields by what a function returns of each and of its name in messages, in their order."""
+        for name, read in readers.items():
+            set_fields(self, **{name: read(getattr(self, name), f"{name} of {type(self).__name__}")})
 
     @abstractmethod
     def check(self, system: Any) -> None:
@@ -204,6 +215,14 @@ class Force(metaclass=ExplainedCalls):
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
+MAX_SEED = 2**62
+
+
+def read_seed(value: Any, what: str) -> int:
+    """Validate the seed or the stream of a noise."""
+    return read_integer(value, what, 0, MAX_SEED)
+
+
 def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.float64]:
     """Return `count` independent normal deviates, a pure function of seed, stream (0 to 2^63 - 1), time and part."""
     # By Philox4x64-10 and the inverse distribution function; the reference for ``forces/random.hpp``, equal to round-
@@ -222,3 +241,128 @@ def random_words(seed: int, stream: int, moment: float, part: int, count: int) -
     counter = (((part << 192) | (stream << 128) | (time_bits << 64)) - 1) % (1 << 256)
     words = np.random.Philox(key=seed, counter=counter).random_raw(-(-count // 4) * 4)
     return np.asarray(words[:count], dtype=np.uint64)
+
+
+MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
+
+
+def forces_on(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
+    """Return a system with space in its state for the numbers that forces hold, and the forces, which can act on it."""
+    for force in forces:
+        if not isinstance(force, Force):
+            raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
+    counts = [force.held_numbers(system) for force in forces]
+    if any(counts):
+        starts = accumulate(counts, initial=0)
+        forces = [
+            replace(force, first=first) if count else force
+            for force, count, first in zip(forces, counts, starts, strict=False)
+        ]
+        system = system.with_held(sum(counts))
+    for force in forces:
+        force.check(system)
+    streams = [(force.seed, force.stream) for force in forces if force.random]
+    if len(set(streams)) < len(streams):
+        raise ValueError("two forces have the same seed and stream, and so the same noise; give each its own seed")
+    return system, tuple(forces)
+
+
+def labels_of(forces: Sequence[Force]) -> tuple[str, ...]:
+    """Return the labels of forces, numbered from the second of a label on."""
+    labels: list[str] = []
+    for k, force in enumerate(forces):
+        earlier = sum(other.label == force.label for other in forces[:k])
+        labels.append(f"{force.label} {earlier + 1}" if earlier else force.label)
+    return tuple(labels)
+
+
+def forces_text(forces: Sequence[Force]) -> str:
+    """Return the forces with their parameters; of many the names, and of more their number."""
+    text = ", ".join(map(str, forces))
+    if len(text) > MAX_FORCES_TEXT:
+        text = ", ".join(force.label for force in forces)
+    if len(text) > MAX_FORCES_TEXT:
+        return ", ".join(short(force.label) for force in forces[:2]) + f", and {len(forces) - 2} more"
+    return text
+
+
+def read_matrix(argument: Any, what: str, dimensions: tuple[int, ...] = (0, 1, 2)) -> Plain:
+    """Validate a number, a vector or a square matrix, and return it as floats in nested tuples."""
+    array = read_finite(argument, what)
+    square = array.ndim < 2 or array.shape[0] == array.shape[1]
+    if array.ndim not in dimensions or not square or not array.size:
+        shapes = " or ".join(("a number", "(n,)", "(n, n)")[k] for k in dimensions)
+        raise ValueError(f"{what} has the shape {array.shape}; it must be {shapes}")
+    plain: Plain = as_tuples(array)
+    return plain
+
+
+def read_state(argument: Any, what: str, number: bool = False) -> Any:
+    """Validate a vector or a matrix state (with `number` also a scalar), and return it as nested tuples."""
+    if isinstance(argument, Mapping) and argument.keys() == {"real", "imaginary"}:  # the form used in records
+        argument = read_finite(argument["real"], what) + 1j * read_finite(argument["imaginary"], what)
+    matrix = to_array(argument, what, "iufc")
+    if matrix.ndim not in (2, 3):
+        return read_matrix(argument, what, (0, 1) if number else (1,))
+    if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():
+        raise ValueError(f"{what} has the shape {matrix.shape}; a matrix must be (N, N), of finite numbers")
+    return as_tuples(matrix.astype(complex if matrix.dtype.kind == "c" else float))
+
+
+def check_state(argument: Any, what: str, system: Any) -> None:
+    """Raise an error if a state does not belong to a system; a scalar must be zero for systems of matrices."""
+    shape = np.shape(argument)
+    if system.has_matrices:
+        if shape or argument != 0.0:
+            system.read(argument, what)
+    elif len(shape) > 1:
+        raise ValueError(f"{what} is a matrix; {system.name} needs ({system.dim},)")
+    else:
+        check_dimension(argument, what, system)
+
+
+def state_vector(argument: Any, system: Any) -> NDArray[np.float64]:
+    """Return a state as a vector of real numbers, (n,)."""
+    if system.has_matrices and np.ndim(argument):
+        return np.asarray(system.read(argument))
+    return np.asarray(np.broadcast_to(np.asarray(argument, dtype=np.float64), (system.dim,)))
+
+
+def sample_states(system: Any) -> list[NDArray[Any]]:
+    """Return seeded sample states of different kinds, in the form in which user functions take them."""
+    points = sample_points(system.dim)
+    return [system.algebra.projected(system.from_vector(x)) for x in points] if system.has_matrices else points
+
+
+def check_dimension(argument: Plain, what: str, system: Any) -> None:
+    """Raise an error if a vector or matrix does not have the dimension of a system."""
+    shape = np.shape(argument)
+    if shape and shape[0] != system.dim:
+        raise ValueError(f"{what} has the shape {shape}; {system.name} has dimension {system.dim}")
+
+
+def apply_metric(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
+    """Return the product of a number, a diagonal or a matrix with y."""
+    array = np.asarray(matrix)
+    return array @ y if array.ndim == 2 else array * y
+
+
+def metric_root(metric: Plain, what: str) -> NDArray[np.float64]:
+    """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor, summed in a fixed order."""
+    P = np.array(metric, dtype=np.float64)
+    size = np.max(np.abs(P))
+    if P.ndim < 2:
+        if np.any(P < 0.0):
+            raise ValueError(f"{what} has the negative entry {P.min():g}; damping needs a positive semidefinite one")
+        return np.sqrt(P)
+    if not np.array_equal(P, P.T):
+        raise ValueError(f"{what} is not symmetric; damping needs a symmetric positive semidefinite one")
+    n = len(P)
+    L, remainder, tolerance = np.zeros((n, n)), P.copy(), 64 * n * UNIT_ROUNDOFF * size
+    for k in range(n):
+        if remainder[k, k] > tolerance:
+            L[k:, k] = remainder[k:, k] / np.sqrt(remainder[k, k])
+            remainder -= np.multiply.outer(L[:, k], L[:, k])
+        elif remainder[k, k] < -tolerance or np.max(np.abs(remainder[k:, k])) > np.sqrt(tolerance * size):
+            raise ValueError(f"{what} is not positive semidefinite; damping would feed energy in")
+    return L

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_states import read_attitudes
-from coadjoint.systems.forces.rates import read_matrix
+from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
 from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments
-from coadjoint.validation import read_choice, read_finite
+from coadjoint.validation import as_tuples, read_choice, read_finite
 
 
 class BodyTorque(StateTorque):
@@ -117,7 +117,7 @@ def read_prescribed(value: Any, what: str, arguments: str = "t", shape: tuple[in
         return value
     array = read_finite(value, what)
     _check_value(array, what, shape)
-    return _tuples(array.tolist())
+    return as_tuples(array)
 
 
 def prescribed(value: Any) -> Callable[..., Any]:
@@ -148,17 +148,13 @@ def read_limits(value: Any, what: str, shape: tuple[int, ...] = (3,), *, zero: b
     if not fits or (array < 0.0).any() or not (zero or array.all()):
         kind = "numbers that are not negative" if zero else "positive numbers"
         raise ValueError(f"{what} is {short(array.tolist())}; give {kind}: one, or {shape or 'one for each'}")
-    return _tuples(array.tolist())
+    return as_tuples(array)
 
 
 def _check_value(value: Any, what: str, shape: tuple[int, ...]) -> None:
     found = np.shape(value)
     if found != shape or not np.isfinite(np.asarray(value, dtype=np.float64)).all():
         raise ValueError(f"{what} is {short(np.asarray(value).tolist())}; give finite numbers of the shape {shape}")
-
-
-def _tuples(entry: Any) -> Any:
-    return tuple(map(_tuples, entry)) if isinstance(entry, list) else entry
 
 
 ERRORS = ("sine", "quaternion")
@@ -215,17 +211,14 @@ class Pointing(BodyTorque):
     selectors: ClassVar[tuple[str, ...]] = ("attitude",)
 
     def __post_init__(self) -> None:
-        for name in ("stiffness", "damping"):
-            object.__setattr__(self, name, read_tensor(getattr(self, name), f"{name} of Pointing"))
-        what = "attitude of Pointing"
-        if callable(self.attitude) and not hasattr(self.attitude, "as_matrix"):
-            read_prescribed(self.attitude, what, shape=(3, 3))
-        elif self.attitude is not None:
-            A = read_attitudes(self.attitude, what, (), False)
-            object.__setattr__(self, "attitude", read_prescribed(A, what, shape=(3, 3)))
-        object.__setattr__(self, "rate", read_prescribed(self.rate, "rate of Pointing"))
-        read_choice(self.error, "error", ERRORS)
-        object.__setattr__(self, "max_torque", read_limits(self.max_torque, "max_torque of Pointing"))
+        self._read(
+            stiffness=read_tensor,
+            damping=read_tensor,
+            attitude=_read_wanted,
+            rate=read_prescribed,
+            error=partial(read_choice, known=ERRORS),
+            max_torque=read_limits,
+        )
 
     @property
     def sees_attitude(self) -> bool:
@@ -252,6 +245,15 @@ class Pointing(BodyTorque):
             return limited(-(pull + C[:, 0] * d[0] + C[:, 1] * d[1] + C[:, 2] * d[2]))
 
         return spring if self.sees_attitude else damper
+
+
+def _read_wanted(value: Any, what: str) -> Any:
+    """Validate a wanted attitude, or a function of the time that returns a matrix; None is that of space."""
+    if value is None:
+        return None
+    if not callable(value) or hasattr(value, "as_matrix"):
+        value = read_attitudes(value, what, (), False)
+    return read_prescribed(value, what, shape=(3, 3))
 
 
 def limited_by(limits: Any) -> Callable[..., Any]:

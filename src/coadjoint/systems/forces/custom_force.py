@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import has_matrix_state, sample_states
+from coadjoint.systems.forces.base import Force, ForceReader, sample_states
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
 from coadjoint.validation import read_bool, read_title
 
@@ -65,9 +64,7 @@ class OwnForce(Force):
 
     def __post_init__(self) -> None:
         check_arguments(self.function, "the flow of an OwnForce", "x, t, tau")
-        object.__setattr__(self, "name", read_title(self.name, "name of a force"))
-        for flag in ("keeps_casimirs", "backward"):
-            object.__setattr__(self, flag, read_bool(getattr(self, flag), flag))
+        self._read(name=read_title, keeps_casimirs=read_bool, backward=read_bool)
 
     @property
     def label(self) -> str:
@@ -86,7 +83,7 @@ class OwnForce(Force):
 
     def check(self, system: Any) -> None:
         shape, failure = system.shape, ""
-        kinds = "fiuc" if getattr(system, "complex", False) else "fiu"
+        kinds = "fiuc" if system.has_matrices and system.complex else "fiu"
         for x in sample_states(system):
             try:
                 with np.errstate(all="ignore"):
@@ -100,7 +97,7 @@ class OwnForce(Force):
                         f"the flow of {self.name} returns {result.dtype} of shape {result.shape}; {system.name} needs "
                         f"{'' if 'c' in kinds else 'real '}numbers of shape {shape}"
                     )
-                if has_matrix_state(system) and np.all(np.isfinite(result)):
+                if system.has_matrices and np.all(np.isfinite(result)):
                     system.read(result, f"the value of the flow of {self.name}")
             if np.all(np.isfinite(unmoved)) and np.max(np.abs(unmoved - x)) > 1e-9 * np.max(np.abs(x)):
                 raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x")
@@ -124,7 +121,7 @@ class OwnForce(Force):
         return np.asarray((4.0 * narrow - wide) / 3.0)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        if has_matrix_state(system):
+        if system.has_matrices:
             return np.asarray(system.to_vector(self.function(system.from_vector(x), t, tau)))
         return np.asarray(self.function(x, t, tau))
 

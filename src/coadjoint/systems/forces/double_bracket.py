@@ -9,10 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.systems.forces.base import Force, ForceReader, Noise
+from coadjoint.systems.forces.base import (
+    Force,
+    ForceReader,
+    Noise,
+    apply_metric,
+    check_dimension,
+    metric_root,
+    read_matrix,
+)
 from coadjoint.systems.forces.orbit_flow import Exponential, Midpoint, OrbitFlow, bracket_of, constant_hessian
-from coadjoint.systems.forces.rates import apply_metric, check_dimension, metric_root, read_matrix
-from coadjoint.validation import read_number
+from coadjoint.validation import read_nonnegative
 
 MAX_SUBSTEPS = 192  # iterations of the midpoint rule; convergent ones take some ten
 SERIES_TOLERANCE = 2.0**-40  # of |x|: below it a correction that stagnates is round-off
@@ -68,17 +75,12 @@ class DoubleBracketDamping(Force):
     casimirs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        name = type(self).__name__
-        alpha = read_number(self.alpha, f"alpha of {name}")
-        if alpha < 0.0:
-            raise ValueError(f"alpha of {name} is {alpha!r}; damping needs zero or a positive number")
-        object.__setattr__(self, "alpha", alpha)
-        object.__setattr__(self, "metric", read_matrix(self.metric, f"metric of {name}"))
-        metric_root(self.metric, f"metric of {name}")
+        self._read(alpha=read_nonnegative, metric=read_matrix)
+        metric_root(self.metric, f"metric of {type(self).__name__}")
 
     def check(self, system: Any) -> None:
         name = type(self).__name__
-        if system.algebra is None or getattr(system.algebra, "triples", None) is None:
+        if not system.has_structure_constants:
             raise ValueError(
                 f"{name} moves states along coadjoint orbits, by structure constants, which {system.name} does not "
                 "have; take LinearDamping"

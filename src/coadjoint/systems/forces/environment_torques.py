@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from coadjoint.systems.forces.body_torque import (
     tensor,
 )
 from coadjoint.systems.user_functions import callable_from_compiled
-from coadjoint.validation import read_finite, read_number
+from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 
 @dataclass(frozen=True)
@@ -64,9 +65,7 @@ class GravityGradient(BodyTorque):
     quadrupole: Any = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "mu", read_number(self.mu, "mu of GravityGradient"))
-        object.__setattr__(self, "position", read_prescribed(self.position, "position of GravityGradient"))
-        object.__setattr__(self, "quadrupole", read_tensor(self.quadrupole, "quadrupole of GravityGradient"))
+        self._read(mu=read_number, position=read_prescribed, quadrupole=read_tensor)
         if not callable(self.position) and not any(self.position):
             raise ValueError("position of GravityGradient is zero; give that of the body from the centre")
 
@@ -140,15 +139,13 @@ class MagneticDipole(BodyTorque):
     position: Any = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "moment", read_prescribed(self.moment, "moment of MagneticDipole"))
-        arguments = "t" if self.position is None else "t, r"
+        self._read(moment=read_prescribed)
         if self.position is not None:
-            object.__setattr__(self, "position", read_prescribed(self.position, "position of MagneticDipole"))
-        given = read_prescribed(self.B, "B of MagneticDipole", arguments)
-        object.__setattr__(self, "B", given)
+            self._read(position=read_prescribed)
+        self._read(B=partial(read_prescribed, arguments="t" if self.position is None else "t, r"))
         if callable(self.moment):
             raise TypeError("moment of MagneticDipole is a function; give three numbers, or a co.forces.Torque")
-        if self.position is not None and not callable(given):
+        if self.position is not None and not callable(self.B):
             raise TypeError(
                 "position of MagneticDipole was given, but its field is constant; give a function of (t, r)"
             )
@@ -196,18 +193,15 @@ class _OnPlates(BodyTorque):
         lengths = np.sqrt((normals * normals).sum(axis=1))
         if (areas < 0.0).any() or (abs(lengths - 1.0) > UNIT).any():
             raise ValueError(f"areas of {self.label} must not be negative, and normals be unit vectors")
-        object.__setattr__(self, "areas", tuple(areas.tolist()))
-        object.__setattr__(self, "normals", tuple(map(tuple, (normals / lengths[:, None]).tolist())))
-        object.__setattr__(self, "centres", tuple(map(tuple, centres.tolist())))
+        plates = {"areas": areas, "normals": normals / lengths[:, None], "centres": centres}
+        set_fields(self, **{name: as_tuples(array) for name, array in plates.items()})
 
-    def _share(self, name: str) -> Any:
+    def _read_share(self, value: Any, what: str) -> Any:
         """Validate numbers from 0 to 1, one or one for each plate; a number stays one."""
-        what = f"{name} of {self.label}"
-        array = read_finite(getattr(self, name), what)
+        array = read_finite(value, what)
         if array.shape not in ((), (len(self.areas),)) or (array < 0.0).any() or (array > 1.0).any():
             raise ValueError(f"{what} must be a number from 0 to 1, or one for each of {len(self.areas)} plates")
-        plain = array.tolist()
-        return tuple(plain) if isinstance(plain, list) else plain
+        return as_tuples(array)
 
 
 @dataclass(frozen=True)
@@ -258,10 +252,8 @@ class SolarPressure(_OnPlates):
 
     def __post_init__(self) -> None:
         self._read_plates()
-        object.__setattr__(self, "pressure", read_number(self.pressure, "pressure of SolarPressure"))
-        object.__setattr__(self, "sun", read_prescribed(self.sun, "sun of SolarPressure"))
-        for name in ("specular", "diffuse"):
-            object.__setattr__(self, name, self._share(name))
+        share = self._read_share
+        self._read(pressure=read_number, sun=read_prescribed, specular=share, diffuse=share)
         if (np.add(self.specular, self.diffuse) > 1.0).any():
             raise ValueError("specular and diffuse of SolarPressure exceed 1 together; they are shares of the light")
 
@@ -325,9 +317,7 @@ class Drag(_OnPlates):
 
     def __post_init__(self) -> None:
         self._read_plates()
-        for name in ("density", "coefficient"):
-            object.__setattr__(self, name, read_number(getattr(self, name), f"{name} of Drag"))
-        object.__setattr__(self, "velocity", read_prescribed(self.velocity, "velocity of Drag"))
+        self._read(density=read_number, coefficient=read_number, velocity=read_prescribed)
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
         in_body, crossed = body_products()

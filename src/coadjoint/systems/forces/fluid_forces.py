@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
-from coadjoint.systems.forces.base import ForceReader, normal_deviates
-from coadjoint.systems.forces.heat_bath import MAX_SEED
-from coadjoint.systems.forces.mode_force import ModeRates, OnLayer, PerMode, modes_of, values_by_scale
-from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves, stream_values
+from coadjoint.systems.forces.base import ForceReader, normal_deviates, read_seed
+from coadjoint.systems.forces.mode_force import ModeRates, OnLayer, PerMode, modes_of, read_layer, values_by_scale
+from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves
 from coadjoint.systems.matrices.torus_modes import representatives
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.validation import read_bool, read_finite, read_integer, read_number
+from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer, read_nonnegative, read_number
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,8 @@ class Friction(ModeRates):
         if callable(self.rate):
             check_arguments(self.rate, "rate of Friction", "scale")
         else:
-            object.__setattr__(self, "rate", read_number(self.rate, "rate of Friction"))
-        self.read_layer()
+            self._read(rate=read_number)
+        self._read(layer=read_layer)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         return values_by_scale(self.rate, modes.scales(d, numbers), "rate of Friction")
@@ -119,13 +119,8 @@ class Viscosity(ModeRates):
     layer: str = "vorticity"
 
     def __post_init__(self) -> None:
-        nu = read_number(self.nu, "nu of Viscosity")
-        if nu < 0.0:
-            raise ValueError(f"nu of Viscosity is {nu!r}; it must be zero or positive")
-        object.__setattr__(self, "nu", nu)
-        object.__setattr__(self, "power", read_integer(self.power, "power of Viscosity", 1, MAX_POWER))
-        object.__setattr__(self, "rotation", read_bool(self.rotation, "rotation of Viscosity"))
-        self.read_layer()
+        power = partial(read_integer, minimum=1, maximum=MAX_POWER)
+        self._read(nu=read_nonnegative, power=power, rotation=read_bool, layer=read_layer)
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         offset = 2.0 if modes.kind == "HARMONICS" and not self.rotation and self.layer == "vorticity" else 0.0
@@ -175,7 +170,7 @@ class BetaPlane(ModeRates):
     layer = "vorticity"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "beta", read_number(self.beta, "beta of BetaPlane"))
+        self._read(beta=read_number)
 
     def check(self, system: Any) -> None:
         if modes_of(system, self.label).kind != Waves.kind:
@@ -186,6 +181,13 @@ class BetaPlane(ModeRates):
 
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> NDArray[Any]:
         return -1j * self.beta * representatives(modes.N)[numbers] / modes.eigenvalues(d, numbers)
+
+
+def _read_band(value: Any, what: str) -> Any:
+    band = read_finite(value, what)
+    if band.shape != (2,) or not 0.0 < band[0] <= band[1]:
+        raise ValueError(f"{what} is {short(value)}; give the lowest and the highest degree")
+    return as_tuples(band)
 
 
 @dataclass(frozen=True)
@@ -239,17 +241,7 @@ class RandomForcing(OnLayer):
     selectors: ClassVar[tuple[str, ...]] = ("band",)
 
     def __post_init__(self) -> None:
-        rate = read_number(self.energy_rate, "energy_rate of RandomForcing")
-        if rate < 0.0:
-            raise ValueError(f"energy_rate of RandomForcing is {rate!r}; it must be zero or positive")
-        band = read_finite(self.band, "band of RandomForcing")
-        if band.shape != (2,) or not 0.0 < band[0] <= band[1]:
-            raise ValueError(f"band of RandomForcing is {short(self.band)}; give the lowest and the highest degree")
-        object.__setattr__(self, "energy_rate", rate)
-        object.__setattr__(self, "band", tuple(band.tolist()))
-        for name in ("seed", "stream"):
-            object.__setattr__(self, name, read_integer(getattr(self, name), f"{name} of RandomForcing", 0, MAX_SEED))
-        self.read_layer()
+        self._read(energy_rate=read_nonnegative, band=_read_band, seed=read_seed, stream=read_seed, layer=read_layer)
 
     def check(self, system: Any) -> None:
         self._selected_modes(system, modes_of(system, self.label))
@@ -262,7 +254,7 @@ class RandomForcing(OnLayer):
         # On the main diagonal only waves with n1 > 0 are included; the others are their conjugates.
         numbers: list[Numbers] = []
         energies: PerMode = []
-        stream = system.stream if self.layer == "vorticity" else getattr(system, "second_stream", None)
+        stream = system.stream if self.layer == "vorticity" else system.second_stream
         self.layer_index(system)
         if stream is None:
             raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
@@ -273,7 +265,7 @@ class RandomForcing(OnLayer):
                 candidates = candidates[: modes.N // 2]
             scales = modes.scales(d, candidates)
             numbers.append(candidates[(self.band[0] <= scales) & (scales <= self.band[1])])
-            energies.append(system.energy_factor * stream_values(stream, modes, d, numbers[d]))
+            energies.append(system.energy_factor * stream.on_modes(modes, d, numbers[d]))
             components += (2 if d or waves else 1) * len(numbers[d])
         if not components:
             raise ValueError(f"band of RandomForcing is {self.band}; {system.name} has no {modes.scale} in it")

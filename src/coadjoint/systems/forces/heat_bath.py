@@ -10,13 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.base import Noise, normal_deviates
+from coadjoint.systems.forces.base import Noise, Plain, apply_metric, metric_root, normal_deviates, read_seed
 from coadjoint.systems.forces.double_bracket import DoubleBracketDamping, exponential, exponential_with_tangent
 from coadjoint.systems.forces.orbit_flow import Exponential, OrbitFlow, bracket_of
-from coadjoint.systems.forces.rates import Plain, apply_metric, metric_root
-from coadjoint.validation import read_integer, read_number
-
-MAX_SEED = 2**62
+from coadjoint.validation import read_nonnegative
 
 
 @dataclass(frozen=True)
@@ -84,14 +81,9 @@ class HeatBath(DoubleBracketDamping):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        temperature = read_number(self.temperature, "temperature of HeatBath")
-        if temperature < 0.0:
-            raise ValueError(f"temperature of HeatBath is {temperature!r}; it must be zero or positive")
-        object.__setattr__(self, "temperature", temperature)
         if self.seed is None:
             raise TypeError("HeatBath needs a seed, a whole number: runs with the same seed have the same noise")
-        object.__setattr__(self, "seed", read_integer(self.seed, "seed of HeatBath", 0, MAX_SEED))
-        object.__setattr__(self, "stream", read_integer(self.stream, "stream of HeatBath", 0, MAX_SEED))
+        self._read(temperature=read_nonnegative, seed=read_seed, stream=read_seed)
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError("HeatBath is a noise, which has no field; its mean part is that of DoubleBracketDamping")

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import (
+from coadjoint.systems.forces.base import (
+    Force,
+    ForceReader,
     apply_metric,
     check_dimension,
     check_state,
-    has_matrix_state,
     read_matrix,
     read_state,
     state_vector,
@@ -57,11 +58,10 @@ class LinearDamping(Force):
     uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rate", read_matrix(self.rate, "rate of LinearDamping"))
-        object.__setattr__(self, "toward", read_state(self.toward, "toward of LinearDamping", number=True))
+        self._read(rate=read_matrix, toward=partial(read_state, number=True))
 
     def check(self, system: Any) -> None:
-        if has_matrix_state(system) and np.ndim(self.rate):
+        if system.has_matrices and np.ndim(self.rate):
             raise ValueError(
                 f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, or "
                 "Friction for scale-dependent rates"

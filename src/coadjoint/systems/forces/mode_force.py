@@ -39,14 +39,15 @@ def values_by_scale(
     return np.array([values[scale] for scale in scales.tolist()])
 
 
+def read_layer(value: Any, what: str) -> str:
+    """Validate the name of a field."""
+    return read_choice(value, what, LAYERS)
+
+
 class OnLayer(Force):
     """A force on the modes of one field, by default the vorticity."""
 
     layer: str
-
-    def read_layer(self) -> None:
-        """Validate the field."""
-        object.__setattr__(self, "layer", read_choice(self.layer, f"layer of {self.label}", LAYERS))
 
     def layer_index(self, system: Any) -> int:
         """Return the index of the field in a state."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -65,6 +65,7 @@ class Sampled(Force):
 
     reversible: ClassVar[bool] = False
     selectors: ClassVar[tuple[str, ...]] = ("period", "first")
+    _limits: ClassVar[Mapping[str, Callable[..., Any]]] = {"max_torque": read_limits}
 
     def __post_init__(self) -> None:
         if not isinstance(self.law, StateTorque):
@@ -72,12 +73,7 @@ class Sampled(Force):
                 f"law of {self.label} is {short(self.law)}; give a torque of co.forces, such as Pointing(...) or "
                 "Torque(function)"
             )
-        object.__setattr__(self, "period", read_positive(self.period, f"period of {self.label}"))
-        object.__setattr__(self, "first", read_integer(self.first, "first", 0))
-        self._read_limits("max_torque")
-
-    def _read_limits(self, name: str, shape: tuple[int, ...] = (3,)) -> None:
-        object.__setattr__(self, name, read_limits(getattr(self, name), f"{name} of {self.label}", shape))
+        self._read(period=read_positive, first=partial(read_integer, minimum=0), **self._limits)
 
     def held_numbers(self, system: Any) -> int:
         check_one_body(system, self.label)

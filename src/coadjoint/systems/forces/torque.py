@@ -13,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.rates import check_state, has_matrix_state, read_state, sample_states, state_vector
+from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, takes_time
-from coadjoint.validation import read_numbers
+from coadjoint.validation import read_numbers, set_fields
 
 PER_BODY = 12  # L, and the three space axes seen from the body
 SAMPLE_ATTITUDE = np.array([[2.0, -1.0, 2.0], [2.0, 2.0, -1.0], [-1.0, 2.0, 2.0]]) / 3.0
@@ -222,7 +221,7 @@ class Torque(StateTorque):
         if callable(self.torque):
             self._arguments()
         else:
-            object.__setattr__(self, "torque", read_state(self.torque, "the torque"))
+            set_fields(self, torque=read_state(self.torque, "the torque"))
 
     def _arguments(self) -> str:
         """Return the arguments of the function: "t", "x", "x, t", "x, A" or "x, A, t"."""
@@ -255,7 +254,7 @@ class Torque(StateTorque):
             except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
                 failure = in_one_line(str(reason), 200)
                 continue
-            if has_matrix_state(system):
+            if system.has_matrices:
                 system.read(value, "the value of the torque")
                 return
             torque = read_numbers(value, "the value of the torque")
@@ -274,7 +273,7 @@ class Torque(StateTorque):
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         if not callable(self.torque):
             return state_vector(self.torque, system)
-        if has_matrix_state(system):
+        if system.has_matrices:
             torque = self.torque(*_call_arguments(self._arguments(), system.from_vector(x), t))
             return np.asarray(system.to_vector(torque))
         return super().field(system, x, t)

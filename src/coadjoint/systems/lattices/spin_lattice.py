@@ -33,7 +33,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.recorded_invariants import KnownInvariants
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import read_finite, to_array
+from coadjoint.validation import as_tuples, read_finite, to_array
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
@@ -277,16 +277,12 @@ def _plain_parameters(lattice: Any, *arguments: Any) -> dict[str, Any] | None:
     if sum(np.size(argument) for argument in (edges, *arguments)) > MAX_STORED_VALUES:
         return None
     return {
-        "lattice": lattice if isinstance(lattice, str) else _plain(np.asarray(edges).tolist()),
+        "lattice": lattice if isinstance(lattice, str) else as_tuples(np.asarray(edges)),
         **{
-            name: _plain(np.asarray(argument, dtype=np.float64 if k > 1 else None).tolist())
+            name: as_tuples(np.asarray(argument, dtype=np.float64 if k > 1 else None))
             for k, (name, argument) in enumerate(zip(names, arguments, strict=True))
         },
     }
-
-
-def _plain(argument: Any) -> Any:
-    return tuple(map(_plain, argument)) if isinstance(argument, list) else argument
 
 
 class Driven(Summable):

@@ -17,6 +17,7 @@ from coadjoint.validation import is_real
 
 if TYPE_CHECKING:
     from coadjoint.systems.matrices.matrix_system import MatrixSystem
+    from coadjoint.systems.matrices.streams import Stream
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -49,7 +50,7 @@ class MatrixEnergy:
         """Return the derivatives with respect to the numbers of a state, projected on the algebra."""
         system = self._system
         P = system.stream_of(system.matrices(x), t)
-        return system.energy_factor * system.to_vector(system.algebra.dual(P))
+        return system.energy_factor * system.to_vector(system.dual(P))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
         """Return the second derivatives; raise TypeError if the stream is a nonlinear function."""
@@ -59,11 +60,16 @@ class MatrixEnergy:
                 f"the stream of {system.name} is a function that is not linear; its derivative is not known"
             )
         rows = system.algebra.projected(system.from_vector(np.eye(self.dim)))
-        return system.energy_factor * system.to_vector(system.algebra.dual(system.slope_of(rows, t))).T
+        return system.energy_factor * system.to_vector(system.dual(system.slope_of(rows, t))).T
 
     def terms(self) -> tuple[Any, ...]:
         """Return no terms: the kernels evaluate the stream."""
         return ()
+
+
+def applied(stream: Any, W: Matrix, t: float) -> Matrix:
+    """Return a stream of matrices (..., N, N), at a time if it takes one."""
+    return np.asarray(stream(W, t) if getattr(stream, "timed", False) else stream(W))
 
 
 def read_energy(energy: Any, timed: bool) -> Callable[..., Any] | None:
@@ -87,18 +93,18 @@ def samples(system: MatrixSystem) -> list[Matrix]:
 
 
 @ignore_overflow
-def check_stream(system: MatrixSystem) -> None:
-    """Raise ValueError if, at sample matrices, the stream leaves the algebra or is inconsistent with the energy."""
+def check_stream(system: MatrixSystem, stream: Stream) -> None:
+    """Raise ValueError if, at sample matrices, a stream leaves the algebra or is inconsistent with the energy."""
     # Without a function for the energy the stream must be linear and symmetric; otherwise it must be its gradient.
     A, B = samples(system)
-    P, tolerance, algebra = system.slope_of(A, SAMPLE_TIME), ROUNDING_TOLERANCE * system.algebra.N, system.algebra
+    P, tolerance, algebra = applied(stream, A, SAMPLE_TIME), ROUNDING_TOLERANCE * system.algebra.N, system.algebra
     size = float(np.abs(P).max(initial=0.0))
     if not float(np.abs(P - algebra.projected(P)).max(initial=0.0)) <= tolerance * size:
         raise ValueError(f"the stream leaves {algebra}: its values at sample matrices are not {algebra.description}")
     if system.energy_function is not None:
         _check_slope(system, A, B)
         return
-    Q, R = system.slope_of(B, SAMPLE_TIME), system.slope_of((A + B) / 2.0, SAMPLE_TIME)
+    Q, R = (applied(stream, W, SAMPLE_TIME) for W in (B, (A + B) / 2.0))
     deviation, size = float(np.abs(2.0 * R - P - Q).max(initial=0.0)), float((np.abs(P) + np.abs(Q)).max(initial=0.0))
     if not deviation <= tolerance * size:
         raise ValueError(

@@ -16,10 +16,17 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
 from coadjoint.systems.arguments import read_closed_form, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
-from coadjoint.systems.forces.base import Force
-from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, check_stream, read_energy, traces_of, values_of
+from coadjoint.systems.forces.base import Force, forces_text
+from coadjoint.systems.matrices.matrix_invariants import (
+    MatrixEnergy,
+    applied,
+    check_stream,
+    read_energy,
+    traces_of,
+    values_of,
+)
 from coadjoint.systems.matrices.streams import FunctionStream, Stream
-from coadjoint.systems.system import System, forces_text
+from coadjoint.systems.system import System
 from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
 
 Matrix = npt.NDArray[Any]
@@ -128,13 +135,17 @@ class MatrixSystem(System):
             raise ValueError(f"linear has the shape {self.linear.shape}; it must be {algebra.shape}")
         if self.linear is not None:
             self.linear.flags.writeable = False
-        size = getattr(stream, "size", None)
+        self._check_stream(stream)
+        self.hamiltonian = MatrixEnergy(self)
+
+    def _check_stream(self, stream: Stream) -> None:
+        """Raise ValueError unless a stream is one of the algebra, symmetric or the gradient of the energy."""
+        algebra, size = self.algebra, getattr(stream, "size", None)
         if size not in (None, algebra.N):
             raise ValueError(f"the stream acts on matrices of {size} rows; those of {algebra} have {algebra.N}")
-        if stream.kind != "WEIGHTS" and not (isinstance(stream, FunctionStream) or algebra.skew):
+        if stream.kind not in ("WEIGHTS", "BY_FUNCTION") and not algebra.skew:
             raise ValueError(f"{type(stream).__name__} needs skew-Hermitian matrices; those of {algebra} are not")
-        self.hamiltonian = MatrixEnergy(self)
-        check_stream(self)
+        check_stream(self, stream)
 
     def _text(self) -> str:
         return f"<{self.name} on {self.algebra}>"
@@ -176,7 +187,7 @@ class MatrixSystem(System):
 
     def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
         """Return stream(W) for matrices (..., N, N), without the constant term."""
-        return np.asarray(self.stream(W, t) if self.timed else self.stream(W))  # type: ignore[call-arg]
+        return applied(self.stream, W, t)
 
     def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
         """Return P = stream(W) + linear for matrices (..., N, N)."""
@@ -201,6 +212,14 @@ class MatrixSystem(System):
         """Return the commutator of states (..., N, N)."""
         return self.algebra.bracket(Y, X)
 
+    def dual(self, Y: Matrix) -> Matrix:
+        """Return the gradient of the pairing with an element of the algebra; its own inverse."""
+        return self.algebra.dual(Y)
+
+    def pairing(self, Y: Matrix, X: Matrix) -> Any:
+        """Return the pairing of elements of the algebra with states (..., N, N)."""
+        return self.algebra.pairing(Y, X)
+
     def vector_field(self, x: Any, t: float = 0.0) -> Matrix:
         """Return W' for matrices (..., N, N) or vectors, in the same form; with forces for one matrix."""
         if not self.forces:
@@ -215,7 +234,7 @@ class MatrixSystem(System):
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return H of matrices (..., N, N) or of vectors."""
-        W, pairing = self.matrices(x), self.algebra.pairing
+        W, pairing = self.matrices(x), self.pairing
         if self.energy_function is None:
             value = 0.5 * self.energy_factor * pairing(self.slope_of(W, t), W)
         else:
@@ -241,7 +260,7 @@ class MatrixSystem(System):
 
     def _of_gradient(self, u: Floats) -> Matrix:
         """Return the element of the algebra for a gradient of the numbers of a state."""
-        return self.algebra.dual(self.algebra.projected(self.from_vector(u)))
+        return self.dual(self.algebra.projected(self.from_vector(u)))
 
     def casimirs_at(self, x: Any) -> dict[str, Any]:
         """Return the traces of powers of matrices (..., N, N), or of vectors.

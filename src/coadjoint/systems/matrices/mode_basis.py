@@ -11,8 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
-from coadjoint.systems.matrices.spherical_modes import harmonics, laplacian
-from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse
+from coadjoint.systems.matrices.spherical_modes import harmonics
 from coadjoint.systems.matrices.torus_modes import representatives
 
 Floats = npt.NDArray[np.float64]
@@ -182,28 +181,7 @@ def layer_index(system: Any, layer: str) -> int:
 
 def mode_basis_of(system: Any) -> ModeBasis | None:
     """Return the modes of a matrix system, from its stream; None if its modes are the entries."""
-    stream = getattr(system, "stream", None)
-    if isinstance(stream, Circulants):
-        return Waves(system.algebra.N)
-    if isinstance(stream, DiagonalSolve) and system.complex and _shift(stream) is not None:
-        return Harmonics(system.algebra.N)
-    return None
-
-
-def stream_values(stream: Any, modes: ModeBasis, d: int, numbers: Numbers) -> Floats:
-    """Return the eigenvalues of a stream on modes."""
-    if isinstance(stream, Inverse):
-        return 1.0 / stream_values(stream.of, modes, d, numbers)
-    if isinstance(stream, Circulants):
-        return np.asarray(stream.spectrum[d, 2 * numbers % modes.N])
-    shift = _shift(stream)
-    assert shift is not None
-    return np.asarray(stream.factor / (modes.eigenvalues(d, numbers) + shift))
-
-
-def _shift(stream: DiagonalSolve) -> float | None:
-    """Return the shift of the equations of a stream from the Hoppe-Yau Laplacian, or None if they differ otherwise."""
-    N = len(stream.main)
-    main, beside = laplacian(N)
-    shifts = (stream.main - main)[np.add.outer(np.arange(N), np.arange(N)) < N]
-    return float(shifts[0]) if np.array_equal(stream.beside, beside) and np.all(shifts == shifts[0]) else None
+    kind = getattr(getattr(system, "stream", None), "modes", "")
+    if not kind or (kind == Harmonics.kind and not system.complex):
+        return None
+    return {basis.kind: basis for basis in (Waves, Harmonics)}[kind](system.algebra.N)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import pi, sqrt
 from typing import TYPE_CHECKING, Any
 
@@ -179,12 +178,7 @@ def angular_momentum(W: Any) -> Floats:
     return -_components(W, N) * (N * (N * N - 1) / 12) / scale(N) ** 2
 
 
-@dataclass(frozen=True)
-class MomentumAlong:
-    """The angular momentum along the axis "x", "y" or "z", as a function of states (..., N, N)."""
-
-    axis: str
-
-    def __call__(self, W: Any) -> Any:
-        component = angular_momentum(W)[..., "xyz".index(self.axis)]
-        return float(component) if component.ndim == 0 else component
+def momentum_along(axis: str, W: Any) -> Any:
+    """Return the angular momentum along the axis "x", "y" or "z" of states (..., N, N)."""
+    component = angular_momentum(W)[..., "xyz".index(axis)]
+    return float(component) if component.ndim == 0 else component

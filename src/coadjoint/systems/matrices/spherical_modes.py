@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import lru_cache
 from math import pi, sqrt
-from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -63,28 +62,21 @@ def generators(N: int) -> tuple[Complexes, Complexes, Complexes]:
     return -1j * first, -1j * second, -1j * np.diag(s - np.arange(N)).astype(complex)
 
 
-class _HarmonicsCache:
-    """Cache of the most recent harmonics, of a single N, by order."""
-
-    def __init__(self) -> None:
-        self._lock = Lock()
-        self._N, self._bytes, self._entries = 0, 0, dict[int, Floats]()
-
-    def get(self, N: int, m: int) -> Floats:
-        with self._lock:
-            entries = self._entries.get(m) if self._N == N else None
-        if entries is None:
-            entries = harmonics(N, m)
-            with self._lock:
-                if self._N != N:
-                    self._N, self._bytes, self._entries = N, 0, {}
-                if self._bytes + entries.nbytes <= MAX_CACHE_BYTES and entries.nbytes < available() // 4:
-                    self._bytes += entries.nbytes
-                    self._entries[m] = entries
-        return entries
+@lru_cache(maxsize=1)
+def _cached_orders(N: int) -> dict[int, Floats]:
+    """Return the harmonics of the most recent N that are cached, by order."""
+    return {}
 
 
-_HARMONICS_CACHE = _HarmonicsCache()
+def _cached_harmonics(N: int, m: int) -> Floats:
+    cached = _cached_orders(N)
+    entries = cached.get(m)
+    if entries is None:
+        entries = harmonics(N, m)
+        size = sum(others.nbytes for others in tuple(cached.values()))
+        if size + entries.nbytes <= MAX_CACHE_BYTES and entries.nbytes < available() // 4:
+            cached[m] = entries
+    return entries
 
 
 def harmonics(N: int, m: int) -> Floats:
@@ -128,14 +120,14 @@ def _recurrence(positions: Floats, beside: Floats) -> Floats:
 
 def diagonal_of(c: Complexes, N: int, m: int) -> Complexes:
     """Return the entries (i, i + m) of sum over l of c_l T_lm, from c of shape (..., N - m)."""
-    V, n = _HARMONICS_CACHE.get(N, m), N - m
+    V, n = _cached_harmonics(N, m), N - m
     even, odd = _times(c[..., ::2], V[::2]), _times(c[..., 1::2], V[1::2])
     return np.concatenate([even + odd, (even - odd)[..., : n // 2][..., ::-1]], axis=-1)
 
 
 def coefficients_of_diagonal(d: Complexes, N: int, m: int) -> Complexes:
     """Return c of entries (i, i + m); inverse of `diagonal_of`."""
-    V, n = _HARMONICS_CACHE.get(N, m), N - m
+    V, n = _cached_harmonics(N, m), N - m
     half = n - n // 2
     upper, lower = d[..., :half], d[..., ::-1][..., :half]
     total = upper + lower

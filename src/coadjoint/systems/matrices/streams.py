@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -11,11 +12,13 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
+from coadjoint.systems.matrices.spherical_modes import laplacian
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import read_finite, to_array
+from coadjoint.validation import read_finite, set_fields, to_array
 
 Floats = npt.NDArray[np.float64]
 Matrix = npt.NDArray[Any]
+Numbers = npt.NDArray[np.int64]
 
 
 @runtime_checkable
@@ -77,7 +80,7 @@ class DiagonalSolve:
             pivot = self.main[i, m] - below[i, m] * self.beside[i, m]
             is_singular = i == N - 1 and abs(pivot[0]) <= 1e-10 * abs(self.main[i, 0])
             inverse[i, m] = 0.0 if is_singular else self.factor / pivot
-        object.__setattr__(self, "table", np.stack([below, inverse]).ravel())
+        set_fields(self, table=np.stack([below, inverse]).ravel())
 
     def __call__(self, W: Matrix) -> Matrix:
         N = len(self.main)
@@ -101,6 +104,23 @@ class DiagonalSolve:
     def inverted(self) -> Inverse:
         """Return the inverse stream."""
         return Inverse(self)
+
+    @cached_property
+    def _shift(self) -> float | None:
+        """The shift of the equations from the Hoppe-Yau Laplacian, or None if they differ otherwise."""
+        N = len(self.main)
+        main, beside = laplacian(N)
+        shifts = (self.main - main)[np.add.outer(np.arange(N), np.arange(N)) < N]
+        return float(shifts[0]) if np.array_equal(self.beside, beside) and np.all(shifts == shifts[0]) else None
+
+    @property
+    def modes(self) -> str:
+        """Kind of the modes on which the stream is diagonal; empty if these are not known."""
+        return "" if self._shift is None else "HARMONICS"
+
+    def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
+        """Return the eigenvalues of the stream on modes of a diagonal."""
+        return np.asarray(self.factor / (modes.eigenvalues(d, numbers) + self._shift))
 
     def inverse(self, P: Matrix) -> Matrix:
         """Return W of P."""
@@ -136,6 +156,7 @@ class Circulants:
     table: Floats = field(init=False, repr=False)
 
     kind = "CIRCULANT"
+    modes = "WAVES"
 
     @property
     def size(self) -> int:
@@ -145,7 +166,7 @@ class Circulants:
     def __post_init__(self) -> None:
         N = len(self.spectrum)
         columns = np.fft.ifft(self.spectrum, axis=1).real
-        object.__setattr__(self, "table", np.ascontiguousarray(columns[: (N + 1) // 2]).ravel())
+        set_fields(self, table=np.ascontiguousarray(columns[: (N + 1) // 2]).ravel())
 
     def __call__(self, W: Matrix) -> Matrix:
         return self._scaled(W, self.spectrum)
@@ -158,6 +179,10 @@ class Circulants:
         """Return the inverse stream, zero on the kernel of this one."""
         with np.errstate(divide="ignore"):
             return Circulants(np.where(self.spectrum == 0.0, 0.0, 1.0 / self.spectrum))
+
+    def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
+        """Return the eigenvalues of the stream on modes of a diagonal."""
+        return np.asarray(self.spectrum[d, 2 * numbers % modes.N])
 
     def _scaled(self, W: Matrix, spectrum: Floats) -> Matrix:
         N = len(spectrum)
@@ -179,7 +204,7 @@ class Inverse:
     kind = "MULTIPLIED"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "table", np.stack([self.of.main, self.of.beside]).ravel() / self.of.factor)
+        set_fields(self, table=np.stack([self.of.main, self.of.beside]).ravel() / self.of.factor)
 
     def __call__(self, W: Matrix) -> Matrix:
         return self.of.inverse(W)
@@ -187,6 +212,10 @@ class Inverse:
     def inverse(self, P: Matrix) -> Matrix:
         """Return P of W."""
         return self.of(P)
+
+    def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
+        """Return the eigenvalues of the stream on modes of a diagonal."""
+        return 1.0 / self.of.on_modes(modes, d, numbers)
 
 
 @suggest_keywords
@@ -224,8 +253,7 @@ class Weights:
         w = read_finite(self.weights, "weights")
         if w.ndim != 2 or w.shape[0] != w.shape[1] or not np.array_equal(w, w.T):
             raise ValueError(f"weights is {short(self.weights)}; give a symmetric (N, N)")
-        object.__setattr__(self, "weights", w)
-        object.__setattr__(self, "table", w.ravel())
+        set_fields(self, weights=w, table=w.ravel())
 
     def __call__(self, W: Matrix) -> Matrix:
         return self.weights * W
@@ -271,8 +299,7 @@ class FunctionStream:
     kind = "BY_FUNCTION"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "timed", takes_time(self.function, "stream"))
-        object.__setattr__(self, "table", np.zeros(0))
+        set_fields(self, timed=takes_time(self.function, "stream"), table=np.zeros(0))
 
     def __call__(self, W: Matrix, t: float = 0.0) -> Matrix:
         W = np.asarray(W)

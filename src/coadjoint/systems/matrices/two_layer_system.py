@@ -15,22 +15,10 @@ from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream
-from coadjoint.validation import to_array, truncate_title
+from coadjoint.validation import to_array
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
-
-
-class TwoLayerEnergy(MatrixEnergy):
-    """The energy of two layers, whose gradient is J by the carried field and P by the vorticity."""
-
-    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        system = self._system
-        gradient = system.stream_of(system.matrices(x))[..., ::-1, :, :]
-        return system.energy_factor * system.to_vector(gradient)
-
-    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:
-        return np.stack([self.gradient(unit) for unit in np.eye(self.dim)], axis=1)
 
 
 @suggest_keywords
@@ -95,12 +83,11 @@ class TwoLayerSystem(MatrixSystem):
         if second_stream is not None:
             if not isinstance(second_stream, Stream):
                 raise TypeError(f"second_stream is {short(second_stream)}; give a Stream, such as Weights(w)")
-            # the same checks as for the first stream
-            MatrixSystem(algebra, second_stream, name=truncate_title(f"the second stream of {name}"))
+            self._check_stream(second_stream)
         self.second_stream = second_stream
         self.shape = self.matrix_shape = (2, *algebra.shape)
         self.dim = 2 * self.dim
-        self.hamiltonian = TwoLayerEnergy(self)
+        self.hamiltonian = MatrixEnergy(self)
 
     @cached_property
     def casimirs(self) -> dict[str, Any]:
@@ -138,26 +125,22 @@ class TwoLayerSystem(MatrixSystem):
             powers.append((k, power))
         return powers
 
-    def stream_of(self, W: Any, t: float = 0.0) -> Matrix:
+    def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
         """Return P and J of states (..., 2, N, N), in this order."""
-        X = self.matrices(W)
-        P = self.stream(X[..., 1, :, :])
-        J = np.zeros_like(P) if self.second_stream is None else self.second_stream(X[..., 0, :, :])
+        P = self.stream(W[..., 1, :, :])
+        J = np.zeros_like(P) if self.second_stream is None else self.second_stream(W[..., 0, :, :])
         return np.stack([P, J], axis=-3)
 
-    def energy(self, x: Any, t: float = 0.0) -> Any:
-        """Return H of states (..., 2, N, N)."""
-        X = self.matrices(x)
-        gradient = self.stream_of(X)[..., ::-1, :, :]
-        value = 0.5 * self.energy_factor * np.sum(np.conj(gradient) * X, axis=(-3, -2, -1)).real
-        return float(value) if value.ndim == 0 else value
+    def dual(self, Y: Matrix) -> Matrix:
+        """Return (J, P) of (P, J): J is the derivative by the carried field, and P that by the vorticity."""
+        return Y[..., ::-1, :, :]
+
+    def pairing(self, Y: Matrix, X: Matrix) -> Any:
+        return np.sum(np.conj(self.dual(Y)) * X, axis=(-3, -2, -1)).real
 
     def spectrum(self, x: Any) -> Floats:
         """Return the eigenvalues of -i Theta, real and ascending, of states (..., 2, N, N)."""
         return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
-
-    def _of_gradient(self, u: Floats) -> Matrix:
-        return self.algebra.projected(self.from_vector(u))[..., ::-1, :, :]
 
     def generic_rank(self) -> int:
         """Return the rank of J at a generic state; each Casimir of the algebra gives two of the layers."""
