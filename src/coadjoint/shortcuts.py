@@ -12,7 +12,7 @@ SHORTCUTS = {
     "choose": "coadjoint.choosing.accuracy:choose",
     "dataset_of": "coadjoint.files.datasets.export:dataset_of",
     "draw_certificate": "coadjoint.pictures.analysis_figures:draw_certificate",
-    "draw_crossings": "coadjoint.pictures.kinds.section:draw_crossings",
+    "draw_crossings": "coadjoint.pictures.kinds.phase_plane:draw_crossings",
     "draw_phase_drift": "coadjoint.pictures.analysis_figures:draw_phase_drift",
     "draw_solution": "coadjoint.pictures.solution:draw_solution",
     "draw_structure_factor": "coadjoint.pictures.analysis_figures:draw_structure_factor",

@@ -188,6 +188,25 @@ def set_title(axes: Any, text: str) -> Any:
     return axes.set_title(text, fontsize=setting("axes.titlesize"), color=ink())
 
 
+def updating(axes: Any, title_at: Callable[[int], str], k: int, show: Callable[[int], None]) -> Callable[[int], None]:
+    """Set the title of axes at saved point k; return what shows another one, with its title."""
+    title = set_title(axes, title_at(k))
+
+    def update(j: int) -> None:
+        show(j)
+        title.set_text(title_at(j))
+
+    return update
+
+
+def colour_scale(values: Any, colours: Any = "viridis") -> Any:
+    """Return what maps numbers between the extremes of some values to colours, for `colour_bar`."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(float(np.min(values)), float(np.max(values))), colours)
+
+
 def write_note(axes: Any, text: str) -> None:
     """Write a text, wrapped, into the middle of axes."""
     size = setting("axes.labelsize")
