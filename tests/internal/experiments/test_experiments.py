@@ -9,13 +9,25 @@ import pytest
 
 import coadjoint as co
 from coadjoint import cli
+from coadjoint.experiments import selftest as checks
 from coadjoint.experiments.reich1993 import reproduce
 from coadjoint.experiments.reich1993.figures import drift_figure
 from coadjoint.experiments.reich1993.section5 import spiral_run
-from coadjoint.experiments.reich1993.systems import BODY_START, COORDINATES, M_ORTHOGONAL, MIDPOINT, SPLITTING, body_run
-from coadjoint.experiments.selftest import checks
-from coadjoint.experiments.selftest.checks import Finding
-from coadjoint.experiments.statements import FAILS, HOLDS, LIMITED, judge, stage_iterates, step_matrix
+from coadjoint.experiments.reich1993.statements import (
+    BODY_START,
+    COORDINATES,
+    FAILS,
+    HOLDS,
+    LIMITED,
+    M_ORTHOGONAL,
+    MIDPOINT,
+    SPLITTING,
+    body_run,
+    judge,
+    stage_iterates,
+    step_matrix,
+)
+from coadjoint.experiments.selftest import Finding
 from refusals import refused
 
 # Statements that are not simply confirmed; all others hold.

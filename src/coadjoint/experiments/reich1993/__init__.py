@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coadjoint.errors import LargeStepWarning
-from coadjoint.experiments.statements import Statement, markdown, write_csv
+from coadjoint.experiments.reich1993.statements import Statement, markdown, write_csv
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 
