@@ -103,7 +103,7 @@ class MemberColours:
         from matplotlib import colormaps
         from matplotlib.colors import LinearSegmentedColormap
 
-        energies = drawn.initial_energies if len(drawn.x) > 1 else np.zeros(1)
+        energies = drawn.at_start("energy") if len(drawn.x) > 1 else np.zeros(1)
         finite = energies[np.isfinite(energies)]
         self.differ = finite.size > 1 and float(np.ptp(finite)) > EQUAL_ENERGIES * float(np.abs(finite).max())
         self._energies, self._shades = energies, None

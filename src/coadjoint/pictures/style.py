@@ -116,12 +116,12 @@ def with_figure_settings(function: Function) -> Function:
     return cast(Function, drawing)
 
 
-def new_figure(what: str, width: float, height: float) -> Figure:
+def new_figure(what: str, width: float, height: float, dpi: float | None = None, compress: bool = False) -> Figure:
     """Return a figure of a size in inches; raise an error that names `what` needs Matplotlib if it is missing."""
     require_packages(what, "matplotlib")
     from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
-    return ShownFigure(figsize=(width, height), layout=PanelLayout())
+    return ShownFigure(figsize=(width, height), dpi=dpi, layout=PanelLayout(compress=compress))
 
 
 def setting(key: str) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations_with_replacement
 from math import ceil, comb
 from typing import Any, cast
 
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.algebra.polynomials.monomials import exponents_of
+from coadjoint.algebra.polynomials.monomials import exponents_of_degree
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.backward_error.modified_hamiltonian import (
     ModifiedHamiltonian,
@@ -221,11 +220,7 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
             f"a corrector in {n} coordinates would need {total} monomials of degree up to {degree}; at most "
             f"{MAX_MONOMIALS} are supported; use a scheme of lower order, or a processed one"
         )
-    return [
-        Polynomial({exponents_of(factors, n): 1})
-        for size in range(1, degree + 1)
-        for factors in combinations_with_replacement(range(n), size)
-    ]
+    return [Polynomial({e: 1}) for size in range(1, degree + 1) for e in exponents_of_degree(n, size)]
 
 
 def _deviations(functions: list[Polynomial], points: Floats) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from itertools import combinations_with_replacement, pairwise
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import fraction, rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
-from coadjoint.algebra.polynomials.monomials import exponents_of
+from coadjoint.algebra.polynomials.monomials import exponents_of_degree
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.formal_series import NODE, FormalNumber, formal_numbers, vector
@@ -257,10 +257,7 @@ def _hamiltonian_of_degree(ring: ExactPolynomials, J: list[Field], field: Field,
     """Solve J grad H = field for the coefficients of a homogeneous polynomial H; None if there is no solution."""
     from flint import fmpq, fmpq_mat
 
-    columns = [
-        ring.monomial(exponents_of(factors, ring.dim))
-        for factors in combinations_with_replacement(range(ring.dim), degree)
-    ]
+    columns = [ring.monomial(exponents) for exponents in exponents_of_degree(ring.dim, degree)]
     entries: dict[tuple[int, Any], dict[int, Any]] = {}
     for c, monomial in enumerate(columns):
         slope = ring.gradient(monomial)

@@ -246,8 +246,6 @@ def _components(drawn: PlottedRun, vector: Any) -> Floats:
         if forms.shape != (3, n):
             raise CannotShow(f"the vector is made of {forms.shape[1]} coordinates, and the state has {n}")
         return drawn.x @ forms.T
-    if any(isinstance(i, int) and i >= n for i in vector):
-        raise CannotShow(f"the vector has the coordinates {list(vector)}, and the state has {n}")
     return drawn.x[..., [drawn.index_of(i) for i in vector]]
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.curves import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun, spread
-from coadjoint.pictures.register import CannotShow, Paint, Update, kind
+from coadjoint.pictures.register import CannotShow, Paint, Update, coordinate_index, kind
 from coadjoint.pictures.style import (
     COLOURS,
     colour,
@@ -27,7 +27,7 @@ from coadjoint.pictures.style import (
     with_figure_settings,
 )
 from coadjoint.runs.events import RecordedEvents
-from coadjoint.validation import read_choice, read_integer, read_list, read_number
+from coadjoint.validation import read_integer, read_list, read_number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -65,9 +65,6 @@ def phase_portrait(
     title : str
         Title of the picture.
     """
-    for chosen in (across, up):
-        if isinstance(chosen, int) and chosen >= drawn.n:
-            raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.n}")
     saved, drawn = drawn, drawn.refined
     values = [_evaluate(drawn, chosen) for chosen in (across, up)]
     names = labels or tuple("" if callable(chosen) else drawn.label(drawn.index_of(chosen)) for chosen in (across, up))
@@ -136,8 +133,6 @@ def phase_ellipse(
     """
     count, x = read_integer(times, "times", 2), drawn.x[0]
     if moments is not None:
-        if any(isinstance(i, int) and i >= x.shape[1] for i in moments):
-            raise CannotShow(f"the moments are the coordinates {list(moments)}, and the state has {x.shape[1]}")
         qq, qp, pp = (x[:, drawn.index_of(i)] for i in moments)
         distributions: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
     elif lumps is not None:
@@ -246,10 +241,5 @@ def drawn_coordinates(events: RecordedEvents, components: Any = None) -> tuple[i
     chosen = read_list(components, "components", "give two numbers or names of coordinates")
     if len(chosen) != 2:
         raise ValueError(f"components has {len(chosen)} entries; give two numbers or names of coordinates")
-    across, up = (
-        names.index(read_choice(name, "coordinate", names))
-        if isinstance(name, str)
-        else read_integer(name, "a coordinate", 0, len(names) - 1)
-        for name in chosen
-    )
+    across, up = (coordinate_index(names, one) for one in chosen)
     return across, up

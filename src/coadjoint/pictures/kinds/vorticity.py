@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.globe import VIEW, Globe, unit_vectors, view_frame
-from coadjoint.pictures.kinds.fluid_spectra import fluid_of, vorticity_of
+from coadjoint.pictures.kinds.spectra import fluid_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, ink, plain_axes, thickness, updating
