@@ -66,8 +66,8 @@ def run_example(name: str) -> Solution:
 
 def _run(name: str, entry: GalleryEntry) -> Solution:
     system = importlib.import_module("coadjoint.systems").get(name, **entry.parameters)
-    scheme, options = suggested_scheme(system), {"save_every": entry.save_every, "attitude": entry.attitude}
-    return integrate(system, entry.start(), entry.t_span, entry.step, scheme, **options)
+    start, scheme, every = entry.start(), suggested_scheme(system), entry.save_every
+    return integrate(system, start, entry.t_span, entry.step, scheme, save_every=every, attitude=entry.attitude)
 
 
 def summary_of(function: Callable[..., Any]) -> str:
