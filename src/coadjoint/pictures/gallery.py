@@ -32,9 +32,7 @@ _STYLE = (
 
 
 def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> GalleryEntry:
-    """Decaying turbulence of an ideal fluid on the sphere, from random vorticity of the degrees 3 to 8, seed 1: one to
-    three minutes.
-    """
+    """Decaying turbulence of a fluid on the sphere, from random vorticity of degrees 3 to 8: one to three minutes."""
     views = [(at, part) for at in (0.0, 0.2, 1.0) for part in ("all", "large")]
     return GalleryEntry(
         lambda: sphere_euler(N).random(seed, degrees=(3, 8)),

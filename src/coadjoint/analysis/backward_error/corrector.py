@@ -156,9 +156,9 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     """
     system, scheme = check_system_and_scheme(system, method)
     modified, H = modified_hamiltonian(system, scheme, scheme.order), polynomial_of(system.hamiltonian)
-    if H is None or not isinstance(modified, ModifiedHamiltonian):
+    if H is None:
         raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; correctors need a polynomial one")
-    term = cast(Polynomial, modified.error_term.term)
+    term = cast(Polynomial, cast(ModifiedHamiltonian, modified).error_term.term)
     starts, _ = momenta_of(system, x0)
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
     count = max(POINTS_PER_MONOMIAL * len(basis) // len(starts), 64)
