@@ -16,7 +16,7 @@ from starts import STARTS
 import coadjoint as co
 from coadjoint.methods import registry
 from coadjoint.methods.suggested_scheme import suggested_scheme
-from coadjoint.pictures.gallery import SCENES
+from coadjoint.pictures.gallery import decaying_turbulence, summary_of
 from coadjoint.pictures.register import CannotShow
 from coadjoint.summaries import summarize_system
 from coadjoint.systems.coordinates import in_coordinates_of
@@ -215,10 +215,11 @@ def _index() -> Iterator[str]:
     left = sorted({_folder(name) for name in co.systems.names()} - set(GROUPS))
     if left:
         raise ValueError(f"systems of the folders {', '.join(left)} have no group; add a title to GROUPS")
-    scene = SCENES["decaying_turbulence"]
+    caption = decaying_turbulence().caption
     yield "## A large scene\n"
-    yield f":::{{figure}} ../decaying_turbulence.png\n:alt: {scene.caption}\n\n{scene.caption}\n:::\n"
-    yield f"{scene.summary} See [](../fluids.md).\n\n```sh\ncoadjoint gallery decaying_turbulence\n```\n"
+    yield f":::{{figure}} ../decaying_turbulence.png\n:alt: {caption}\n\n{caption}\n:::\n"
+    yield f"{summary_of(decaying_turbulence)} See [](../fluids.md).\n"
+    yield "```sh\ncoadjoint gallery decaying_turbulence\n```\n"
     yield "```{toctree}\n:hidden:\n"
     yield from co.systems.names()
     yield "```"

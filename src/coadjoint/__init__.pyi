@@ -15,8 +15,8 @@ from .algebra.lie_algebra import LieAlgebra as LieAlgebra
 from .algebra.polynomials.polynomial import Polynomial as Polynomial
 from .analysis.backward_error.corrector import Corrector as Corrector
 from .analysis.backward_error.corrector import make_corrector as make_corrector
+from .analysis.backward_error.field_at_points import ModifiedField as ModifiedField
 from .analysis.backward_error.modified_field import modified_field as modified_field
-from .analysis.backward_error.modified_field_base import ModifiedField as ModifiedField
 from .analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
 from .analysis.backward_error.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
 from .analysis.certificates.certificate import Certificate as Certificate

@@ -124,7 +124,7 @@ def check_installation(quiet: bool) -> None:
 
     The exit status is 0 if every check passes. A check skipped because of a missing package does not fail.
     """
-    from coadjoint.experiments.selftest.checks import selftest
+    from coadjoint.experiments.selftest import selftest
 
     started, failed, skipped, count = time.monotonic(), 0, 0, 0
     for check in selftest():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coadjoint.analysis.autocorrelation import Autocorrelation, autocorrelation
+from coadjoint.analysis.signals import Autocorrelation, autocorrelation
 from coadjoint.analysis.structure_factor import StructureFactor, structure_factor
 from coadjoint.errors import unknown_attribute
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.orbit import Orbit, ScaledSystem, TangentSpace, second_variation, tangents_of, units_of
+from coadjoint.analysis.orbit import Orbit, TangentSpace
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_choice
@@ -130,30 +131,24 @@ def equilibrium(system: Any, x0: ArrayLike, relax: str = "down") -> Equilibrium:
     """
     x0 = _validated(system, x0)
     direction = DIRECTIONS[read_choice(relax, "relax", tuple(DIRECTIONS))]
-    units = units_of(system, x0)
-    found = _studied(ScaledSystem(system, units) if (units != 1.0).any() else system, x0 / units, direction)
-    x = units * found.x
-    residual = float(np.max(np.abs(system.vector_field(x))))
-    return replace(found, x=x, energy=float(system.energy(x)), residual=residual)
-
-
-def _studied(system: Any, start: Floats, direction: float) -> Equilibrium:
-    """Return the equilibrium in the units of the system."""
-    _check_regular(system, start)
-    orbit = Orbit(system)
-    x = _critical_point(system, orbit, start, direction)
+    groups = CoordinateGroups(system)
+    orbit = Orbit(system, groups.units(groups.norms(x0)))
+    start = x0 / orbit.units
+    _check_regular(orbit, start)
+    y = _critical_point(orbit, start, direction)
     note_progress("frequencies")
-    tangents = tangents_of(system, x)
-    linearized = np.asarray(system.jacobian(x), dtype=np.float64)
-    eigenvalues = np.linalg.eigvals(tangents.restricted(linearized, tangents.basis))
+    tangents = orbit.tangents(y)
+    eigenvalues = np.linalg.eigvals(tangents.restricted(orbit.linearized(y), tangents.basis))
     largest = float(np.max(np.abs(eigenvalues)))
     growth = float(np.max(eigenvalues.real))
     growth = growth if growth > GROWTH * largest else 0.0
     frequencies = np.sort(np.abs(eigenvalues.imag))[::2]
     stability = "unstable" if growth else "undecided"
-    if not growth and _is_definite(system, orbit, x, tangents):
+    if not growth and _is_definite(orbit, y, tangents):
         stability = "stable"
-    return Equilibrium(x, 0.0, frequencies, growth, stability, 0.0)
+    x = orbit.units * y
+    residual = float(np.max(np.abs(system.vector_field(x))))
+    return Equilibrium(x, orbit.energy(y), frequencies, growth, stability, residual)
 
 
 def _validated(system: Any, x0: ArrayLike) -> Floats:
@@ -171,8 +166,8 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
     return x
 
 
-def _check_regular(system: Any, x: Floats) -> None:
-    rank, generic = tangents_of(system, x).basis.shape[1], system.algebra.generic_rank()
+def _check_regular(orbit: Orbit, y: Floats) -> None:
+    rank, generic = orbit.tangents(y).basis.shape[1], orbit.system.algebra.generic_rank()
     if rank < generic:
         raise ValueError(
             f"x0 lies on a singular coadjoint orbit, of dimension {rank}; those around it have dimension {generic}, "
@@ -180,18 +175,17 @@ def _check_regular(system: Any, x: Floats) -> None:
             "which it is regular"
         )
     if generic == 0:
-        raise ValueError(f"the coadjoint orbits of {system.name} are points, and every state is an equilibrium")
+        raise ValueError(f"the coadjoint orbits of {orbit.system.name} are points, and every state is an equilibrium")
 
 
-def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> Floats:
+def _critical_point(orbit: Orbit, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
-    last, reference, scale = np.inf, _sizes(orbit, x), _field_scale(system, orbit, x)
+    last, reference, scale = np.inf, _sizes(orbit, x), _field_scale(orbit, x)
     descents_before = _Curvature()
     # Descents take time in proportion to the nonzero structure constants, Newton's method to the third power of n.
     descents, more, until = max(MAX_DESCENTS, len(x)), MORE_DESCENTS, 0
     for count in range(descents + MAX_NEWTON):
-        gradient = np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64)
-        field = orbit.product(x, gradient)
+        field = orbit.product(x, orbit.gradient(x))
         residual = float(np.max(np.abs(field)))
         stagnant = residual >= 0.5 * last and residual <= STAGNANT * scale
         if residual <= ROUNDS * UNIT_ROUNDOFF * scale or stagnant:
@@ -200,7 +194,7 @@ def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> F
         near = residual <= NEWTON_FROM * scale and count >= until
         if direction and near and len(x) > EIGENVALUES_BELOW and count < descents - more:
             # Far from definite, a Newton step takes the time of many descents, which end nearer to an equilibrium.
-            near = _is_semidefinite(system, x, direction)
+            near = _is_semidefinite(orbit, x, direction)
             until, more = (until, more) if near else (count + more, 2 * more)
         if direction and count < descents and not near:
             v = direction * descents_before.direction(field)
@@ -209,14 +203,14 @@ def _critical_point(system: Any, orbit: Orbit, x: Floats, direction: float) -> F
                 v, slope = direction * field, float(field @ field)
             longest = MAX_ANGLE / orbit.norm(v)
             length = min(1.0 if descents_before.pairs else np.inf, longest)
-            x, length = _searched(system, orbit, x, v, length, slope, direction)
+            x, length = _searched(orbit, x, v, length, slope, direction)
             descents_before.add(direction * length * v, field)
         else:
             last = residual
-            x = _newton_step(system, orbit, x, field, direction)
-        _check_bounded(system, reference, _sizes(orbit, x), direction)
+            x = _newton_step(orbit, x, field, direction)
+        _check_bounded(orbit, reference, _sizes(orbit, x), direction)
     raise RuntimeError(
-        f"no equilibrium of {system.name} was found from x0: the residual is {residual:.1e} after "
+        f"no equilibrium of {orbit.system.name} was found from x0: the residual is {residual:.1e} after "
         f"{descents + MAX_NEWTON} iterations; start nearer to one"
     )
 
@@ -254,11 +248,10 @@ class _Curvature:
         return q
 
 
-def _field_scale(system: Any, orbit: Orbit, x: Floats) -> float:
+def _field_scale(orbit: Orbit, x: Floats) -> float:
     """Return the size of the terms of J(x) grad H(x), which cancel at an equilibrium."""
-    hessian = np.abs(np.asarray(system.hamiltonian.hessian(x, 0.0), dtype=np.float64))
-    gradient = np.abs(np.asarray(system.hamiltonian.gradient(x, 0.0), dtype=np.float64))
-    return float(np.max(np.abs(x))) * orbit.norm(gradient + hessian @ np.abs(x))
+    slopes = np.abs(orbit.gradient(x)) + np.abs(orbit.hessian(x)) @ np.abs(x)
+    return float(np.max(np.abs(x))) * orbit.norm(slopes)
 
 
 def _sizes(orbit: Orbit, x: Floats) -> tuple[float, float]:
@@ -266,45 +259,43 @@ def _sizes(orbit: Orbit, x: Floats) -> tuple[float, float]:
     return float(np.max(np.abs(x))), float(np.max(orbit.absolute_product(x, np.ones(orbit.dim))))
 
 
-def _check_bounded(system: Any, first: tuple[float, float], now: tuple[float, float], direction: float) -> None:
+def _check_bounded(orbit: Orbit, first: tuple[float, float], now: tuple[float, float], direction: float) -> None:
     grown, shrunk = not now[0] < UNBOUNDED * first[0], now[1] * UNBOUNDED < first[1]
     if grown or shrunk:
         extremum = {1.0: "minimum", -1.0: "maximum", 0.0: "equilibrium near x0"}[direction]
         raise ValueError(
-            f"the energy of {system.name} has no {extremum} on the orbit of x0: the state "
+            f"the energy of {orbit.system.name} has no {extremum} on the orbit of x0: the state "
             f"{'grows without bound' if grown else 'approaches a singular orbit'}; take another value of relax, or x0"
         )
 
 
-def _searched(
-    system: Any, orbit: Orbit, x: Floats, v: Floats, length: float, slope: float, sign: float
-) -> tuple[Floats, float]:
+def _searched(orbit: Orbit, x: Floats, v: Floats, length: float, slope: float, sign: float) -> tuple[Floats, float]:
     """Return exp(D_(length v)) x with a length that lowers `sign` H, halved until it does; `slope` is its decrease."""
-    energy = sign * float(system.energy(x))
+    energy = sign * orbit.energy(x)
     while True:
         moved = orbit.moved(x, length * v)
-        change = sign * float(system.energy(moved)) - energy
+        change = sign * orbit.energy(moved) - energy
         if change <= -ARMIJO * length * slope or length * slope <= ROUNDS * UNIT_ROUNDOFF * (1.0 + abs(energy)):
             return moved, length
         length *= 0.5
 
 
-def _newton_step(system: Any, orbit: Orbit, x: Floats, field: Floats, direction: float) -> Floats:
+def _newton_step(orbit: Orbit, x: Floats, field: Floats, direction: float) -> Floats:
     """Return a Newton step; in a descent, eigenvalues of the other sign are reversed, and the energy must decrease."""
-    tangents = tangents_of(system, x)
+    tangents = orbit.tangents(x)
     gradient = tangents.basis.T @ field
-    components = _solved(second_variation(system, x, system.hamiltonian, tangents, 0.0), gradient, direction)
+    components = _solved(orbit.second_variation(x, tangents), gradient, direction)
     v = tangents.basis @ components
     size = orbit.norm(v)
     length = min(1.0, MAX_ANGLE / size) if size > 0.0 else 1.0
     if not direction:
         return orbit.moved(x, length * v)
-    return _searched(system, orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
+    return _searched(orbit, x, v, length, float(direction * (gradient @ components)), direction)[0]
 
 
-def _is_semidefinite(system: Any, x: Floats, direction: float) -> bool:
+def _is_semidefinite(orbit: Orbit, x: Floats, direction: float) -> bool:
     """Return whether no eigenvalue of the second variation has the sign against the direction, but for zero ones."""
-    matrix = direction * second_variation(system, x, system.hamiltonian, tangents_of(system, x), 0.0)
+    matrix = direction * orbit.second_variation(x, orbit.tangents(x))
     try:
         np.linalg.cholesky(matrix + ZERO * np.linalg.norm(matrix, 1) * np.eye(len(matrix)))
     except np.linalg.LinAlgError:
@@ -332,15 +323,17 @@ def _solved(matrix: Floats, gradient: Floats, direction: float) -> Floats:
     return np.asarray(vectors @ components)
 
 
-def _is_definite(system: Any, orbit: Orbit, x: Floats, tangents: TangentSpace) -> bool:
+def _is_definite(orbit: Orbit, x: Floats, tangents: TangentSpace) -> bool:
     """Return whether the second variation of H plus multiples of the critical integrals is definite."""
-    variations = [second_variation(system, x, system.hamiltonian, tangents, 0.0)]
-    for integral in system.integrals.values():
-        u = np.asarray(integral.gradient(x), dtype=np.float64)
+    variations = [orbit.second_variation(x, tangents)]
+    for integral in orbit.system.integrals.values():
+        if not hasattr(integral, "hessian"):
+            continue
+        u = orbit.gradient(x, integral)
         field = orbit.product(x, u)
         flat = np.max(np.abs(field)) <= np.sqrt(UNIT_ROUNDOFF) * np.max(orbit.absolute_product(x, u), initial=0.0)
-        if flat and hasattr(integral, "hessian"):
-            variations.append(second_variation(system, x, integral, tangents))
+        if flat:
+            variations.append(orbit.second_variation(x, tangents, integral))
     sizes = [float(np.max(np.abs(variation))) for variation in variations]
     used = [variation / size for variation, size in zip(variations, sizes, strict=True) if size > 0.0]
     if not sizes[0]:

@@ -231,8 +231,7 @@ def frequencies(given: Any, signal: Any = None, count: int = 5, window: int = WI
     group = max(1, MAX_NUMBERS // (samples * (8 * count + 3 * data.values.shape[2])))
     groups = [_analyse(data.t, data.values[i : i + group], count, power) for i in range(0, len(data.values), group)]
     w, a, uncertainty, diffusion, mean, residual = (np.concatenate(arrays) for arrays in zip(*groups, strict=True))
-    if not data.channels:
-        a, mean = a[..., 0], mean[..., 0]
+    a, mean = data.shaped(a), data.shaped(mean)
     if not data.members:
         w, a, uncertainty, diffusion, mean, residual = w[0], a[0], uncertainty[0], diffusion[0], mean[0], residual[0]
     return Frequencies(w, a, uncertainty, diffusion, mean, residual, not np.iscomplexobj(data.values))

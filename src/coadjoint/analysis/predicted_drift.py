@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.backward_error.modified_field_base import ModifiedField
+from coadjoint.analysis.backward_error.field_at_points import ModifiedField
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian
 from coadjoint.analysis.rotations import acts_by_rotations, twist
 from coadjoint.keyword_hints import suggest_keywords

@@ -1,20 +1,30 @@
-"""Signals of runs at equidistant times: momentum, attitude, invariants, observables, or functions of the state."""
+"""Signals of runs at equidistant times, and autocorrelation functions of stationary ones with integrated times."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import missing_attitude
 from coadjoint.runs.times import accumulated_rounding
 from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import check_arguments
-from coadjoint.validation import check_finite, read_finite, read_integer, read_numbers, to_array
+from coadjoint.validation import check_finite, read_finite, read_integer, read_numbers, read_positive, to_array
+
+Floats = NDArray[np.float64]
+
+MIN_SAMPLES = 16  # fewer have no window of five integrated times
+WINDOW = 5.0  # integrated times in the window, of Sokal's rule
+BYTES_PER_SAMPLE = 80  # peak, of one member and channel, padded
+BYTES_PER_LAG = 40  # of each channel
 
 
 class SampledSignal(NamedTuple):
@@ -27,6 +37,12 @@ class SampledSignal(NamedTuple):
     values: NDArray[Any]
     members: bool
     channels: bool
+
+    def shaped(self, values: NDArray[Any]) -> Any:
+        """Return values (..., channels) without the last axis if the signal has none."""
+        if self.channels:
+            return values
+        return values[..., 0] if values.ndim > 1 else values[0].item()
 
 
 def sampled(given: Any, signal: Any = None, min_count: int = 2) -> SampledSignal:
@@ -111,3 +127,127 @@ def _count_equidistant(t: NDArray[np.float64], min_count: int) -> int:
     if spacing == 0.0 or not np.all(on_grid[:count]) or count < min_count:
         raise ValueError(f"t is {short(t)}; give at least {min_count} equidistant times")
     return count
+
+
+@suggest_keywords
+@dataclass(frozen=True, eq=False, repr=False)
+class Autocorrelation:
+    """The autocorrelation of a stationary series, pooled over its members; `autocorrelation` computes it.
+
+    Attributes
+    ----------
+    t : ndarray, shape (k,)
+        Lags, from zero to half of the span.
+    values : ndarray, shape (k,) or (k, channels)
+        Normalized autocorrelation, one at lag zero; NaN for a constant series.
+    time : float or ndarray, shape (channels,)
+        Integrated autocorrelation time, ``dt (1/2 + sum over lags of values)`` up to the window. NaN if half of the
+        span is shorter than the window.
+    error : float or ndarray, shape (channels,)
+        Its standard error.
+    window : float or ndarray, shape (channels,)
+        Lag at which the sum ends.
+    mean : float, complex, or ndarray, shape (channels,)
+        Mean over times and members.
+    mean_error : float or ndarray, shape (channels,)
+        Its standard error, from the variance and the integrated time.
+    """
+
+    t: Floats
+    values: Floats
+    time: Any
+    error: Any
+    window: Any
+    mean: Any
+    mean_error: Any
+
+    def __repr__(self) -> str:
+        if np.ndim(self.time):
+            return f"<autocorrelation of {len(self.time)} channels, integrated times up to {np.max(self.time):.4g}>"
+        return f"<autocorrelation: integrated time {self.time:.4g} +- {self.error:.1g}>"
+
+
+@suggest_keywords
+def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> Autocorrelation:
+    """Return the normalized autocorrelation function of a stationary series, and its integrated time with an error.
+
+    Choose it for relaxation times, and for error bars of averages over correlated samples: a series of length T is
+    worth T / (2 tau) independent ones.
+
+    Parameters
+    ----------
+    given : Solution or (k,) array_like
+        A run, or equidistant times, such as the numbers of Monte Carlo sweeps; at least 16.
+    signal : optional
+        As for `frequencies`: of a run None for all components, the number of a component, ``"energy"``, the name of an
+        observable, or a function of the states; samples (k,), (k, channels) or (k, members, channels) with times.
+        Members must be realizations of the same process: they share the mean and the variance.
+    window : float
+        The sum of the integrated time ends at the first lag of at least so many integrated times (Sokal's rule). For
+        functions that decay with several rates take up to 10.
+
+    Returns
+    -------
+    Autocorrelation
+
+    Raises
+    ------
+    ValueError, TypeError
+        Too few or uneven times, values that do not match them, or the memory does not suffice.
+
+    Notes
+    -----
+    By FFT, padded with zeros, each lag divided by its number of products. Of complex signals the real part of the
+    product with the conjugate. The error of the time is that of N. Madras and A. D. Sokal, J. Stat. Phys. 50, 109
+    (1988), ``time sqrt(2 (2 W + 1) / n)`` with a window of W of all n samples. In the limit of dense samples the
+    integrated time is the integral of the function, the decay time of an exponential.
+
+    Examples
+    --------
+    An autoregressive process, whose integrated time is (1 + a) / (1 - a) / 2:
+
+    >>> noise, a = np.random.default_rng(1).normal(size=20000), 0.8
+    >>> import scipy.signal
+    >>> found = autocorrelation(np.arange(20000), scipy.signal.lfilter([1], [1, -a], noise))
+    >>> bool(abs(found.time - 4.5) < 3 * found.error), bool(found.error < 0.4)
+    (True, True)
+    """
+    series = sampled(given, signal, MIN_SAMPLES)
+    factor = read_positive(window, "window")
+    members, count, channels = series.values.shape
+    check_available_memory(
+        BYTES_PER_SAMPLE * count + BYTES_PER_LAG * channels * count,
+        f"the autocorrelation of {count} times and {channels} channels",
+    )
+    mean = series.values.mean(axis=(0, 1))
+    lags = count // 2 + 1
+    covariance = np.stack([_covariance(series.values[:, :, c] - mean[c], lags) for c in range(channels)], axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        values = covariance / np.where(covariance[0] > 0.0, covariance[0], np.nan)
+    spacing = abs(float(series.t[-1] - series.t[0])) / (count - 1)
+    sums = np.cumsum(values, axis=0) - 0.5
+    with np.errstate(over="ignore", invalid="ignore"):
+        reached = np.arange(lags)[:, None] >= factor * sums
+    ends = np.argmax(reached, axis=0)
+    found = reached[ends, np.arange(channels)]
+    tau = np.where(found, sums[ends, np.arange(channels)], np.nan)
+    samples = members * count
+    error = np.abs(tau) * np.sqrt(2.0 * (2.0 * ends + 1.0) / samples)
+    # Rounding and noise can make a time of independent samples negative.
+    mean_error = np.sqrt(2.0 * np.maximum(tau, 0.0) * covariance[0] / samples)
+    widths = np.where(found, ends * spacing, np.nan)
+    lag_times = spacing * np.arange(lags)
+    columns = (tau * spacing, error * spacing, widths, mean, mean_error)
+    return Autocorrelation(lag_times, *map(series.shaped, (values, *columns)))
+
+
+def _covariance(deviations: NDArray[Any], lags: int) -> Floats:
+    """Return the mean over the members (members, times) of products at each lag, in turn, to save memory."""
+    from scipy.fft import fft, ifft, next_fast_len
+
+    count = deviations.shape[1]
+    size = next_fast_len(count + lags)
+    total = np.zeros(lags)
+    for row in deviations:
+        total += ifft(np.abs(fft(row, size)) ** 2).real[:lags]
+    return np.asarray(total / (len(deviations) * (count - np.arange(lags))))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -70,12 +70,23 @@ class SpinEnergy:
 
 @dataclass(frozen=True, eq=False)
 class Sublattice:
-    """Sites that are not coupled to each other, their rows of the coupling, fields and on-site forms (None if zero)."""
+    """Sites that are not coupled to each other, their rows of the coupling, fields and on-site forms (None if zero).
+
+    In a simulation also the inverse temperatures `beta` (members,), and the lengths of the spins and the sizes of their
+    small rotations, (sites of this set, members).
+    """
 
     sites: Integers
     coupling: Any
     linear: Floats
     on_site: Floats | None
+    beta: Any = None
+    lengths: Any = None
+    sizes: Any = None
+
+    def at_temperature(self, beta: Floats, lengths: Floats, sizes: Floats) -> Sublattice:
+        """Return the set in a simulation, with lengths and sizes of all spins."""
+        return replace(self, beta=beta, lengths=lengths[self.sites], sizes=sizes[self.sites])
 
     def field(self, S: Floats) -> Floats:
         """Return ``-dH/dS_i`` without the on-site part, (sites of this set, 3, members), of all spins S."""

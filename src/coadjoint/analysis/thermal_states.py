@@ -176,18 +176,18 @@ def _sweep(energies: SpinEnergy, S: Floats, result: ThermalStates, chains: slice
     key, choice, extra = how
     lengths, beta = np.sqrt(np.sum(S**2, axis=1)), 1.0 / result.temperature[chains]
     sizes = step_sizes(energies, lengths, beta)
+    sublattices = [one.at_temperature(beta, lengths, sizes) for one in energies.sublattices]
     move, number, count = METHODS[choice], len(result.temperature), len(result.acceptance)
     result.energy[0, chains] = energies.energy(S)
     for sweep in range(count):
         accepted = np.zeros(S.shape[2])
         for part in range(1 + extra):
             words = uniform_words(key, (sweep + 1, part), energies.sites, chains)
-            for sublattice in energies.sublattices:
-                here = StepSizes(lengths[sublattice.sites], beta, sizes[sublattice.sites])
+            for sublattice in sublattices:
                 if part:
-                    over_relax(sublattice, S, here, words)
+                    over_relax(sublattice, S, words)
                 else:
-                    accepted += move(sublattice, S, here, words)
+                    accepted += move(sublattice, S, words)
         result.acceptance[sweep, chains] = accepted / energies.sites
         result.energy[sweep + 1, chains] = energies.energy(S)
         note_progress("Monte Carlo sweeps", (chains.start + (sweep + 1) / count * S.shape[2]) / number)
@@ -220,15 +220,6 @@ def _members(members: Any, kT: Floats, start: Floats | None, dim: int, name: str
     return next(iter(counts.values()), 1)
 
 
-@dataclass(frozen=True, eq=False)
-class StepSizes:
-    """Lengths (sites, members), inverse temperatures (members,), and sizes of small rotations (sites, members)."""
-
-    lengths: Floats
-    beta: Floats
-    sizes: Floats
-
-
 def uniform_words(key: int, moment: tuple[int, int], sites: int, members: slice) -> Floats:
     """Return numbers in (0, 1), four for each spin, (4, sites, members): a function of seed, sweep, site and member."""
     sweep, part = moment
@@ -255,12 +246,12 @@ def step_sizes(energies: SpinEnergy, lengths: Floats, beta: Floats) -> Floats:
         return np.asarray(np.minimum(MAX_STEP, 1.0 / np.sqrt(beta * lengths * fields)))
 
 
-def heat_bath(sublattice: Sublattice, S: Floats, here: StepSizes, words: Floats) -> Floats:
+def heat_bath(sublattice: Sublattice, S: Floats, words: Floats) -> Floats:
     """Draw spins in their local fields, in place; return the number of accepted moves of each member."""
     u, v, w = words[:3, sublattice.sites]
     field = sublattice.field(S)
     size = np.sqrt(np.sum(field**2, axis=1))
-    strength = here.beta * here.lengths * size
+    strength = sublattice.beta * sublattice.lengths * size
     with np.errstate(divide="ignore", invalid="ignore"):
         fall = -np.log1p(u * np.expm1(-2.0 * strength)) / strength  # 1 - cos of the angle to the field
     fall = np.clip(np.where(strength > 0.0, fall, 2.0 * u), 0.0, 2.0)
@@ -270,29 +261,27 @@ def heat_bath(sublattice: Sublattice, S: Floats, here: StepSizes, words: Floats)
     radius, turn = np.sqrt(fall * (2.0 - fall)), 2.0 * np.pi * v
     proposed = (1.0 - fall)[:, None] * axis
     proposed += (radius * np.cos(turn))[:, None] * first + (radius * np.sin(turn))[:, None] * second
-    proposed *= here.lengths[:, None]
+    proposed *= sublattice.lengths[:, None]
     old = S[sublattice.sites]
-    return _accept(
-        sublattice, S, proposed, sublattice.on_site_energy(proposed) - sublattice.on_site_energy(old), here.beta, w
-    )
+    return _accept(sublattice, S, proposed, sublattice.on_site_energy(proposed) - sublattice.on_site_energy(old), w)
 
 
-def metropolis(sublattice: Sublattice, S: Floats, here: StepSizes, words: Floats) -> Floats:
+def metropolis(sublattice: Sublattice, S: Floats, words: Floats) -> Floats:
     """Propose small rotations, random directions and reversals, in place; return the number accepted."""
     u, v, w, kind = words[:, sublattice.sites]
     old, anywhere = S[sublattice.sites], directions(u, v)
-    near = old + (here.sizes * here.lengths)[:, None] * anywhere
+    near = old + (sublattice.sizes * sublattice.lengths)[:, None] * anywhere
     size = np.sqrt(np.sum(near**2, axis=1))
-    near *= (here.lengths / np.where(size > 0.0, size, 1.0))[:, None]
+    near *= (sublattice.lengths / np.where(size > 0.0, size, 1.0))[:, None]
     proposed = np.where(
-        (kind < 0.5)[:, None], near, np.where((kind < 0.75)[:, None], here.lengths[:, None] * anywhere, -old)
+        (kind < 0.5)[:, None], near, np.where((kind < 0.75)[:, None], sublattice.lengths[:, None] * anywhere, -old)
     )
     change = sublattice.on_site_energy(proposed) - sublattice.on_site_energy(old)
     change = change - np.sum((proposed - old) * sublattice.field(S), axis=1)
-    return _accept(sublattice, S, proposed, change, here.beta, w)
+    return _accept(sublattice, S, proposed, change, w)
 
 
-def over_relax(sublattice: Sublattice, S: Floats, here: StepSizes, words: Floats) -> None:
+def over_relax(sublattice: Sublattice, S: Floats, words: Floats) -> None:
     """Rotate spins by half a turn about their local fields, in place; a change on site is accepted as by Metropolis."""
     field, old = sublattice.field(S), S[sublattice.sites]
     square = np.sum(field**2, axis=1)
@@ -300,22 +289,20 @@ def over_relax(sublattice: Sublattice, S: Floats, here: StepSizes, words: Floats
     proposed = np.where((square > 0.0)[:, None], along[:, None] * field - old, old)
     # Rounding would change the lengths over many sweeps.
     size = np.sqrt(np.sum(proposed**2, axis=1))
-    proposed *= (here.lengths / np.where(size > 0.0, size, 1.0))[:, None]
+    proposed *= (sublattice.lengths / np.where(size > 0.0, size, 1.0))[:, None]
     change = sublattice.on_site_energy(proposed) - sublattice.on_site_energy(old)
-    _accept(sublattice, S, proposed, change, here.beta, words[2, sublattice.sites])
+    _accept(sublattice, S, proposed, change, words[2, sublattice.sites])
 
 
-METHODS: Mapping[str, Callable[[Sublattice, Floats, StepSizes, Floats], Floats]] = {
+METHODS: Mapping[str, Callable[[Sublattice, Floats, Floats], Floats]] = {
     "heat bath": heat_bath,
     "Metropolis": metropolis,
 }
 
 
-def _accept(
-    sublattice: Sublattice, S: Floats, proposed: Floats, change: Floats | float, beta: Floats, w: Floats
-) -> Floats:
+def _accept(sublattice: Sublattice, S: Floats, proposed: Floats, change: Floats | float, w: Floats) -> Floats:
     """Take proposed spins with probability min(1, exp(-change/kT)); return how many of each member."""
-    accepted = np.log(w) <= -beta * change
+    accepted = np.log(w) <= -sublattice.beta * change
     S[sublattice.sites] = np.where(accepted[:, None], proposed, S[sublattice.sites])
     return np.asarray(np.sum(accepted, axis=0), dtype=np.float64)
 

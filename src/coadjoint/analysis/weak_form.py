@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import combinations_with_replacement
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.monomials import exponents_of_degree
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -88,8 +88,7 @@ def exponents_of(n: int, degree: int) -> NDArray[np.int64]:
     check_available_memory(
         8 * n * math.comb(n + degree, degree), f"monomials of degree {short(degree)} in {n} coordinates"
     )
-    chosen = (c for d in range(1, degree + 1) for c in combinations_with_replacement(range(n), d))
-    return np.array([np.bincount(c, minlength=n) for c in chosen], dtype=np.int64)
+    return np.array([e for d in range(1, degree + 1) for e in exponents_of_degree(n, d)], dtype=np.int64)
 
 
 def gradients_of(exponents: NDArray[np.int64], x: Floats) -> Floats:

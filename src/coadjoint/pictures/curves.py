@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.style import colour, colour_bar, thickness
+from coadjoint.pictures.style import colour, colour_bar, colour_scale, thickness
 
 Floats = npt.NDArray[np.float64]
 
@@ -101,17 +101,15 @@ class MemberColours:
 
     def __init__(self, drawn: PlottedRun) -> None:
         from matplotlib import colormaps
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import LinearSegmentedColormap, Normalize
+        from matplotlib.colors import LinearSegmentedColormap
 
-        energies = drawn.initial_energies if len(drawn.x) > 1 else np.zeros(1)
+        energies = drawn.at_start("energy") if len(drawn.x) > 1 else np.zeros(1)
         finite = energies[np.isfinite(energies)]
         self.differ = finite.size > 1 and float(np.ptp(finite)) > EQUAL_ENERGIES * float(np.abs(finite).max())
         self._energies, self._shades = energies, None
         if self.differ:
             part = colormaps["viridis"](np.linspace(DARKEST, LIGHTEST, 256))
-            shades = LinearSegmentedColormap.from_list("energies", part)
-            self._shades = ScalarMappable(Normalize(float(finite.min()), float(finite.max())), shades)
+            self._shades = colour_scale(finite, LinearSegmentedColormap.from_list("energies", part))
 
     def __getitem__(self, m: int) -> Any:
         """Return the colour of a drawn member."""

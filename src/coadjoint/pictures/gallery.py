@@ -18,7 +18,7 @@ from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.fluids.sphere_euler import sphere_euler
-from coadjoint.systems.gallery_entry import Picture
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 PAGE = "index.html"
@@ -31,63 +31,47 @@ _STYLE = (
 )
 
 
-@dataclass(frozen=True)
-class Scene:
-    """A long example run, as a function that returns its solution, with its pictures, summary and caption."""
-
-    run: Callable[[], Solution]
-    pictures: tuple[Picture, ...]
-    summary: str
-    caption: str
-
-
-def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> Solution:
-    """Integrate random vorticity of the degrees 3 to 8 on the sphere, until few vortices are left."""
-    fluid = sphere_euler(N)
-    return integrate(
-        fluid,  # type: ignore[arg-type]
-        fluid.random(seed, degrees=(3, 8)),
+def decaying_turbulence(N: int = 128, seed: int = 1, end: float = 100.0, step: float = 0.0125) -> GalleryEntry:
+    """Decaying turbulence of a fluid on the sphere, from random vorticity of degrees 3 to 8: one to three minutes."""
+    views = [(at, part) for at in (0.0, 0.2, 1.0) for part in ("all", "large")]
+    return GalleryEntry(
+        lambda: sphere_euler(N).random(seed, degrees=(3, 8)),
         (0.0, end),
         step,
+        "Vortices of like sign merge, and two of each sign are left, which keep moving. Above, the vorticity, which is "
+        "stretched into filaments and fine structure. Below, its large-scale part, which is constant along "
+        "streamlines.",
+        tuple(Picture("vorticity", at=at, part=part, limit=3.0) for at, part in views),
+        parameters={"N": N},
         save_every=max(1, round(1.0 / step)),
     )
 
 
-SCENES = {
-    "decaying_turbulence": Scene(
-        run=decaying_turbulence,
-        pictures=tuple(
-            Picture("vorticity", at=at, part=part, limit=3.0) for at in (0.0, 0.2, 1.0) for part in ("all", "large")
-        ),
-        summary="Decaying turbulence of an ideal fluid on the sphere, from random vorticity of the degrees 3 to 8, "
-        "seed 1: one to three minutes.",
-        caption="Vortices of like sign merge, and two of each sign are left, which keep moving. Above, the vorticity, "
-        "which is stretched into filaments and fine structure. Below, its large-scale part, which is constant along "
-        "streamlines.",
-    )
-}
-"""Scenes by name."""
+SCENES = {"decaying_turbulence": ("sphere_euler", decaying_turbulence)}
+"""Long example runs by name: a ready-made system, and a function that returns the gallery entry."""
 
 
 def run_example(name: str) -> Solution:
     """Run a ready-made system over the span of its gallery entry, by the suggested scheme."""
-    systems = importlib.import_module("coadjoint.systems")
-    gallery_entry = gallery_entry_of(name)
-    system = systems.get(name, **({} if gallery_entry is None else gallery_entry.parameters))
-    if gallery_entry is None:
+    entry = gallery_entry_of(name)
+    if entry is None:
         raise ValueError(
             f"{name} declares no start, span and step of a run; give @ready_made a GalleryEntry, as docs/gallery.md "
             "shows"
         )
-    return integrate(
-        system,
-        gallery_entry.start(),
-        gallery_entry.t_span,
-        gallery_entry.step,
-        suggested_scheme(system),
-        save_every=gallery_entry.save_every,
-        attitude=gallery_entry.attitude,
-    )
+    return _run(name, entry)
+
+
+def _run(name: str, entry: GalleryEntry) -> Solution:
+    system = importlib.import_module("coadjoint.systems").get(name, **entry.parameters)
+    start, scheme, every = entry.start(), suggested_scheme(system), entry.save_every
+    return integrate(system, start, entry.t_span, entry.step, scheme, save_every=every, attitude=entry.attitude)
+
+
+def summary_of(function: Callable[..., Any]) -> str:
+    """Return the first paragraph of the docstring of a ready-made system or a scene, as a sentence."""
+    summary = " ".join((function.__doc__ or "").partition("\n\n")[0].split()).removeprefix("Return ").replace("``", "")
+    return summary[:1].upper() + summary[1:]
 
 
 @dataclass(frozen=True)
@@ -105,17 +89,14 @@ def piece(name: str) -> Piece:
     """Run a ready-made system, or one of `SCENES`, from its declared start over its declared span, and draw it."""
     require_packages("a gallery", "matplotlib")
     if name in SCENES:
-        scene = SCENES[name]
-        run = scene.run()
-        description = f"{_describe(run)}; {run.stats.seconds:.0f} s"
-        return Piece(name, run.plot(scene.pictures), scene.summary, scene.caption, description)
-    solution = run_example(name)
-    gallery_entry = gallery_entry_of(name)
-    assert gallery_entry is not None
-    paragraph = (ready_made_systems()[name].__doc__ or "").partition("\n\n")[0]
-    summary = " ".join(paragraph.split()).removeprefix("Return ").replace("``", "")
-    summary = summary[:1].upper() + summary[1:]
-    return Piece(name, solution.plot(), summary, gallery_entry.caption, _describe(solution))
+        system, scene = SCENES[name]
+        entry = scene()
+        run = _run(system, entry)
+        text = f"{_describe(run)}; {run.stats.seconds:.0f} s"
+        return Piece(name, run.plot(entry.pictures), summary_of(scene), entry.caption, text)
+    run, declared = run_example(name), gallery_entry_of(name)
+    assert declared is not None
+    return Piece(name, run.plot(), summary_of(ready_made_systems()[name]), declared.caption, _describe(run))
 
 
 @suggest_keywords

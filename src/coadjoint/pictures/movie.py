@@ -9,7 +9,7 @@ from typing import Any
 from coadjoint.optional_packages import require_packages
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, kinds, read_picture
-from coadjoint.pictures.style import figure_settings, setting
+from coadjoint.pictures.style import figure_settings, new_figure, setting
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.runs.results.solution_output import extent_text
 from coadjoint.systems.gallery_entry import Picture
@@ -29,15 +29,12 @@ class SavedFrames:
         self, drawn: PlottedRun, kind: Kind, picture: Picture, indices: Sequence[int], size: tuple[int, int]
     ) -> None:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-
-        from coadjoint.pictures.layout import PanelLayout
 
         self.count, self.size, self._indices = len(indices), size, indices
         width, height = size
         dpi = min(width / MIN_WIDTH, height / MIN_HEIGHT)
         with figure_settings():
-            figure = Figure(figsize=(width / dpi, height / dpi), dpi=dpi, layout=PanelLayout(compress=True))
+            figure = new_figure("a movie", width / dpi, height / dpi, dpi, compress=True)
             self._canvas = FigureCanvasAgg(figure)
             name = drawn.solution.system.name
             cut = f", {extent_text(drawn.solution)}" if drawn.solution.incomplete else ""

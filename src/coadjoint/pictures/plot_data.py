@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.errors import IntegrationError
-from coadjoint.pictures.register import CannotShow
+from coadjoint.pictures.register import CannotShow, coordinate_index
 from coadjoint.pictures.style import coordinate
 from coadjoint.runs.results.body_motion import rotations_of
 from coadjoint.runs.results.drift import scales_of_invariants
@@ -23,7 +23,7 @@ from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.gallery_entry import GalleryEntry
 from coadjoint.systems.registry import gallery_entry_of
-from coadjoint.validation import read_choice, read_integer, read_list, read_number
+from coadjoint.validation import read_integer, read_list, read_number
 
 Floats = npt.NDArray[np.float64]
 
@@ -79,12 +79,7 @@ class PlottedRun:
         self.unforced: Any = self.system.unforced
         self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.unforced.name)
         self.t = solution.t
-        self.x = self._select_members(states)
-
-    def _select_members(self, states: Floats) -> Floats:
-        # A view if all members are drawn, since states may be large.
-        all_drawn = np.array_equal(self._chosen, np.arange(self.member_count))
-        return np.swapaxes(states if all_drawn else states[:, self._chosen], 0, 1)
+        self.x = self.select(states[:, 0] if self.single else states)
 
     @cached_property
     def refined(self) -> PlottedRun:
@@ -115,7 +110,7 @@ class PlottedRun:
         for name in ("attitude", "rotation", "curve_indices", "joined", "axis_joined", "dense", "refined"):
             copied.__dict__.pop(name, None)
         copied.t = times
-        copied.x = self._select_members(_as_real(interpolated.x).reshape(len(times), -1, self.n))
+        copied.x = self.select(_as_real(interpolated.x).reshape(len(times), *(() if self.single else (-1,)), self.n))
         has_attitude = self.solution.carried == "representation" and interpolated.attitude is not None
         copied.__dict__["attitude"] = self.select(interpolated.attitude) if has_attitude else None
         copied.__dict__["refined"] = copied
@@ -125,7 +120,9 @@ class PlottedRun:
         """Select the drawn members of a series (k, ...) or (k, members, ...); returns (members, k, ...)."""
         values = np.asarray(series)
         values = values[:, None] if self.single else values
-        return np.swapaxes(values[:, self._chosen], 0, 1)
+        # A view if all members are drawn, since states may be large.
+        all_drawn = np.array_equal(self._chosen, np.arange(self.member_count))
+        return np.swapaxes(values if all_drawn else values[:, self._chosen], 0, 1)
 
     @cached_property
     def attitude(self) -> Floats | None:
@@ -156,18 +153,14 @@ class PlottedRun:
         """The initial states (members, n), which `t_eval` may not save; real and imaginary parts as in `x`."""
         return _as_real(self.solution.x0).reshape(-1, self.n)[self._chosen]
 
-    @property
-    def initial_energies(self) -> Floats:
-        """The energies at the start of the run, (members,)."""
-        return np.atleast_1d(self.solution.initial["energy"])[self._chosen]
+    def at_start(self, invariant: str) -> Floats:
+        """Return the values of an invariant at the start of the run, (members,), which `t_eval` may not save."""
+        return np.atleast_1d(self.solution.initial[invariant])[self._chosen]
 
     @cached_property
     def changes(self) -> Mapping[str, Floats]:
-        """The invariants less their values at the start of the run, which `t_eval` may not save."""
-        return {
-            name: values - np.atleast_1d(self.solution.initial[name])[self._chosen][:, None]
-            for name, values in self.invariants.items()
-        }
+        """The invariants less their values at the start of the run."""
+        return {name: values - self.at_start(name)[:, None] for name, values in self.invariants.items()}
 
     @cached_property
     def scales(self) -> Mapping[str, Floats]:
@@ -187,11 +180,8 @@ class PlottedRun:
         work = getattr(self.solution, "work", None)
         if not work:
             return None
-        changes = {}
-        for name, change in self.changes.items():
-            done = [self.select(by[name]) for by in work.values() if name in by]
-            changes[name] = change - sum(done)
-        return changes
+        done = {name: [self.select(by[name]) for by in work.values() if name in by] for name in self.changes}
+        return {name: change - sum(done[name]) for name, change in self.changes.items()}
 
     @property
     def of_member(self) -> str:
@@ -215,17 +205,14 @@ class PlottedRun:
     def index_of(self, chosen: Any) -> int:
         """Return the index of a coordinate given by number or name; raise CannotShow if there is none."""
         try:
-            if isinstance(chosen, str):
-                return self.names.index(read_choice(chosen, "coordinate", self.names))
-            return read_integer(chosen, "a coordinate", 0, self.n - 1)
+            return coordinate_index(self.names, chosen)
         except ValueError as reason:
-            raise CannotShow(str(reason)) from None
+            raise CannotShow(f"coordinate {short(chosen)} is none of the {self.n} of the state: {reason}") from None
 
     @cached_property
     def curve_indices(self) -> npt.NDArray[np.int64]:
-        """Indices of the points of curves in space: all, or about 20 000 evenly spread with the last one."""
-        every = max(1, -(-len(self.t) // MAX_CURVE_POINTS))
-        return np.unique(np.append(np.arange(0, len(self.t), every), len(self.t) - 1))
+        """Indices of the points of curves in space: all, or 20 000 evenly spread ones."""
+        return spread(len(self.t), MAX_CURVE_POINTS)
 
     @cached_property
     def joined(self) -> bool:
@@ -370,16 +357,20 @@ def _seconds(run: Solution, intervals: int, points: int) -> float:
 def _chord_duration(drawn: PlottedRun) -> float:
     """Return the longest time interval with a chord close to the motion: the distance is about |x''| dt^2 / 8."""
     shortest = np.inf
-    sizes = [float(np.linalg.norm(np.ptp(path, axis=0))) for path in drawn.x]
-    count = max(2, SAMPLED // len(sizes))
-    for m, (path, size) in enumerate(zip(drawn.x, sizes, strict=True)):
-        if not size > 0.0:
-            continue
-        for k in np.linspace(0, len(drawn.t) - 1, min(count, len(drawn.t))).astype(np.int64).tolist():
-            acceleration = _acceleration(drawn, m, path[k], float(drawn.t[k]), size)
-            if acceleration > 0.0 and np.isfinite(acceleration):
-                shortest = min(shortest, (8.0 * REFINED_TOLERANCE * size / acceleration) ** 0.5)
+    sizes = np.linalg.norm(np.ptp(drawn.x, axis=1), axis=1).tolist()
+    for m, x, t in _sampled_states(drawn):
+        acceleration = _acceleration(drawn, m, x, t, sizes[m]) if sizes[m] > 0.0 else 0.0
+        if acceleration > 0.0 and np.isfinite(acceleration):
+            shortest = min(shortest, (8.0 * REFINED_TOLERANCE * sizes[m] / acceleration) ** 0.5)
     return shortest
+
+
+def _sampled_states(drawn: PlottedRun) -> Iterator[tuple[int, Floats, float]]:
+    """Yield about 64 states of the members, at least two of each: the number of the member, the state and its time."""
+    count = min(max(2, SAMPLED // len(drawn.x)), len(drawn.t))
+    for m, path in enumerate(drawn.x):
+        for k in np.linspace(0, len(drawn.t) - 1, count).astype(np.int64).tolist():
+            yield m, path[k], float(drawn.t[k])
 
 
 def _acceleration(drawn: PlottedRun, m: int, x: Floats, t: float, size: float) -> float:
@@ -399,11 +390,8 @@ def fastest_turn(drawn: PlottedRun) -> float:
     fastest = float(np.finfo(np.float64).tiny)
     if drawn.solution.carried != "representation" or rho is None:
         return fastest
-    count = max(2, SAMPLED // len(drawn.x))
-    for m, path in enumerate(drawn.x):
-        hamiltonian = drawn.system_of(m).hamiltonian
-        for k in np.linspace(0, len(drawn.t) - 1, min(count, len(drawn.t))).astype(np.int64).tolist():
-            rate = np.tensordot(hamiltonian.gradient(path[k], float(drawn.t[k])), rho, axes=1)
-            # The matrix of an angular velocity has each component twice.
-            fastest = max(fastest, float(np.linalg.norm(rate[:3, :3] if rate.shape[-1] == 4 else rate)) / 2.0**0.5)
+    for m, x, t in _sampled_states(drawn):
+        rate = np.tensordot(drawn.system_of(m).hamiltonian.gradient(x, t), rho, axes=1)
+        # The matrix of an angular velocity has each component twice.
+        fastest = max(fastest, float(np.linalg.norm(rate[:3, :3] if rate.shape[-1] == 4 else rate)) / 2.0**0.5)
     return fastest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import pkgutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from coadjoint.errors import unknown_name
 from coadjoint.keyword_hints import suggest_keywords, unknown_picture
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import Picture
+from coadjoint.validation import read_choice, read_integer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -155,3 +156,10 @@ def read_picture(given: Any) -> tuple[Kind, Picture]:
     kind = known[picture.kind]
     kind.check(picture)
     return kind, picture
+
+
+def coordinate_index(names: Sequence[str], chosen: Any) -> int:
+    """Return the index of a coordinate given by number or name."""
+    if isinstance(chosen, str):
+        return names.index(read_choice(chosen, "coordinate", names))
+    return read_integer(chosen, "a coordinate", 0, len(names) - 1)

@@ -69,9 +69,8 @@ def draw_solution(
             return _draw_into(listed, pictures)
         pictures = _declared(drawn, series) if panels is None else _requested(drawn, panels, series)
         if panels is None:
-            pictures.sort(key=lambda picture: not picture[0].over_time)
-        shown = [Panel.of(kind, paint, drawn) for kind, paint in pictures]
-        return arrange(shown, _headline(solution, drawn), width)
+            pictures.sort(key=lambda panel: not panel.kind.over_time)
+        return arrange(pictures, _headline(solution, drawn), width)
 
 
 def _components_picture(drawn: PlottedRun, chosen: Any) -> Picture:
@@ -85,7 +84,7 @@ def _components_picture(drawn: PlottedRun, chosen: Any) -> Picture:
     return Picture("components") if drawn.gallery_entry is None else drawn.gallery_entry.components
 
 
-def _declared(drawn: PlottedRun, series: Picture) -> list[tuple[Kind, Paint]]:
+def _declared(drawn: PlottedRun, series: Picture) -> list[Panel]:
     """Prepare drift, components and observed quantities, and the declared pictures that this run can show."""
     declared = () if drawn.gallery_entry is None else drawn.gallery_entry.pictures
     is_declared = drawn.gallery_entry is not None and series is drawn.gallery_entry.components
@@ -97,7 +96,7 @@ def _declared(drawn: PlottedRun, series: Picture) -> list[tuple[Kind, Paint]]:
     return drift + components + observed + (_prepare_possible(drawn, declared) or _prepare_possible(drawn, default))
 
 
-def _prepare_possible(drawn: PlottedRun, pictures: Sequence[Picture]) -> list[tuple[Kind, Paint]]:
+def _prepare_possible(drawn: PlottedRun, pictures: Sequence[Picture]) -> list[Panel]:
     prepared = []
     for picture in pictures:
         with suppress(CannotShow):
@@ -105,12 +104,13 @@ def _prepare_possible(drawn: PlottedRun, pictures: Sequence[Picture]) -> list[tu
     return prepared
 
 
-def _prepare(drawn: PlottedRun, picture: str | Picture) -> tuple[Kind, Paint]:
+def _prepare(drawn: PlottedRun, picture: str | Picture) -> Panel:
     kind, read = read_picture(picture)
-    return kind, kind.prepare(drawn, **read.options)
+    height = TIME_HEIGHT if kind.over_time else LOW_HEIGHT if kind.is_low(drawn) else FULL_HEIGHT
+    return Panel(kind, kind.prepare(drawn, **read.options), height)
 
 
-def _requested(drawn: PlottedRun, panels: Any, series: Picture, count: int | None = None) -> list[tuple[Kind, Paint]]:
+def _requested(drawn: PlottedRun, panels: Any, series: Picture, count: int | None = None) -> list[Panel]:
     """Prepare the requested panels, one for each name if `count` says so, else single times at the declared times."""
     rule = "give kinds of pictures, such as ['drift', 'coadjoint orbit']"
     listed = (panels,) if isinstance(panels, str | Picture) else read_list(panels, "panels", rule)
@@ -153,17 +153,18 @@ def _read_axes(axes: Any) -> Any:
     return (axes,) if hasattr(axes, "plot") else read_list(axes, "axes", "give the axes of each panel")
 
 
-def _draw_into(listed: Any, prepared: list[tuple[Kind, Paint]]) -> Figure:
+def _draw_into(listed: Any, prepared: list[Panel]) -> Figure:
     if len(listed) != len(prepared):
-        names = ", ".join(kind.name for kind, _ in prepared)
+        names = ", ".join(panel.kind.name for panel in prepared)
         raise ValueError(f"axes has {len(listed)} entries, and there are {len(prepared)} panels to draw: {names}")
-    for panel_axes, (kind, paint) in zip(listed, prepared, strict=True):
+    for panel_axes, panel in zip(listed, prepared, strict=True):
+        kind = panel.kind
         if not hasattr(panel_axes, "plot"):
             raise TypeError(f"axes holds {short(panel_axes)}; give axes of Matplotlib")
         if (getattr(panel_axes, "name", "") == "3d") != (kind.projection == "3d"):
             needed = 'axes with projection="3d"' if kind.projection else "flat axes"
             raise ValueError(f"the picture {kind.name!r} needs {needed}")
-        paint(panel_axes)
+        panel.paint(panel_axes)
     figure: Figure = listed[0].figure
     return figure
 
@@ -186,11 +187,6 @@ class Panel:
     kind: Kind
     paint: Paint
     height: float
-
-    @classmethod
-    def of(cls, kind: Kind, paint: Paint, drawn: Any) -> Panel:
-        """Return the panel of a prepared picture of a `PlottedRun`."""
-        return cls(kind, paint, TIME_HEIGHT if kind.over_time else LOW_HEIGHT if kind.is_low(drawn) else FULL_HEIGHT)
 
 
 def arrange(panels: Sequence[Panel], headline: str, width: float | None) -> Figure:

@@ -116,12 +116,12 @@ def with_figure_settings(function: Function) -> Function:
     return cast(Function, drawing)
 
 
-def new_figure(what: str, width: float, height: float) -> Figure:
+def new_figure(what: str, width: float, height: float, dpi: float | None = None, compress: bool = False) -> Figure:
     """Return a figure of a size in inches; raise an error that names `what` needs Matplotlib if it is missing."""
     require_packages(what, "matplotlib")
     from coadjoint.pictures.layout import PanelLayout, ShownFigure
 
-    return ShownFigure(figsize=(width, height), layout=PanelLayout())
+    return ShownFigure(figsize=(width, height), dpi=dpi, layout=PanelLayout(compress=compress))
 
 
 def setting(key: str) -> Any:
@@ -186,6 +186,25 @@ def plain_axes(axes: Axes) -> None:
 def set_title(axes: Any, text: str) -> Any:
     """Set the title of axes in the size of figures, also on those that the user has made; return it."""
     return axes.set_title(text, fontsize=setting("axes.titlesize"), color=ink())
+
+
+def updating(axes: Any, title_at: Callable[[int], str], k: int, show: Callable[[int], None]) -> Callable[[int], None]:
+    """Set the title of axes at saved point k; return what shows another one, with its title."""
+    title = set_title(axes, title_at(k))
+
+    def update(j: int) -> None:
+        show(j)
+        title.set_text(title_at(j))
+
+    return update
+
+
+def colour_scale(values: Any, colours: Any = "viridis") -> Any:
+    """Return what maps numbers between the extremes of some values to colours, for `colour_bar`."""
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import Normalize
+
+    return ScalarMappable(Normalize(float(np.min(values)), float(np.max(values))), colours)
 
 
 def write_note(axes: Any, text: str) -> None:

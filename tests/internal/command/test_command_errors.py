@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint import cli, commands, library_commands, run_commands
-from coadjoint.experiments.statements import judge
+from coadjoint.experiments.reich1993.statements import judge
 from coadjoint.files.output import output_files as output
 from configuration_files import BODY
 
@@ -64,7 +64,7 @@ def finding(name, passed, skipped=""):
 
 def test_selftest_counts_and_prints(monkeypatch, capsys):
     found = [finding("a", True), finding("b", True, "no zarr"), finding("c", False), finding("d", True, "no numba")]
-    monkeypatch.setattr("coadjoint.experiments.selftest.checks.selftest", lambda: iter(found))
+    monkeypatch.setattr("coadjoint.experiments.selftest.selftest", lambda: iter(found))
     assert cli.main(["selftest"]) == 1
     *lines, last = capsys.readouterr().out.splitlines()
     assert lines == ["a: True", "b: no zarr", "c: False", "d: no numba"]

@@ -9,26 +9,24 @@ import pytest
 
 import coadjoint as co
 from coadjoint import cli
+from coadjoint.experiments import selftest as checks
 from coadjoint.experiments.reich1993 import reproduce
+from coadjoint.experiments.reich1993 import statements as paper
 from coadjoint.experiments.reich1993.figures import drift_figure
 from coadjoint.experiments.reich1993.section5 import spiral_run
-from coadjoint.experiments.reich1993.systems import BODY_START, COORDINATES, M_ORTHOGONAL, MIDPOINT, SPLITTING, body_run
-from coadjoint.experiments.selftest import checks
-from coadjoint.experiments.selftest.checks import Finding
-from coadjoint.experiments.statements import FAILS, HOLDS, LIMITED, judge, stage_iterates, step_matrix
 from refusals import refused
 
 # Statements that are not simply confirmed; all others hold.
 EXPECTED = {
-    "flow_poisson": LIMITED,  # the printed transpose is a misprint
-    "stronger_than_energy": FAILS,
-    "no_dissipation": FAILS,
-    "example_3_1_gauss": LIMITED,  # by two different matrices
-    "spiral_parameter": LIMITED,  # a > 1 is not needed
-    "spiral_casimir": LIMITED,  # the principal arctangent jumps
-    "small_phase_errors": LIMITED,  # to t = 2
-    "oscillating_phase": FAILS,
-    "remark_6_1": LIMITED,  # the adjoint is needed
+    "flow_poisson": paper.LIMITED,  # the printed transpose is a misprint
+    "stronger_than_energy": paper.FAILS,
+    "no_dissipation": paper.FAILS,
+    "example_3_1_gauss": paper.LIMITED,  # by two different matrices
+    "spiral_parameter": paper.LIMITED,  # a > 1 is not needed
+    "spiral_casimir": paper.LIMITED,  # the principal arctangent jumps
+    "small_phase_errors": paper.LIMITED,  # to t = 2
+    "oscillating_phase": paper.FAILS,
+    "remark_6_1": paper.LIMITED,  # the adjoint is needed
 }
 
 
@@ -48,7 +46,7 @@ def test_reproduction_has_all_verdicts_and_figures(tmp_path):
     keys = [row.key for row in reproduction.table]
     assert len(keys) == len(set(keys)) >= 45
     assert set(EXPECTED) <= set(keys)
-    assert {row.key: row.verdict for row in reproduction.table} == {key: EXPECTED.get(key, HOLDS) for key in keys}
+    assert {row.key: row.verdict for row in reproduction.table} == {key: EXPECTED.get(key, paper.HOLDS) for key in keys}
     for row in reproduction.table:
         assert all(cell.strip() for cell in row) and "nan" not in row.measured
         assert any(character.isdigit() for character in row.measured), row.key
@@ -74,17 +72,19 @@ def test_wrong_lengths_are_refused(wrong, tmp_path):
 
 @pytest.mark.parametrize(
     ("method", "expected"),
-    [(MIDPOINT, (0.152, 0.280, 0.678, 1.39, 2.73)), (SPLITTING, (0.020, 0.008, 0.107, 0.198, 0.146))],
+    [(paper.MIDPOINT, (0.152, 0.280, 0.678, 1.39, 2.73)), (paper.SPLITTING, (0.020, 0.008, 0.107, 0.198, 0.146))],
 )
 def test_attitude_errors_near_the_separatrix(method, expected):
-    run = body_run(method, BODY_START, 20.0, 0.1)
+    run = paper.body_run(method, paper.BODY_START, 20.0, 0.1)
     found = [run.angle[run.at(t)] for t in (1.0, 2.0, 5.0, 10.0, 20.0)]
     # The reference has three digits.
     assert found == pytest.approx(expected, abs=0.005)
 
 
 @pytest.mark.parametrize(
-    ("method", "energy", "casimir"), [(COORDINATES, 3.7e-6, None), (M_ORTHOGONAL, None, 5.5e-5)], ids=["fig1", "fig2"]
+    ("method", "energy", "casimir"),
+    [(paper.COORDINATES, 3.7e-6, None), (paper.M_ORTHOGONAL, None, 5.5e-5)],
+    ids=["fig1", "fig2"],
 )
 def test_drift_figures(method, energy, casimir):
     run = spiral_run(method)
@@ -106,10 +106,10 @@ WORDS = {"paper": "p", "criterion": "|x| < 1", "measured": "m, 0.5"}
 
 @pytest.mark.parametrize(
     ("holds", "limited", "verdict"),
-    [(True, False, HOLDS), (True, True, LIMITED), (False, False, FAILS), (False, True, FAILS)],
+    [(True, False, paper.HOLDS), (True, True, paper.LIMITED), (False, False, paper.FAILS), (False, True, paper.FAILS)],
 )
 def test_verdict(holds, limited, verdict):
-    assert judge("k", "place", "s", holds=holds, limited=limited, **WORDS).verdict == verdict
+    assert paper.judge("k", "place", "s", holds=holds, limited=limited, **WORDS).verdict == verdict
 
 
 X = np.array([1.0, 2.0, 0.5])
@@ -124,17 +124,18 @@ def test_step_matrix_reproduces_the_modified_step_and_its_limit(stages, freeze):
     body = co.systems.paper_rigid_body()
     modified = co.ModifiedGaussLegendre(stages, 2 * stages, freeze=freeze)
     for m, method in ((2 * stages, modified), (51, co.GaussLegendre(stages))):
-        B = step_matrix(body, stage_iterates(body, stages, H, X, m - 1)[-1], H, freeze)
+        B = paper.step_matrix(body, paper.stage_iterates(body, stages, H, X, m - 1)[-1], H, freeze)
         step = co.stepper(body, method, H)(X)
         # 3 s unknowns by elimination.
         assert np.linalg.norm(B @ X - step) <= 64 * 2.0**-53 * 3 * stages * np.linalg.norm(X)
 
 
 @pytest.mark.parametrize(
-    "found", [Finding("a", 2.0, 1.0), Finding("a", float("nan"), 1.0), Finding("a", 3.4, 3.5, "", True)]
+    "found",
+    [checks.Finding("a", 2.0, 1.0), checks.Finding("a", float("nan"), 1.0), checks.Finding("a", 3.4, 3.5, "", True)],
 )
 def test_exit_status_is_1_if_a_check_fails(monkeypatch, capsys, found):
-    monkeypatch.setattr(checks, "CHECKS", (lambda: [Finding("good", 0.0, 1.0), found],))
+    monkeypatch.setattr(checks, "CHECKS", (lambda: [checks.Finding("good", 0.0, 1.0), found],))
     assert cli.main(["selftest", "--quiet"]) == 1
     assert capsys.readouterr().out == f"{found}\n"
     assert str(found).startswith("FAIL")
@@ -142,10 +143,10 @@ def test_exit_status_is_1_if_a_check_fails(monkeypatch, capsys, found):
 
 def test_check_that_raises_has_failed(monkeypatch, capsys):
     def broken():
-        yield Finding("begun", 0.0, 1.0)
+        yield checks.Finding("begun", 0.0, 1.0)
         raise KeyError("x")
 
-    monkeypatch.setattr(checks, "CHECKS", (broken, lambda: [Finding("good", 0.0, 1.0)]))
+    monkeypatch.setattr(checks, "CHECKS", (broken, lambda: [checks.Finding("good", 0.0, 1.0)]))
     assert cli.main(["selftest"]) == 1
     output = capsys.readouterr().out
     assert (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -18,11 +19,11 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 import coadjoint as co
 from coadjoint.pictures.analysis_figures import with_error
 from coadjoint.pictures.curves import COLUMNS, draw_series, envelope
-from coadjoint.pictures.gallery import SCENES, Scene, decaying_turbulence, piece
+from coadjoint.pictures.gallery import SCENES, decaying_turbulence, piece
 from coadjoint.pictures.globe import Globe, unit_vectors
 from coadjoint.pictures.hidden_lines import FAR_ALPHA, FadingLine, towards_viewer
-from coadjoint.pictures.kinds.body_axis import _rotation_to_vertical
 from coadjoint.pictures.kinds.components import flip_times
+from coadjoint.pictures.kinds.directions import _rotation_to_vertical
 from coadjoint.pictures.kinds.spins import direction_colours, sites_of_row
 from coadjoint.pictures.kinds.vorticity import PROJECTIONS, on_grid, turned
 from coadjoint.pictures.layout import PanelLayout
@@ -392,15 +393,13 @@ def test_titles_and_labels_are_wrapped_to_their_panels(name):
 
 def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
     """A shorter run with the pictures of the scene; the field has one seed, the degrees 3 to 8 and mean square 1."""
-    scene = SCENES["decaying_turbulence"]
-    short = Scene(lambda: decaying_turbulence(N=12, end=2.0, step=0.1), scene.pictures, scene.summary, scene.caption)
-    monkeypatch.setitem(SCENES, "decaying_turbulence", short)
+    short = partial(decaying_turbulence, N=12, end=2.0, step=0.1)
+    monkeypatch.setitem(SCENES, "decaying_turbulence", ("sphere_euler", short))
     made = piece("decaying_turbulence")
     titles = [axes.get_title() for axes in made.figure.axes if axes.get_label() != "<colorbar>"]
     assert titles == [f"vorticity{part} at $t$ = {t}" for t in (0, 0, 2) for part in ("", ", large scales")]
     assert made.run.startswith("sphere_euler(N=12") and made.run.endswith(" s")
-    run = decaying_turbulence(N=12, end=0.1, step=0.1)
-    degrees, enstrophy = run.system.enstrophy_spectrum(run.x[0])
+    degrees, enstrophy = co.systems.sphere_euler(12).enstrophy_spectrum(short().start())
     assert degrees[enstrophy > 1e-20].tolist() == list(range(3, 9))
     assert enstrophy.sum() == pytest.approx(2 * np.pi, rel=1e-12)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
 from functools import cached_property
-from itertools import pairwise
+from itertools import combinations_with_replacement, pairwise
 from numbers import Rational
 from typing import Any, NamedTuple
 
@@ -43,6 +43,11 @@ def exponents_of(factors: Iterable[int], dim: int) -> Exponents:
     for i in factors:
         exponents[i] += 1
     return tuple(exponents)
+
+
+def exponents_of_degree(dim: int, degree: int) -> Iterator[Exponents]:
+    """Yield the exponents of all products of `degree` coordinates."""
+    return (exponents_of(factors, dim) for factors in combinations_with_replacement(range(dim), degree))
 
 
 def factors_of(exponents: Exponents) -> list[int]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import combinations_with_replacement
 from math import ceil, comb
 from typing import Any, cast
 
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.algebra.polynomials.monomials import exponents_of
+from coadjoint.algebra.polynomials.monomials import exponents_of_degree
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.backward_error.modified_hamiltonian import (
     ModifiedHamiltonian,
@@ -157,9 +156,9 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     """
     system, scheme = check_system_and_scheme(system, method)
     modified, H = modified_hamiltonian(system, scheme, scheme.order), polynomial_of(system.hamiltonian)
-    if H is None or not isinstance(modified, ModifiedHamiltonian):
+    if H is None:
         raise ValueError(f"the Hamiltonian of {system.name} is not a polynomial; correctors need a polynomial one")
-    term = cast(Polynomial, modified.error_term.term)
+    term = cast(Polynomial, cast(ModifiedHamiltonian, modified).error_term.term)
     starts, _ = momenta_of(system, x0)
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
     count = max(POINTS_PER_MONOMIAL * len(basis) // len(starts), 64)
@@ -221,11 +220,7 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
             f"a corrector in {n} coordinates would need {total} monomials of degree up to {degree}; at most "
             f"{MAX_MONOMIALS} are supported; use a scheme of lower order, or a processed one"
         )
-    return [
-        Polynomial({exponents_of(factors, n): 1})
-        for size in range(1, degree + 1)
-        for factors in combinations_with_replacement(range(n), size)
-    ]
+    return [Polynomial({e: 1}) for size in range(1, degree + 1) for e in exponents_of_degree(n, size)]
 
 
 def _deviations(functions: list[Polynomial], points: Floats) -> Any:

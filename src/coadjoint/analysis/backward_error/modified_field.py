@@ -1,46 +1,49 @@
-"""Modified vector field of a scheme: a power series in the step, or values at points from steps in high precision."""
+"""Modified vector field of a scheme: a power series in the step with polynomial terms, or values at points."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.analysis.backward_error.exact_field import ExactField
-from coadjoint.analysis.backward_error.modified_field_base import Floats, ModifiedField
+from coadjoint.algebra.polynomials.exact_polynomials import Exact
+from coadjoint.algebra.polynomials.monomials import ProductSum
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.polynomials.polynomial_format import readable_latex
+from coadjoint.analysis.backward_error.field_at_points import Floats, ModifiedField, step_of
 from coadjoint.analysis.backward_error.step_series import (
     ExactSystem,
+    Field,
+    Matrix,
+    bracket_change,
     check_at_a_point,
-    field_at,
     field_of_series,
+    hamiltonian_of,
     scale_of_motion,
     size_of,
+    skew_factor,
 )
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.methods.numerics.formal_series import vector
+from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import require_packages
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
-from coadjoint.systems.user_functions import check_arguments, sample_points
-from coadjoint.validation import read_choice, read_integer
+from coadjoint.systems.user_functions import check_arguments
+from coadjoint.validation import read_choice, read_integer, read_number
 
 MAX_ORDER = 64
 MARGIN = 1000  # below the order of a scheme, terms within this many roundings of its coefficients are set to zero
 WAYS = ("auto", "exact", "numerical")
-
-DISPLACEMENT_BITS = 53  # steps move by about 2^-53 of the state
-MAX_DISAGREEMENT = 1e-6  # largest accepted relative disagreement of two sets of steps
-SAMPLE_POINTS = (0, 1)  # the sample points of a system at which invariants are tested
-CHANGE_THRESHOLD = 1e-9  # relative threshold for a change of an invariant at a point
 
 
 @suggest_keywords
@@ -107,28 +110,23 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
         raise TypeError(f"method is {short(method)}; give a scheme such as GaussLegendre(2), or a function step(x, h)")
     else:
         check_arguments(method, "method", "x, h")
-    step = _step_of(system, method)
     reason = 'way="numerical" was given'
     if way != "numerical":
         try:
-            return _exact(system, method, step, order)
+            return _exact(system, method, order)
         except MemoryError:
             raise
         except Exception as error:  # user functions may raise anything on formal numbers
             if way == "exact":
                 raise TypeError(f"no exact modified field: {error}") from error
             reason = str(error)
-    return FieldAtPoints(system, method, order, reason, step)
+    field = ModifiedField(system, method, order, reason)
+    field.check_steps()
+    return field
 
 
-def _step_of(system: System, method: Any) -> Callable[[npt.NDArray[Any], Any], Any]:
-    if isinstance(method, Method):
-        return lambda x, h: method.step(system, x, 0 * h, h)
-    return lambda x, h: method(x, h)
-
-
-def _exact(system: System, method: Any, step: Callable[..., Any], order: int) -> ExactField:
-    exact = ExactSystem(system)
+def _exact(system: System, method: Any, order: int) -> ExactField:
+    exact, step = ExactSystem(system), step_of(system, method)
     exact.check_available_memory(order)
     formal, known_to, declared = step, UNIT_ROUNDOFF, order
     fractions: tuple[float, ...] = (1.0,)
@@ -154,127 +152,165 @@ def _exact(system: System, method: Any, step: Callable[..., Any], order: int) ->
     return ExactField(system, method, order, exact, fields, known_to)
 
 
-class FieldAtPoints(ModifiedField):
-    """A modified field evaluated pointwise, from steps in multiprecision arithmetic."""
+class ExactField(ModifiedField):
+    """A modified field with polynomial terms; `known_to` is the relative error of the scheme's coefficients."""
+
+    # Even of rounded coefficients, each term preserves the invariants of the scheme exactly.
 
     def __init__(
         self,
         system: System,
         method: Any,
         order: int,
-        reason: str,
-        step: Callable[[npt.NDArray[Any], Any], Any],
+        exact_system: ExactSystem,
+        fields: list[Field],
+        known_to: float,
     ) -> None:
-        super().__init__(system, method, order, reason)
-        self._step = step
-        self._cache: dict[bytes, tuple[Floats, Floats]] = {}
-        self._at_sample_point(0)
+        super().__init__(system, method, order, "")
+        self._exact_system, self._fields, self.known_to = exact_system, fields, known_to
 
-    @property
-    def terms(self) -> Mapping[int, Callable[[npt.ArrayLike], Floats]]:
-        """Power k -> f_k as a function of a state."""
+    @cached_property
+    def terms(self) -> Mapping[int, tuple[Polynomial, ...]]:
+        """Power k -> the n polynomials of f_k."""
+        polynomial = self._exact_system.polynomial
+        return MappingProxyType({k: tuple(map(polynomial, f)) for k, f in enumerate(self._fields)})
 
-        def term(k: int) -> Callable[[npt.ArrayLike], Floats]:
-            return lambda x: self.values(x)[k]
-
-        return MappingProxyType({k: term(k) for k in range(self.order)})
+    @cached_property
+    def _table(self) -> ProductSum:
+        return Polynomial.side_by_side([F for term in self.terms.values() for F in term])
 
     def _values(self, x: Floats) -> npt.NDArray[np.float64]:
-        return np.stack([self.at(state)[0] for state in x], axis=1)
-
-    def at(self, x: npt.ArrayLike) -> tuple[Floats, Floats]:
-        """Return f_0(x), f_1(x), ... and their errors.
-
-        Parameters
-        ----------
-        x : (n,)
-            The state.
-
-        Returns
-        -------
-        values, errors : (order, n) arrays
-            The errors are the differences of the values from two sets of steps, one twice as long as the other.
-
-        Raises
-        ------
-        TypeError
-            The step rounds mpmath numbers to fewer digits.
-        ValueError
-            The two sets disagree: the step has no power series in h at the state.
-        """
-        from mpmath import mp, workdps
-
-        state = self._read_states(x)[0][0]
-        # The truncation error of f_k is h^(order - k), and its rounding error is divided by h^(k + 1).
-        digits = 30 + int(0.302 * (DISPLACEMENT_BITS + 4) * (self.order + 2))
-        with workdps(digits), long_operation("a modified field at a point"):
-            exact = vector(map(mp.mpf, state.tolist()))
-            slope = np.abs(np.asarray(self.system.vector_field(state), dtype=np.float64)).max()
-            size = np.abs(state).max()
-            unit = mp.ldexp(1, -DISPLACEMENT_BITS) * (mp.mpf(size) / slope if slope and size else 1)
-            multiples = [k // 2 + 1 if k % 2 == 0 else -(k // 2 + 1) for k in range(self.order)]
-            sets = [
-                field_at(self._checked_step, exact, [factor * unit * multiple for multiple in multiples])
-                for factor in (1, 2)
-            ]
-            errors = np.array(abs(sets[1] - sets[0]), dtype=np.float64)
-        values = np.array(sets[0], dtype=np.float64)
-        rate = slope / size if slope and size else 1.0
-        with np.errstate(over="ignore", invalid="ignore"):  # overflow fails the test below
-            scale = np.maximum(np.abs(values).max(axis=1), max(slope, size) * rate ** np.arange(self.order))
-            worst = np.max(errors / scale[:, None], axis=1)
-        if not np.all(worst <= MAX_DISAGREEMENT):
-            k = int(np.flatnonzero(~(worst <= MAX_DISAGREEMENT))[0])
-            raise ValueError(
-                f"f_{k} of {self.method} differs by {worst[k]:.2g} of its size between two sets of steps at "
-                f"{short(state.tolist())}: the step has no power series in h there, or rounds"
-            )
-        return values, errors
-
-    def _at_sample_point(self, number: int) -> tuple[Floats, Floats, Floats]:
-        """Return a sample point with the values there and their errors, cached."""
-        state = sample_points(self.system.dim)[number]
-        key = state.tobytes()
-        if key not in self._cache:
-            self._cache[key] = self.at(state)
-        return (state, *self._cache[key])
-
-    def _checked_step(self, x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
-        note_progress(f"a step of {self.method} in many digits")
-        end = np.asarray(self._step(x, h))
-        if end.dtype != object or end.shape != x.shape:
-            raise TypeError(
-                f"a step of {self.method} from {len(x)} mpmath numbers returned {end.dtype} of shape {end.shape}; a "
-                f"modified field needs steps in mpmath numbers ({self.reason})"
-            )
-        return end
+        return self._table.along(x).reshape(len(x), self.order, -1).transpose(1, 0, 2)
 
     @property
     def first_error(self) -> int | None:
-        for k in range(self.order):
-            for state, values, errors in map(self._at_sample_point, SAMPLE_POINTS):
-                field = np.asarray(self.system.vector_field(state))
-                rate = np.abs(field).max() / np.abs(state).max()
-                tolerance = CHANGE_THRESHOLD * np.abs(field).max() * rate**k
-                if np.any(np.abs(values[k] - field * (k == 0)) > tolerance + 2 * errors[k]):
-                    return k
-        return None
+        exact = [self._exact_system.field, *[[self._exact_system.ring.zero] * self.system.dim] * (self.order - 1)]
+        return next((k for k, (f, g) in enumerate(zip(self._fields, exact, strict=True)) if f != g), None)
+
+    def rate(self, invariant: Any) -> dict[int, Polynomial]:
+        """Return the rate of change of a function F: the non-zero grad F . f_k, by power of h.
+
+        Parameters
+        ----------
+        invariant : str, Polynomial or Quadratic
+            "energy", the name of a Casimir, or a polynomial.
+
+        Returns
+        -------
+        dict
+            Power -> Polynomial.
+        """
+        return {k: self._exact_system.polynomial(F) for k, F in self._changes(self._polynomial(invariant)).items()}
 
     def keeps(self, invariant: Any) -> int | None:
-        """Return the first power of h with a term that changes a function at sample points; None if there is none."""
+        return next(iter(self._changes(self._polynomial(invariant))), None)
+
+    def _polynomial(self, invariant: Any) -> Exact:
         function = self._invariant(invariant)
-        gradient = (as_hamiltonian(function, self.system.dim) if hasattr(function, "monomials") else function).gradient
-        powers = []
-        for state, values, _ in map(self._at_sample_point, SAMPLE_POINTS):
-            slope = np.asarray(gradient(state))
-            speed = np.abs(values[0]).max()
-            for k in range(self.order):
-                scale = max(np.abs(values[k]).max(), speed * (speed / np.abs(state).max()) ** k)
-                if abs(slope @ values[k]) > CHANGE_THRESHOLD * np.abs(slope).sum() * scale:
-                    powers.append(k)
-        return min(powers, default=None)
+        if isinstance(function, Polynomial):
+            return self._exact_system.ring.from_polynomial(function)
+        try:
+            return self._exact_system.value_of(as_hamiltonian(function, self.system.dim).value)
+        except (TypeError, AttributeError, ArithmeticError) as reason:
+            raise TypeError(
+                f"{short(invariant)} is not a polynomial; an exact field can test polynomials only"
+            ) from reason
+
+    def _changes(self, F: Exact) -> dict[int, Exact]:
+        """Return the non-zero derivatives of a polynomial along the terms, by power."""
+        changes = {k: self._exact_system.ring.along(field, F) for k, field in enumerate(self._fields)}
+        return {k: change for k, change in changes.items() if change != 0}
 
     def _loss(self, k: int) -> str:
-        state, values, _ = self._at_sample_point(0)
-        change = np.asarray(self.system.hamiltonian.gradient(state)) @ values[k]
-        return f"grad H . f is {change:.3g} at {short(state.tolist())}"
+        change = self._changes(self._exact_system.energy)[k]
+        return f"grad H . f has a coefficient of {size_of(change):.3g}"
+
+    @cached_property
+    def skew_terms(self) -> Mapping[int, tuple[tuple[Polynomial, ...], ...]]:
+        """Power k -> the skew matrix K_k of polynomials with f_k = sign K_k grad H, K_0 = J, for a quadratic H.
+
+        Raises
+        ------
+        ValueError
+            The scheme does not preserve the energy (the message gives the power of h and the size), or H is not
+            quadratic.
+        """
+        self._check_energy()
+        ring, sign, terms = self._exact_system.ring, self.system.sign, {}
+        for k, field in enumerate(self._fields):
+            K: Matrix = self._exact_system.structure
+            if k:
+                K = skew_factor(ring, self._exact_system.energy, [sign * f for f in field])
+            terms[k] = tuple(tuple(map(self._exact_system.polynomial, row)) for row in K)
+        return MappingProxyType(terms)
+
+    @cached_property
+    def _skew_table(self) -> ProductSum:
+        return Polynomial.side_by_side([F for K in self.skew_terms.values() for row in K for F in row])
+
+    @suggest_keywords
+    @ignore_overflow
+    def skew_matrix(self, x: npt.ArrayLike, h: float) -> Floats:
+        if self._exact_system.energy.total_degree() > 2:
+            return super().skew_matrix(x, h)
+        states, shape = self._read_states(x)
+        n, step = self.system.dim, read_number(h, "h")
+        values = self._skew_table.along(states).reshape(len(states), self.order, n, n)
+        return np.einsum("mkij,k->mij", values, step ** np.arange(self.order)).reshape(*shape, n)
+
+    @cached_property
+    def poisson_defects(self) -> Mapping[int, float]:
+        """Power k -> the largest coefficient of the Lie derivative L_f J of the bracket along f = f_k, if not zero.
+
+        If the mapping is empty, the scheme is a Poisson map to this order.
+        """
+        ring, J = self._exact_system.ring, self._exact_system.structure
+        sizes = {k: bracket_change(ring, J, field) for k, field in enumerate(self._fields)}
+        return MappingProxyType({k: size for k, size in sizes.items() if size})
+
+    @cached_property
+    def hamiltonians(self) -> Mapping[int, Polynomial]:
+        """Power k -> the H_k with f_k = sign J grad H_k, of a scheme that is a Poisson map; unique up to Casimirs.
+
+        Raises
+        ------
+        ValueError
+            The scheme is not a Poisson map (the message gives the power of h and the size), or the field is Poisson but
+            not Hamiltonian: it moves a Casimir, or has no polynomial Hamiltonian.
+        """
+        for k, size in self.poisson_defects.items():
+            raise ValueError(
+                f"{self.method} is not a Poisson map on {self.system.name}: at h^{k} the change of the bracket along "
+                f"its field has a coefficient of {size:.3g}"
+            )
+        for name, C in self._exact_system.casimirs.items():
+            for k, change in self._changes(C).items():
+                raise ValueError(
+                    f"the field of {self.method} on {self.system.name} is not Hamiltonian: at h^{k} it moves {name}, "
+                    f"with a coefficient of {size_of(change):.3g}"
+                )
+        ring, sign, terms = self._exact_system.ring, self.system.sign, {0: self._exact_system.energy}
+        for k, field in enumerate(self._fields[1:], 1):
+            H = hamiltonian_of(ring, self._exact_system.structure, [sign * f for f in field])
+            if H is None:
+                raise ValueError(
+                    f"the term f_{k} of {self.method} on {self.system.name} is Poisson, but has no polynomial "
+                    "Hamiltonian"
+                )
+            terms[k] = H
+        return MappingProxyType({k: self._exact_system.polynomial(H) for k, H in terms.items()})
+
+    def to_latex(self) -> str:
+        """Return the non-zero terms as lines of LaTeX ``f_{k} = ...``, transposed, with all digits."""
+        return self._lines(Polynomial.to_latex)
+
+    def _repr_latex_(self) -> str:
+        return f"$${self._lines(lambda F: readable_latex(F.monomials, F.names))}$$"
+
+    def _lines(self, to_text: Callable[[Polynomial], str]) -> str:
+        lines = [
+            rf"f_{{{k}}} = \left({', '.join(map(to_text, term))}\right)^T"
+            for k, term in self.terms.items()
+            if any(F.monomials for F in term)
+        ]
+        return " \\\\\n".join(lines)

@@ -1,4 +1,4 @@
-"""Power series of steps, formal vector fields of steps (Lemma 6.1), and systems in exact polynomials."""
+"""Power series of steps and their formal vector fields (Lemma 6.1); systems and fields in exact polynomials."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import fraction, rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomials.monomials import exponents_of_degree
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.formal_series import NODE, FormalNumber, formal_numbers, vector
@@ -24,10 +25,12 @@ from coadjoint.systems.system import System
 
 Field = list[Exact]
 """The n polynomials of a vector field."""
+Matrix = list[list[Exact]]
 
 BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
 MAX_MONOMIALS = 10**5  # of a field; products of larger ones take minutes
 DISPLACEMENT = 1e-10  # displacement, relative to the state, in the step that checks a series at a point
+BYTES_PER_ENTRY = 40  # of a matrix of fractions during its reduction
 MAX_OMITTED_COEFFICIENT = 1e6  # largest coefficient of the first omitted power of the series, in the same units
 
 
@@ -212,3 +215,155 @@ def field_at(step: Callable[[NDArray[Any], Any], Any], x: NDArray[Any], steps: S
         shifted[0] = shifted[0] + table[i]
         terms = shifted
     return np.array(terms, dtype=object)
+
+
+def bracket_change(ring: ExactPolynomials, J: list[Field], field: Field) -> float:
+    """Return the largest coefficient of the Lie derivative L_f J of the bracket along a field; 0 for Poisson fields."""
+    # (L_f J)_ij = f . grad J_ij - sum_l (d f_i / d x_l) J_lj - sum_l J_il (d f_j / d x_l).
+    slopes = [ring.gradient(f) for f in field]
+    largest = 0.0
+    for i in range(ring.dim):
+        for j in range(i):
+            change = ring.along(field, J[i][j])
+            for m in range(ring.dim):
+                change -= slopes[i][m] * J[m][j] + J[i][m] * slopes[j][m]
+            largest = max(largest, size_of(change))
+    return largest
+
+
+def hamiltonian_of(ring: ExactPolynomials, J: list[Field], field: Field) -> Exact | None:
+    """Return a polynomial H with J grad H = field, or None; all non-zero entries of J have one degree."""
+    # H is unique up to Casimirs; undetermined coefficients are zero.
+    degree_of_J = _degree(J)
+    total = ring.zero
+    parts = [_by_degree(ring, f, ring.dim) for f in field]
+    for degree in sorted(set().union(*parts)):
+        part = [terms.get(degree, ring.zero) for terms in parts]
+        H = _hamiltonian_of_degree(ring, J, part, degree + 1 - degree_of_J) if degree + 1 > degree_of_J else None
+        if H is None:
+            return None
+        total += H
+    return total
+
+
+def _degree(J: list[Field]) -> int:
+    degrees = {sum(map(int, e[: len(J)])) for row in J for entry in row for e in entry.monoms()}
+    if len(degrees) > 1:
+        raise ValueError(f"the entries of J have the degrees {sorted(degrees)}; a Hamiltonian needs one common degree")
+    return degrees.pop() if degrees else 0
+
+
+def _hamiltonian_of_degree(ring: ExactPolynomials, J: list[Field], field: Field, degree: int) -> Exact | None:
+    """Solve J grad H = field for the coefficients of a homogeneous polynomial H; None if there is no solution."""
+    from flint import fmpq, fmpq_mat
+
+    columns = [ring.monomial(exponents) for exponents in exponents_of_degree(ring.dim, degree)]
+    entries: dict[tuple[int, Any], dict[int, Any]] = {}
+    for c, monomial in enumerate(columns):
+        slope = ring.gradient(monomial)
+        for i in range(ring.dim):
+            image = sum((J[i][j] * slope[j] for j in range(ring.dim) if slope[j] != 0 and J[i][j] != 0), ring.zero)
+            for exponents, value in image.to_dict().items():
+                entries.setdefault((i, exponents), {})[c] = value
+    size = len(columns)
+    for i, f in enumerate(field):
+        for exponents, value in f.to_dict().items():
+            if (i, exponents) not in entries:
+                return None
+            entries[i, exponents][size] = value
+    check_available_memory(
+        BYTES_PER_ENTRY * len(entries) * (size + 1), f"a Hamiltonian of degree {degree} in {ring.dim} coordinates"
+    )
+    flat = [fmpq(0)] * (len(entries) * (size + 1))
+    for r, row in enumerate(entries.values()):
+        for c, value in row.items():
+            flat[r * (size + 1) + c] = value
+    reduced, rank = fmpq_mat(len(entries), size + 1, flat).rref()
+    H = ring.zero
+    for r in range(rank):
+        lead = next(c for c in range(size + 1) if reduced[r, c] != 0)
+        if lead == size:
+            return None
+        H += reduced[r, size] * columns[lead]
+    return H
+
+
+def skew_factor(ring: ExactPolynomials, energy: Exact, field: Field) -> Matrix:
+    """Return a skew polynomial matrix K with K grad H = field, for a quadratic H with grad H . field = 0."""
+    # Let y = grad H. If a constant vector e has e . y = 1, K = f e^T - e f^T. Otherwise y = M z, with z the distance
+    # from an equilibrium. For f of degree d in y with f . y = 0 the Koszul homotopy gives
+    # K_ij = (d f_i / d y_j - d f_j / d y_i) / (d + 1), since then K y = ((d + 1) f - grad(y . f)) / (d + 1). Components
+    # along the kernel of M are (d f_i / d y_j) / d instead; for these f must vanish where y does.
+    from flint import fmpq, fmpq_mat
+
+    n = ring.dim
+    if energy.total_degree() > 2:
+        raise ValueError("the Hamiltonian is not quadratic, so no polynomial matrix exists; use skew_matrix at points")
+    if ring.along(field, energy) != 0:
+        raise ValueError("the field does not keep the energy, so it is not a skew matrix times its gradient")
+    slope = ring.gradient(energy)
+    if all(f == 0 for f in field):
+        return [[ring.zero] * n for _ in range(n)]
+    at_rest = [0] * len(ring.symbols)
+    linear = fmpq_mat(n, 1, [y(*[0] * n, *at_rest) for y in slope])
+    M = fmpq_mat(n, n, [y.derivative(j)(*[0] * n, *at_rest) for y in slope for j in range(n)])
+    reduced, rank = M.rref()
+    pivots = [next(j for j in range(n) if reduced[i, j] != 0) for i in range(rank)]
+    kernel = []
+    for free in (j for j in range(n) if j not in pivots):
+        row = [fmpq(0)] * n
+        row[free] = fmpq(1)
+        for i, j in enumerate(pivots):
+            row[j] = -reduced[i, free]
+        kernel.append(row)
+    for row in kernel:
+        height = sum((e * linear[i, 0] for i, e in enumerate(row)), fmpq(0))
+        if height != 0:
+            e = [entry / height for entry in row]
+            return [[field[i] * e[j] - field[j] * e[i] for j in range(n)] for i in range(n)]
+    # x = P z + origin, z = (u, w), with w along the kernel of M.
+    columns = [[fmpq(int(i == j)) for i in range(n)] for j in pivots] + kernel
+    P = fmpq_mat(n, n, [columns[j][i] for i in range(n) for j in range(n)])
+    S_inverse = fmpq_mat(rank, rank, [M[i, j] for i in pivots for j in pivots]).inv()
+    equilibrium = S_inverse * fmpq_mat(rank, 1, [-linear[i, 0] for i in pivots])
+    origin = [fmpq(0)] * n
+    for a, i in enumerate(pivots):
+        origin[i] = equilibrium[a, 0]
+    P_inverse = P.inv()
+    to_z = _substitution(ring, P, origin)
+    shift = [-sum((P_inverse[i, j] * origin[j] for j in range(n)), fmpq(0)) for i in range(n)]
+    to_x = _substitution(ring, P_inverse, shift)
+    g = [sum((P_inverse[i, j] * to_z(field[j]) for j in range(n)), ring.zero) for i in range(n)]
+
+    def by_y(F: Exact, b: int) -> Exact:
+        return sum((F.derivative(a) * S_inverse[a, b] for a in range(rank)), ring.zero)
+
+    K = [[ring.zero] * n for _ in range(n)]
+    for i in range(n):
+        for degree, F in _by_degree(ring, g[i], rank).items():
+            if i >= rank and degree == 0:
+                raise ValueError("the field does not vanish where grad H does, so there is no polynomial matrix")
+            for b in range(rank):
+                entry = by_y(F, b) / (degree + 1 if i < rank else degree)
+                K[i][b] += entry
+                K[b][i] -= entry
+    K = [[to_x(entry) for entry in row] for row in K]
+    half = [[sum((P[i, a] * K[a][j] for a in range(n)), ring.zero) for j in range(n)] for i in range(n)]
+    return [[sum((half[i][b] * P[j, b] for b in range(n)), ring.zero) for j in range(n)] for i in range(n)]
+
+
+def _substitution(ring: ExactPolynomials, matrix: Any, origin: list[Any]) -> Callable[[Exact], Exact]:
+    """Return the map of a polynomial in x to one in z, where x = matrix z + origin."""
+    n, x = ring.dim, ring.coordinates
+    images = [sum((matrix[i, j] * x[j] for j in range(n)), ring.zero + origin[i]) for i in range(n)]
+    if images == list(x):
+        return lambda F: F
+    return lambda F: F.compose(*images, *ring.symbol_elements.values(), ctx=x[0].context())
+
+
+def _by_degree(ring: ExactPolynomials, F: Exact, rank: int) -> dict[int, Exact]:
+    """Return the parts of a polynomial by their degree in the first coordinates."""
+    parts: dict[int, dict[tuple[int, ...], Any]] = {}
+    for exponents, value in F.to_dict().items():
+        parts.setdefault(int(sum(exponents[:rank])), {})[exponents] = value
+    return {degree: ring.coordinates[0].context().from_dict(part) for degree, part in parts.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -82,18 +83,17 @@ def attitude_rows(subject: Subject, study: Study | None, steps: int) -> list[Row
 def _row(
     subject: Subject, key: str, what: str, kind: str, claimed: bool, measure: Callable[[], Measurement | None]
 ) -> Row:
+    row = checked(key, what, kind, claimed, None)
     try:
         measurement = measure()
-        reason = "" if measurement is not None else "the group element could not be computed"
     except IntegrationError as error:
-        measurement, reason = None, str(error)
+        return replace(row, reason=str(error))
     if measurement is None:
-        return checked(key, what, kind, claimed, None, reason=reason)
-    defect, bound, text = measurement
+        return replace(row, reason="the group element could not be computed")
     source = "round-off of the run, 4 d u each evaluation"
     if key == "attitude":
         source = "6 times the error that the last change of the step implies, and round-off"
-    return checked(key, what, kind, claimed, defect <= bound, text, value=defect, bound=bound, source=source)
+    return row.bounded(*measurement, source=source)
 
 
 def _affordable(subject: Subject, representation: Any) -> int:

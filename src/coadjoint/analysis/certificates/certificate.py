@@ -6,7 +6,7 @@ import json
 import math
 import textwrap
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,6 +78,11 @@ class Row:
         """Format the row in one line."""
         return f"{self.what}: {self.measured} ({self.verdict})"
 
+    def bounded(self, value: float, bound: float, measured: str, **rest: Any) -> Row:
+        """Return the row with the verdict on a value, which must be at most its bound."""
+        result = verdict(self.claimed, value <= bound)
+        return replace(self, verdict=result, value=value, bound=bound, measured=measured, **rest)
+
     def to_mapping(self) -> dict[str, Any]:
         """Return the row as plain numbers, lists and text."""
         named = {name: _plain(value) for name, value in vars(self).items() if name != "evidence"}
@@ -89,6 +94,11 @@ def verdict(claimed: bool, holds: bool | None) -> str:
     if holds is None:
         return UNDECIDED
     return (HOLDS if holds else FAILS) if claimed else (UNDECLARED_PRESERVED if holds else UNDECLARED_LOST)
+
+
+def declaration(claim: bool | None) -> str:
+    """Return the text of a declaration about an invariant or a symmetry."""
+    return "nothing" if claim is None else "kept" if claim else "not kept"
 
 
 def checked(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.analysis.certificates.certificate import HOLDS, INAPPLICABLE, UNDECIDED, Row, checked
+from coadjoint.analysis.certificates.certificate import INAPPLICABLE, UNDECIDED, Row, checked, declaration
 from coadjoint.analysis.certificates.reference import Norm, motion
 from coadjoint.analysis.certificates.subject import Subject
 from coadjoint.analysis.powers import growth
@@ -104,12 +104,12 @@ def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[R
         claimed = False
         if properties is not None:
             claimed = properties.energy if energy else keeps(properties, invariant)
-        declared = "nothing" if properties is None else "kept" if claimed else "not kept"
+        declared = declaration(None if properties is None else claimed)
         if energy and system.hamiltonian.timed:
             reason = "the Hamiltonian depends on time"
             rows.append(Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason=reason))
         else:
-            rows.append(_row(subject, run, single, name, invariant, Row(key, what, declared, "-", HOLDS, claimed)))
+            rows.append(_row(subject, run, single, name, invariant, checked(key, what, declared, claimed, None)))
     return rows
 
 
@@ -161,21 +161,10 @@ def _row(
         measurements.append((value, float(rounding * sizes[k]), text, source))
     finite = [entry for entry in measurements if np.isfinite(entry[0]) and np.isfinite(entry[1])]
     if not finite or len(finite) < len(measurements):
-        return Row(**{**vars(row), "verdict": UNDECIDED, "reason": run.failed or "its value is not finite"})
+        return replace(row, reason=run.failed or "its value is not finite")
     value, bound, _, source = max(finite, key=lambda entry: entry[0] / entry[1] if entry[1] else np.inf * entry[0])
-    return checked(
-        row.key,
-        row.what,
-        row.declared,
-        row.claimed,
-        value <= bound,
-        ", ".join(text for _, _, text, _ in finite),
-        value=value,
-        bound=bound,
-        source=source,
-        reason=_shortening(subject, run),
-        evidence=evidence,
-    )
+    texts, reason = ", ".join(text for _, _, text, _ in finite), _shortening(subject, run)
+    return row.bounded(value, bound, texts, source=source, reason=reason, evidence=evidence)
 
 
 def _shortening(subject: Subject, run: LongRun) -> str:

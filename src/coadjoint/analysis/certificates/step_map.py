@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, checked, verdict
+from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, checked, declaration
 from coadjoint.analysis.certificates.convergence import order_of_defects
 from coadjoint.analysis.certificates.reference import worst_group
 from coadjoint.analysis.certificates.subject import DIRECTIONS, MAX_DENSE_DIM, Subject, directions
@@ -82,7 +82,7 @@ def reversibility_row(subject: Subject, coarse_step: float) -> Row:
 
     row = _row(subject, coarse_step, "reversibility", what, None, reflected)
     text = ", ".join(("-" if sign < 0 else "+") for sign in signs[:12])
-    return Row(**{**vars(row), "reason": f"under the reflection ({text})"})
+    return replace(row, reason=f"under the reflection ({text})")
 
 
 def reversing(subject: Subject) -> Floats | None:
@@ -104,11 +104,9 @@ def reversing(subject: Subject) -> Floats | None:
 
 
 def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool | None, step_map: StepMap) -> Row:
-    claimed = bool(claim)
-    declared = "nothing" if claim is None else "kept" if claim else "not kept"
+    row = checked(key, what, declaration(claim), bool(claim), None)
     if subject.system.dim > MAX_DENSE_DIM and not subject.expensive:
-        reason = f"its bound needs a dense matrix of dimension {subject.system.dim}"
-        return checked(key, what, declared, claimed, None, reason=reason)
+        return replace(row, reason=f"its bound needs a dense matrix of dimension {subject.system.dim}")
 
     def moves(h: float) -> Iterable[tuple[float, float, float]]:
         for x, moved in zip(subject.states, step_map(subject.states, h) - subject.states, strict=True):
@@ -120,21 +118,16 @@ def _row(subject: Subject, coarse_step: float, key: str, what: str, claim: bool 
 
     worst, failed = _worst([(h,) for h in dict.fromkeys((subject.h, coarse_step))], moves)
     if worst is None:
-        return checked(key, what, declared, claimed, None, reason=failed)
+        return replace(row, reason=failed)
     defect, bound, h = worst
     fitted = None if subject.expensive and defect <= bound else order_of_defects(coarse_step, SLOPE_STEPS, move)
     measured = f"defect {defect:.2g} at the step {h:.3g}"
     if defect > bound and fitted is not None:
         measured += f", of order {fitted}"
-    return checked(
-        key,
-        what,
-        declared,
-        claimed,
-        defect <= bound,
+    return row.bounded(
+        defect,
+        bound,
         measured,
-        value=defect,
-        bound=bound,
         source="round-off of two steps times the condition of one" + (DIRECTIONS_NOTE if subject.expensive else ""),
         reason=failed,
         evidence={} if fitted is None else {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.order},
@@ -154,7 +147,7 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
     # A larger step shows defects of high order.
     properties, n = subject.properties, subject.system.dim
     claimed = properties is not None and properties.poisson
-    declared = "nothing" if properties is None else "kept" if claimed else "not kept"
+    declared = declaration(None if properties is None else claimed)
     row = checked("poisson", "Poisson bracket", declared, claimed, None)
     # If nothing is declared, one state and one step suffice.
     steps = list(dict.fromkeys((subject.h, coarse_step) if claimed else (coarse_step,)))
@@ -188,12 +181,10 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
             evidence |= {"steps": fitted.steps, "defects": fitted.errors, "slope": fitted.order}
     elif by == "differences":
         reason = reason or "differences do not resolve smaller defects; a step in complex or mpmath numbers would"
-    return replace(
-        row,
-        measured=measured,
-        verdict=verdict(claimed, defect <= bound),
-        value=defect,
-        bound=bound,
+    return row.bounded(
+        defect,
+        bound,
+        measured,
         source="64 u |P|^2 |J| times the operations" if by != "differences" else "floor of differences, 1e-9 |P|^2 |J|",
         reason=reason,
         evidence=evidence,
@@ -215,12 +206,10 @@ def _directional_row(subject: Subject, steps: list[float], row: Row) -> Row:
     if worst is None:
         return replace(row, reason=reason)
     defect, bound, exact, h = worst
-    return replace(
-        row,
-        measured=f"defect {defect:.2g} at the step {h:.3g}, by tangents along {DIRECTIONS} directions there and back",
-        verdict=verdict(row.claimed, defect <= bound),
-        value=defect,
-        bound=bound,
+    return row.bounded(
+        defect,
+        bound,
+        f"defect {defect:.2g} at the step {h:.3g}, by tangents along {DIRECTIONS} directions there and back",
         source="64 u (|P J| + |Q J|) times the operations" if exact else "floor of differences, 1e-9 (|P J| + |Q J|)",
         reason=reason,
     )

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from coadjoint.errors import LargeStepWarning
-from coadjoint.experiments.statements import Statement, markdown, write_csv
+from coadjoint.experiments.reich1993 import section2, section3, section4, section5, sections6_and_7
+from coadjoint.experiments.reich1993.figures import write_figures, write_long_time, write_modified_energies
+from coadjoint.experiments.reich1993.statements import Statement, markdown, write_csv
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 
@@ -81,8 +83,6 @@ def _experiments(
 ) -> tuple[list[Statement], list[Path]]:
     """Measure the statements and draw the figures."""
     rows = measured_statements(echo, phase_end)
-    from coadjoint.experiments.reich1993.figures import write_figures, write_long_time, write_modified_energies
-
     echo("figures 1 to 5, and one of section 6")
     figures = write_figures(folder)
     figures.append(write_modified_energies(folder))
@@ -98,8 +98,6 @@ def check_packages() -> None:
 
 def measured_statements(echo: Callable[[str], None] = print, phase_end: float = 500.0) -> list[Statement]:
     """Return a measured row for every testable statement of the paper, in its order; `echo` prints a line a section."""
-    from coadjoint.experiments.reich1993 import section2, section3, section4, section5, sections6_and_7
-
     parts: list[tuple[str, Callable[[], list[Statement]]]] = [
         ("section 2: invariants of the exact motion", section2.statements),
         ("section 3: orders of Gauss and modified Gauss methods", section3.order_statements),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from coadjoint.experiments.reich1993.section5 import spiral_run
-from coadjoint.experiments.reich1993.systems import (
+from coadjoint.experiments.reich1993.statements import (
     BODY_END,
     BODY_LATER,
     BODY_START,

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.reich1993.systems import CALM_START, SPIRAL_START
-from coadjoint.experiments.statements import Statement, judge, stage_iterates, step_matrix
+from coadjoint.experiments.reich1993.statements import (
+    CALM_START,
+    SPIRAL_START,
+    Statement,
+    judge,
+    stage_iterates,
+    step_matrix,
+)
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.stepper import stepper

@@ -8,13 +8,15 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.analysis.powers import fit_order
-from coadjoint.experiments.reich1993.systems import CALM_START, M_ORTHOGONAL, four_dimensional_trial
-from coadjoint.experiments.statements import (
+from coadjoint.experiments.reich1993.statements import (
+    CALM_START,
+    M_ORTHOGONAL,
     SLOPE_TOLERANCE,
     ReferenceProblem,
     Statement,
     fitted_drift,
     fitted_order,
+    four_dimensional_trial,
     judge,
     roundoff,
     stage_iterates,

@@ -8,15 +8,20 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.poisson_defect import poisson_defect
-from coadjoint.experiments.reich1993.systems import (
+from coadjoint.experiments.reich1993.statements import (
     CALM_START,
     COORDINATES,
+    SLOPE_TOLERANCE,
     SPIRAL_START,
+    Statement,
     body_trial,
+    fitted_order,
     four_dimensional_body,
     four_dimensional_trial,
+    judge,
+    roundoff,
+    within,
 )
-from coadjoint.experiments.statements import SLOPE_TOLERANCE, Statement, fitted_order, judge, roundoff, within
 from coadjoint.methods.composition import Composition
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF

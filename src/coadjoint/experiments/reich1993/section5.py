@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from coadjoint.analysis.phase_drift import PhaseDrift, phase_drift
 from coadjoint.analysis.powers import fit_order
-from coadjoint.experiments.reich1993.systems import (
+from coadjoint.experiments.reich1993.statements import (
     BODY_END,
     BODY_LATER,
     BODY_START,
@@ -21,14 +21,18 @@ from coadjoint.experiments.reich1993.systems import (
     MIDPOINT,
     MODIFIED,
     RUNGE,
+    SLOPE_TOLERANCE,
     SPIRAL_END,
     SPIRAL_START,
     SPIRAL_STEP,
     SPLITTING,
     BodyRun,
+    Statement,
     body_run,
+    judge,
+    roundoff,
+    within,
 )
-from coadjoint.experiments.statements import SLOPE_TOLERANCE, Statement, judge, roundoff, within
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.integrate import integrate

@@ -11,10 +11,12 @@ from coadjoint.algebra import catalogue
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
 from coadjoint.analysis.poisson_defect import poisson_defect
 from coadjoint.analysis.powers import fit_order, fit_power
-from coadjoint.experiments.reich1993.systems import CALM_START, COORDINATES, body_trial
-from coadjoint.experiments.statements import (
+from coadjoint.experiments.reich1993.statements import (
+    CALM_START,
+    COORDINATES,
     SLOPE_TOLERANCE,
     Statement,
+    body_trial,
     fitted_drift,
     fitted_order,
     judge,

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from coadjoint.pictures.curves import PathUpdate
 from coadjoint.pictures.globe import Globe, view_frame, view_of
-from coadjoint.pictures.kinds.body_axis import axis_in_space
+from coadjoint.pictures.kinds.directions import axis_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour, ink, set_title, thickness
+from coadjoint.pictures.style import colour, ink, set_title, thickness, updating
 
 Floats = npt.NDArray[np.float64]
 
@@ -156,16 +156,14 @@ def bodies(drawn: PlottedRun, at: float = 1.0, view: tuple[float, float] = VIEW)
         axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1, 1]))
         axes.set_aspect("equal")
         axes.axis("off")
-        title = set_title(axes, "")
 
-        def update(j: int) -> None:
+        def show(j: int) -> None:
             polygons, colours = shapes.polygons(drawn.x[0, j])
             drawn_shapes.set_verts(list(polygons))
             drawn_shapes.set_facecolor(list(map(tuple, colours.tolist())))
-            title.set_text(f"bodies in space{drawn.of_member} at $t$ = {drawn.t[j]:g}")
 
-        update(k)
-        return update
+        show(k)
+        return updating(axes, lambda j: f"bodies in space{drawn.of_member} at $t$ = {drawn.t[j]:g}", k, show)
 
     return paint
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour_bar, plain_axes, set_title
+from coadjoint.pictures.style import colour_bar, plain_axes, updating
 from coadjoint.validation import read_positive
 
 CELLS = 160  # along an edge; smaller than a line is wide
@@ -76,15 +76,13 @@ def field(
         axes.grid(False)
         axes.set(xlabel="$X$", ylabel="$Y$")
         axes.set_aspect("equal")
-        title = set_title(axes, f"{label}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}")
 
-        def update(j: int) -> None:
+        def show(j: int) -> None:
             nonlocal contours
             contours.remove()
             contours = axes.contourf(*coordinates, np.clip(field_at(j), -size, size), **style)
-            title.set_text(f"{label}{drawn.of_member} at $t$ = {drawn.t[j]:.4g}")
 
-        return update
+        return updating(axes, lambda j: f"{label}{drawn.of_member} at $t$ = {drawn.t[j]:.4g}", k, show)
 
     return paint
 

@@ -1,22 +1,43 @@
-"""Planes of two quantities: phase portraits, and second moments as ellipses of position and momentum."""
+"""Planes of two quantities: phase portraits, Poincare sections, and second moments as ellipses."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.curves import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun, spread
-from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour_bar, dots, ink, plain_axes, set_title, thickness
-from coadjoint.validation import read_integer, read_number
+from coadjoint.pictures.register import CannotShow, Paint, Update, coordinate_index, kind
+from coadjoint.pictures.style import (
+    COLOURS,
+    colour,
+    colour_bar,
+    colour_scale,
+    coordinate,
+    dots,
+    ink,
+    legend,
+    new_figure,
+    plain_axes,
+    set_title,
+    thickness,
+    with_figure_settings,
+)
+from coadjoint.runs.events import RecordedEvents
+from coadjoint.validation import read_integer, read_list, read_number
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Floats = npt.NDArray[np.float64]
 
 Lump = tuple[Any, Any, Any, Any, Any]
+
+MAX_LARGE_DOTS = 2000
+"""Largest number of crossings drawn with dots of full size."""
 
 
 @kind("phase portrait", moves=True)
@@ -44,9 +65,6 @@ def phase_portrait(
     title : str
         Title of the picture.
     """
-    for chosen in (across, up):
-        if isinstance(chosen, int) and chosen >= drawn.n:
-            raise CannotShow(f"coordinate {chosen} is drawn, and the state has {drawn.n}")
     saved, drawn = drawn, drawn.refined
     values = [_evaluate(drawn, chosen) for chosen in (across, up)]
     names = labels or tuple("" if callable(chosen) else drawn.label(drawn.index_of(chosen)) for chosen in (across, up))
@@ -115,8 +133,6 @@ def phase_ellipse(
     """
     count, x = read_integer(times, "times", 2), drawn.x[0]
     if moments is not None:
-        if any(isinstance(i, int) and i >= x.shape[1] for i in moments):
-            raise CannotShow(f"the moments are the coordinates {list(moments)}, and the state has {x.shape[1]}")
         qq, qp, pp = (x[:, drawn.index_of(i)] for i in moments)
         distributions: Sequence[Lump] = [(0.0 * qq, 0.0 * qq, qq, qp, pp)]
     elif lumps is not None:
@@ -126,14 +142,8 @@ def phase_ellipse(
     end = drawn.index_at(1.0 if until is None else read_number(until, "until")) + 1
 
     def paint(axes: Any) -> None:
-        from matplotlib import colormaps
-        from matplotlib.cm import ScalarMappable
-        from matplotlib.colors import Normalize
-
         indices = spread(end, count)
-        scale = Normalize(float(drawn.t[indices].min()), float(drawn.t[indices].max()))
-        shades = ScalarMappable(scale, colormaps["plasma"].with_extremes())
-        width = thickness(1.2)
+        shades, width = colour_scale(drawn.t[indices], "plasma"), thickness(1.2)
         for q, p, qq, qp, pp in distributions:
             axes.plot(q[:end], p[:end], color=ink(), linewidth=thickness(0.4), alpha=0.6)
             for k in indices:
@@ -156,3 +166,80 @@ def _ellipse(q: float, p: float, qq: float, qp: float, pp: float) -> Any:
         return np.full((2, 1), np.nan)
     first, second = np.sqrt(qq), np.sqrt(max(pp - qp * qp / qq, 0.0))
     return q + first * np.cos(turn), p + (qp / first) * np.cos(turn) + second * np.sin(turn)
+
+
+@kind("section")
+def section(drawn: PlottedRun, event: str | int | None = None, components: Any = None) -> Paint:
+    """Show the crossings of an event: two components of the states, with one colour per member.
+
+    Parameters
+    ----------
+    event : str or int, optional
+        The event, by name or number; by default all events of the run.
+    components : (int or str, int or str), optional
+        Components to the right and upwards; by default the two that vary most.
+    """
+    events = drawn.solution.events
+    if events is None:
+        raise CannotShow("the run has no events; integrate with events=co.Event(...)")
+    try:
+        chosen = events if event is None else events[event]
+        drawn_coordinates(chosen, components)
+    except (TypeError, ValueError) as reason:
+        raise CannotShow(str(reason)) from None
+
+    def paint(axes: Any) -> None:
+        draw_crossings(chosen, components, axes)
+
+    return paint
+
+
+@with_figure_settings
+def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = None) -> Figure:
+    """Draw the crossings of events in two coordinates (right, up), by default those that vary most."""
+    names = events.coordinates
+    across, up = drawn_coordinates(events, components)
+    if axes is None:
+        axes = new_figure("pictures", 5.2, 4.8).add_subplot()
+    plain_axes(axes)
+    size = 2.0 if len(events) <= MAX_LARGE_DOTS else max(0.15, 2.0 * (MAX_LARGE_DOTS / len(events)) ** 0.5)
+    style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0, "rasterized": True}
+    members = np.unique(events.member)
+    shades, bar = _colours_of(members)
+    for m in members:
+        x = events.x[events.member == m]
+        axes.plot(x[:, across], x[:, up], color=shades(m), label=f"member {m}", **style)
+    axes.set(xlabel=coordinate(names[across]), ylabel=coordinate(names[up]))
+    set_title(axes, f"{len(events)} crossings of {', '.join(events.names)}")
+    if bar is not None:
+        colour_bar(axes, bar, "member")
+    elif len(members) > 1:
+        legend(axes, beside=True, markerscale=4.0 / size)
+    figure: Figure = axes.figure
+    return figure
+
+
+def _colours_of(members: Any) -> tuple[Callable[[int], Any], Any]:
+    """Return the colours of members by number, and what a colour bar shows if they are too many for a legend."""
+    if len(members) <= len(COLOURS):
+        return lambda m: colour(int(np.searchsorted(members, m))), None
+    shades = colour_scale(members)
+    return lambda m: shades.to_rgba(np.array(float(m))), shades
+
+
+def drawn_coordinates(events: RecordedEvents, components: Any = None) -> tuple[int, int]:
+    """Return the indices of the coordinates (right, up); arguments and errors are those of `draw_crossings`."""
+    names = events.coordinates
+    if len(names) < 2:
+        raise TypeError("crossings of matrix states cannot be drawn; plot two quantities computed from the states")
+    if not len(events):
+        raise ValueError("there are no crossings to draw; take a longer run, or another event")
+    if components is None:
+        widest = np.argsort(-np.std(events.x, axis=0), kind="stable")[:2]
+        across, up = sorted(widest.tolist())
+        return across, up
+    chosen = read_list(components, "components", "give two numbers or names of coordinates")
+    if len(chosen) != 2:
+        raise ValueError(f"components has {len(chosen)} entries; give two numbers or names of coordinates")
+    across, up = (coordinate_index(names, one) for one in chosen)
+    return across, up

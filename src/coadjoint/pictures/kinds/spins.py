@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour_bar, set_title, setting
+from coadjoint.pictures.style import colour_bar, setting, updating
 from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, lattice_positions
 from coadjoint.validation import read_choice
 
@@ -88,13 +88,7 @@ def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
         axes.set_aspect("equal")
         axes.spines[:].set_visible(False)
         axes.grid(False)
-        title = set_title(axes, title_at(k))
-
-        def update(j: int) -> None:
-            show(components(j))
-            title.set_text(title_at(j))
-
-        return update
+        return updating(axes, title_at, k, lambda j: show(components(j)))
 
     return paint
 

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.globe import VIEW, Globe, unit_vectors, view_frame
-from coadjoint.pictures.kinds.fluid_spectra import fluid_of, vorticity_of
+from coadjoint.pictures.kinds.spectra import fluid_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour_bar, ink, plain_axes, set_title, thickness
+from coadjoint.pictures.style import colour_bar, ink, plain_axes, thickness, updating
 from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
 from coadjoint.validation import read_choice, read_number, read_positive
 
@@ -89,13 +89,11 @@ def vorticity(
         image = axes.imshow(pixels(first), **options, **style)
         ends = "both" if largest > size else "neither"
         colour_bar(axes, image, PART_TITLES[part], extend=ends)
-        title = set_title(axes, _title(drawn, part, k))
 
-        def update(j: int) -> None:
+        def show(j: int) -> None:
             image.set_data(pixels(on_fluid_grid(drawn.unforced, drawn.state(j))))
-            title.set_text(_title(drawn, part, j))
 
-        return update
+        return updating(axes, lambda j: _title(drawn, PART_TITLES[part], j), k, show)
 
     return paint
 
@@ -114,8 +112,8 @@ def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, in
     return fluid.to_grid(shown, shape)
 
 
-def _title(drawn: PlottedRun, part: str, k: int) -> str:
-    return f"{PART_TITLES[part]}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}"
+def _title(drawn: PlottedRun, name: str, k: int) -> str:
+    return f"{name}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}"
 
 
 def _shape(N: int, surface: str) -> tuple[int, int]:
@@ -208,13 +206,11 @@ def sphere_field(
         )
         axes.set(xlim=(-1.42, 1.42), ylim=(-1.42, 1.42))
         colour_bar(axes, picture, label)
-        title = set_title(axes, f"{label}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}")
 
-        def update(j: int) -> None:
+        def show(j: int) -> None:
             picture.set_data(pixels(np.asarray(values(drawn.unforced, drawn.state(j)), dtype=np.float64)))
-            title.set_text(f"{label}{drawn.of_member} at $t$ = {drawn.t[j]:.4g}")
 
-        return update
+        return updating(axes, lambda j: _title(drawn, label, j), k, show)
 
     return paint
 

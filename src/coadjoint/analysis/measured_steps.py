@@ -1,4 +1,4 @@
-"""The error of a step by two half steps, and its rounding, at a few points of a run, and warnings if one is large."""
+"""Steps of a run measured at a few points: the error by two half steps, the change of the state, and rounding."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.analysis.powers import error_by_comparison
-from coadjoint.errors import LargeStepWarning, RoundingWarning
-from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
@@ -37,9 +35,9 @@ THREADED = 2**16
 REPEATED = 2**18
 # Differences between a step and two half steps by rounding alone, relative to the state.
 ROUNDING = 64 * UNIT_ROUNDOFF
-# Largest error of a step, relative to the change of the state in it, without a warning, and that of the step suggested.
-# At rest all of the change is error; then the first is that of the whole run, relative to the state.
-WARNED, SUGGESTED = 0.02, 0.002
+# Largest error of a step, relative to the change of the state in it, without a warning.
+# At rest all of the change is error; then it is that of the whole run, relative to the state.
+WARNED = 0.02
 # Largest change by the field in a step, relative to the error of a step, of a state that is at rest.
 AT_REST = 0.01
 # Differences between a step and two half steps by rounding alone, relative to that by its direction.
@@ -60,26 +58,7 @@ POINTS, MEMBERS = 5, 64
 NUMBERS = 2**20
 
 
-def step_error(solution: Solution) -> float:
-    """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
-    return _Measured(solution, None).worst()[0]
-
-
-def step_errors_of_groups(solution: Solution) -> dict[str, float]:
-    """Return the same for each group of coordinates, relative to its own change, by the names of the groups."""
-    measured = _Measured(solution, None)
-    return dict(zip(measured.groups.names(), measured.errors_of_groups().tolist(), strict=True))
-
-
-def loses_digits(solution: Solution) -> bool:
-    """Test whether a step loses many digits of a group by rounding; False if steps cannot be repeated."""
-    method, system = solution.method, solution.system
-    if method.own_steps or system.has_noise:
-        return False
-    return _Measured(solution, None).lossy
-
-
-class _Measured:
+class MeasuredSteps:
     """Steps of a run at a few points: their errors, changes and rounding, by member and group of coordinates."""
 
     @ignore_overflow
@@ -130,18 +109,18 @@ class _Measured:
         """Return errors, changes and rounding of a step, (3, members, groups), zero if it cannot be repeated."""
         # Rounding is measured by the last run, unless it is known.
         h, groups, prepared = self.h, self.groups, runs[0]
-        middle, halved = _run(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
+        middle, halved = trial_states(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
         change = groups.norms(middle - states)
         # Without the arrays of this run, of a large state.
         halved, middle = halved.copy(), None
         whole = Times(t, h, 1, 1).with_saved_steps([1])
-        (full,) = _run(prepared, states, whole)
+        (full,) = trial_states(prepared, states, whole)
         # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
         errors = error_by_comparison(groups.norms(full - halved), 0.5**self.prepared.scheme.order)
         changes = np.maximum(groups.norms(full - states), change)
         if known_rounding is None:
             halved, full = None, full.copy()
-            (up,) = _run(runs[-1], states, whole, advance_up)
+            (up,) = trial_states(runs[-1], states, whole, advance_up)
             rounding = groups.norms(up - full)
             rounding[~np.isfinite(rounding)] = 0.0
         else:
@@ -209,9 +188,8 @@ class _Measured:
         largest = float(with_rounding.max()), float(relative[worst]), int(self.members[worst]), rest
         if solution._in_memory and len(solution.t) > 1:
             passage, closest = self._passages()
-            found = [] if passage is None else [(self._error_of_passage(*passage), passage[0])]
-            found += self._error_inside(closest)
-            for fastest, m in found:
+            found = [] if passage is None else [self._fastest_step(*passage)]
+            for fastest, m in filter(None, [*found, self._fastest_step(closest)]):
                 if FASTEST * fastest > largest[1]:
                     error = max(largest[0], FASTEST * fastest)
                     largest = error, FASTEST * fastest, int(self.members[m]), math.inf
@@ -245,9 +223,9 @@ class _Measured:
         whole = float(counts[m, 0])
         steps = max(1, min(math.ceil(whole * (1.0 - ROUNDING)), _most_steps(self.solution, state.size, self.h)))
         times = Times(self.solution.t_span[0], self.h, steps, max(1, steps // ROUNDED_POINTS))
-        path = _run(prepared, state, times)
+        path = trial_states(prepared, state, times)
         rounded = np.concatenate(
-            [_run(prepared, state, times, partial(advance_in_turns, first=first)) for first in (1, -1)],
+            [trial_states(prepared, state, times, partial(advance_in_turns, first=first)) for first in (1, -1)],
             axis=1,
         )
         differences = self.groups.norms(rounded - path).max(axis=(0, 1))
@@ -272,7 +250,7 @@ class _Measured:
         return max(moves) / float(self.sizes[m, group]) if by_angle else 0.0
 
     def _passages(self) -> tuple[tuple[int, int] | None, int]:
-        """Return the fastest passage (member and saved interval, or None), and the interval of the least change."""
+        """Return the fastest passage (saved interval and member, or None), and the interval of the least change."""
         # Of long runs, first the fastest of many equal pieces is found.
         solution, members = self.solution, self.members
         count = len(solution.t) - 1
@@ -298,43 +276,35 @@ class _Measured:
         first = stride * int(np.argmax(ratios[:, m]))
         last = min(first + stride, count)
         inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
-        return (m, first + int(np.argmax(inner))), closest
+        return (first + int(np.argmax(inner)), m), closest
 
-    def _error_inside(self, k: int) -> list[tuple[float, int]]:
-        """Return the error of the fastest step after saved point k, of the member with the fastest passage, and it."""
-        solution, prepared, members, h = self.solution, self.prepared, self.members, self.h
-        steps = _steps_after(solution, k, h)
+    def _fastest_step(self, k: int, m: int | None = None) -> tuple[float, int] | None:
+        """Return the error of the fastest step after saved point k of a chosen member, and that member.
+
+        By default it is the member whose fastest step is the fastest relative to its mean; None if it is no passage.
+        """
+        solution, h, chosen = self.solution, self.h, slice(None) if m is None else slice(m, m + 1)
+        members, t = self.members[chosen], float(solution.t[k])
         states = states_at(solution, members, k)
-        if not 1 < steps <= _most_steps(solution, states.size, h):
-            return []
-        t = float(solution.t[k])
-        path = _run(prepared, states, Times(t, h, steps, 1))
+        steps = math.ceil(abs(float(solution.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
+        most = _most_steps(solution, states.size, h)
+        if not 1 < steps <= (most if m is None else max(STEPS, most)):
+            return None if m is None else (self._error_of(m, states, t), m)
+        path = trial_states(self.prepared if m is None else self._of_member(m), states, Times(t, h, steps, 1))
         # Steps after the end of a member are not in the run.
         left = (ends_by_events(solution)[members] - t) / h
         path[np.arange(steps + 1)[:, None] - 1.0 > np.where(np.isnan(left), np.inf, left)] = np.nan
         with np.errstate(over="ignore", invalid="ignore"):
             lengths = np.nan_to_num(
-                np.linalg.norm(self.scaled(np.diff(path, axis=0), slice(None)), axis=2), nan=0.0, posinf=0.0
+                np.linalg.norm(self.scaled(np.diff(path, axis=0), chosen), axis=2), nan=0.0, posinf=0.0
             )
         mean = lengths.mean(axis=0)
         ratios = lengths.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
-        m = int(np.argmax(ratios))
-        if ratios[m] < PASSAGE:
-            return []
-        j = int(np.argmax(lengths[:, m]))
-        return [(self._error_of(m, path[j, m][None], t + j * h), m)]
-
-    def _error_of_passage(self, m: int, k: int) -> float:
-        """Return the error of the fastest step after saved point k of a chosen member, relative to the change in it."""
-        solution, h = self.solution, self.h
-        t = float(solution.t[k])
-        state = states_at(solution, self.members[m : m + 1], k)
-        steps = _steps_after(solution, k, h)
-        if 1 < steps <= max(STEPS, _most_steps(solution, state.size, h)):
-            path = _run(self._of_member(m), state, Times(t, h, steps, 1))[:, 0]
-            j = int(np.argmax(np.nan_to_num(np.linalg.norm(self.scaled(np.diff(path, axis=0), m), axis=1), nan=0.0)))
-            state, t = path[j : j + 1], t + j * h
-        return self._error_of(m, state, t)
+        fastest = int(np.argmax(ratios))
+        if m is None and ratios[fastest] < PASSAGE:
+            return None
+        j, m = int(np.argmax(lengths[:, fastest])), fastest if m is None else m
+        return self._error_of(m, path[j, fastest][None], t + j * h), m
 
     def _of_member(self, m: int) -> Preparation:
         """Return the run of a chosen member in one thread."""
@@ -347,18 +317,16 @@ class _Measured:
         return float(_ratios(errors, changes)[0])
 
 
-def _steps_after(solution: Solution, k: int, h: float) -> int:
-    """Return the number of steps to the next saved point, rounded up."""
-    return math.ceil(abs(float(solution.t[k + 1] - solution.t[k])) / abs(h) * (1.0 - ROUNDING))
-
-
 def _most_steps(solution: Solution, numbers: int, h: float) -> int:
     """Return the largest number of steps that are repeated from so many numbers: few, or a small part of the run."""
     whole = abs(solution.t_span[1] - solution.t_span[0]) / abs(h)
     return max(min(STEPS, REPEATED // numbers), min(int(PART * whole), NUMBERS // numbers))
 
 
-def _run(prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance) -> Floats:
+def trial_states(
+    prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance
+) -> Floats:
+    """Return the states of a trial run, (times, members, n); NaN of members that fail."""
     run = trial_run(prepared, times, states, advance)
     x: Any = run.saved["x"][..., : states.shape[1]]
     x[:, run.state["status"] != 0] = np.nan
@@ -369,53 +337,6 @@ def _ratios(errors: Floats, changes: Floats) -> Floats:
     """Return the roots of the ratios of squares; zero where nothing changes."""
     ratios: Floats = np.nan_to_num(np.sqrt(errors / changes), nan=0.0)
     return ratios
-
-
-def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
-    """Warn if the error of a step is a large part of the change of the state in it, or rounding one of a group."""
-    if prepared.method.own_steps or prepared.system.has_noise:
-        return
-    try:
-        measured = _Measured(solution, prepared)
-        error, truncation, member, total = measured.worst()
-        too_large = truncation > WARNED and total > WARNED
-        # Where rounding is most of the error of a step, two half steps differ by rounding too.
-        rounded = None if too_large and error < 2.0 * truncation else measured.rounded_group()
-        if too_large and rounded is not None:
-            change, m, group = rounded
-            # An unstable run amplifies rounding.
-            if change >= 1.0 or measured.sizes[m, group] >= measured.sizes[m].max():
-                rounded = None
-    except Exception:
-        # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
-        return
-    solution.__dict__["_step_error"] = error
-    if rounded is not None:
-        change, m, group = rounded
-        member = int(measured.members[m])
-    motion = "this motion" if solution.failed is None else f"the motion of member {member}"
-    if too_large and rounded is None:
-        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.scheme.order)
-        warn_caller(
-            f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
-            f"{truncation:.2g} of the change of the state, though invariants may be kept; take a step of about "
-            f"{suggested:.1g}",
-            LargeStepWarning,
-        )
-    elif rounded is not None:
-        radians = measured.radians_in_step(m, group)
-        reason = (
-            f"since a step turns it by about {radians:.1g} radians, and float64 has 16 digits; shorter steps do not "
-            "help, a shorter span does"
-            if radians
-            else f"beside larger numbers that nearly cancel in {prepared.method}; shorter steps do not help, "
-            "coordinates or terms of the Hamiltonian in which they cancel exactly do"
-        )
-        warn_caller(
-            f"rounding changes {measured.groups.names()[group]} in {motion} by about {change:.1g} of "
-            f"its size, {reason}",
-            RoundingWarning,
-        )
 
 
 def states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
@@ -448,9 +369,7 @@ def sampled_points(
     if not solution._in_memory:
         return points  # archives are not read to check steps
     for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
-        # Members that have ended or failed need some state; their steps are left out.
-        finite = np.isfinite(solution.x[k])
-        states, _ = any_momenta_of(system, np.where(finite, solution.x[k], solution.x0))
-        held = finite.reshape(member_count(solution), -1).all(axis=1)
-        points.append((float(solution.t[k]), states[members], held[members]))
+        # Steps of members that have ended or failed are left out.
+        held = np.isfinite(solution.x[k]).reshape(member_count(solution), -1).all(axis=1)
+        points.append((float(solution.t[k]), states_at(solution, members, k), held[members]))
     return points

@@ -74,7 +74,7 @@ def as_matrix(entries: Array, n: int) -> Array:
 @cache
 def references() -> Mapping[str, Array]:
     """Return reference states at t = 1, computed with 40 digits; the torus has none."""
-    file = importlib.resources.files(__package__) / "references.json"
+    file = importlib.resources.files(__package__) / "selftest_references.json"
     states = json.loads(file.read_text(encoding="utf-8"))["states"]
     return {key: as_matrix(np.array(state), 5) if key == "so(5)" else np.array(state) for key, state in states.items()}
 

@@ -1,21 +1,30 @@
-"""Statements of the literature with verdicts, and what they are measured by: orders, and steps as matrices."""
+"""Statements of Reich (1993) with verdicts, and what they are measured by: systems, runs, orders, steps as matrices."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra import catalogue
+from coadjoint.analysis.phase_drift import ANGLES, PhaseDrift, drift_of_series
 from coadjoint.analysis.powers import OrderFit, fit_order
+from coadjoint.analysis.rotations import attitude_angle, precession_error
+from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.gauss_legendre import GaussLegendre
+from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.splitting import Splitting
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
+from coadjoint.runs.results.solution import Solution
+from coadjoint.systems.examples.paper_examples import paper_rigid_body
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
 
@@ -27,6 +36,25 @@ SLOPE_TOLERANCE = 0.2  # contribution of the next error term to a slope at the s
 # whose slopes converge late.
 LOW_ORDER_COUNTS = (32, 64, 128, 256, 512)
 HIGH_ORDER_COUNTS = (12, 16, 24, 32, 48, 64, 96)
+
+# Section 5.1: the paper gives h and a; initial state and time are chosen here to show the whole motion.
+SPIRAL_START, SPIRAL_END, SPIRAL_STEP = (1.0, 1.0, 1.0), 20.0, 0.01
+
+# Section 5.2: the state near the separatrix and the step are the paper's; [0, 5] reproduces its figures.
+BODY_START, BODY_STEP, BODY_END, BODY_LATER = (1.0, 10.0, 1.0), 0.1, 5.0, 50.0
+
+# A rigid body far from the separatrix, for long runs.
+CALM_START, CALM_STEP = (1.0, 2.0, 0.5), 0.05
+
+COORDINATES = Splitting(order=2, parts="coordinates")
+"""Lemma 4.1 in the form of the paper: one coordinate at a time."""
+
+RUNGE: Method = ExplicitRungeKutta("runge2")
+MIDPOINT: Method = GaussLegendre(1)
+MODIFIED: Method = ModifiedGaussLegendre(1, freeze="gradient")
+M_ORTHOGONAL = ModifiedGaussLegendre(1, freeze="structure")
+"""The modified midpoint rule that keeps the energy."""
+SPLITTING: Method = COORDINATES
 
 
 class Statement(NamedTuple):
@@ -106,26 +134,36 @@ def roundoff(steps: float, size: float) -> float:
 
 def fitted_order(case: ReferenceProblem, method: Method, counts: Sequence[int] | None = None) -> OrderFit:
     """Fit the order of a scheme from its error at the end of a trial; default `counts` follow the declared order."""
-    numbers = counts or (HIGH_ORDER_COUNTS if method.order > 3 else LOW_ORDER_COUNTS)
-    errors = []
-    for count in numbers:
-        run = integrate(case.system, case.x0, (0.0, case.end), case.end / count, method, save_every=count, watch=False)
-        errors.append(float(np.linalg.norm(run.x[-1] - case.exact)))
-    floor = [roundoff(count, float(np.linalg.norm(case.x0))) for count in numbers]
-    return fit_order([case.end / count for count in numbers], errors, floor)
+
+    def error_at_end(run: Solution) -> tuple[float, float]:
+        return float(np.linalg.norm(run.x[-1] - case.exact)), float(np.linalg.norm(case.x0))
+
+    return _fitted(case, method, counts or (HIGH_ORDER_COUNTS if method.order > 3 else LOW_ORDER_COUNTS), error_at_end)
 
 
 def fitted_drift(
     case: ReferenceProblem, method: Method, invariant: str, counts: Sequence[int] = HIGH_ORDER_COUNTS
 ) -> OrderFit:
     """Fit the order of the largest drift of an invariant ("energy" or a Casimir) along a trial."""
-    drifts, floor = [], []
-    for count in counts:
-        run = integrate(case.system, case.x0, (0.0, case.end), case.end / count, method, save_every=count)
+
+    def largest_drift(run: Solution) -> tuple[float, float]:
         drift = run.drift(relative=False)[invariant]
-        drifts.append(float(drift))
-        floor.append(roundoff(count, abs(float(drift.initial))))
-    return fit_order([case.end / count for count in counts], drifts, floor)
+        return float(drift), abs(float(drift.initial))
+
+    return _fitted(case, method, counts, largest_drift)
+
+
+def _fitted(
+    case: ReferenceProblem, method: Method, counts: Sequence[int], measure: Callable[[Solution], tuple[float, float]]
+) -> OrderFit:
+    """Fit the order of what is measured of runs with these numbers of steps, beside the size that is rounded."""
+    steps = [case.end / count for count in counts]
+    runs = [
+        integrate(case.system, case.x0, (0.0, case.end), h, method, save_every=n)
+        for h, n in zip(steps, counts, strict=True)
+    ]
+    errors, sizes = zip(*map(measure, runs), strict=True)
+    return fit_order(steps, errors, [roundoff(count, size) for count, size in zip(counts, sizes, strict=True)])
 
 
 def within(measured: float, expected: float) -> bool:
@@ -164,3 +202,55 @@ def step_matrix(system: LiePoissonSystem, frozen: Floats, h: float, freeze: str)
     right = np.tile(np.eye(n), (stages, 1))
     points = np.linalg.solve(np.eye(stages * n) - coupled, right).reshape(stages, n, n)
     return np.asarray(np.eye(n) + h * np.einsum("j,jab,jbc->ac", weights, W, points))
+
+
+def four_dimensional_body() -> LiePoissonSystem:
+    """Return a rigid body in four dimensions: so(4), six coordinates, two Casimirs, generic M."""
+    return LiePoissonSystem(catalogue.so(4), Quadratic([1.0, 0.8, 0.55, 0.9, 0.35, 0.6]), name="body in 4 dimensions")
+
+
+def body_trial() -> ReferenceProblem:
+    """Return the trial of the rigid body far from the separatrix up to t = 2."""
+    return reference_problem(paper_rigid_body(), CALM_START, 2.0)
+
+
+def four_dimensional_trial() -> ReferenceProblem:
+    """Return the trial of the four-dimensional body up to t = 2."""
+    return reference_problem(four_dimensional_body(), np.array([0.9, -0.4, 0.7, 0.5, 1.1, -0.6]), 2.0)
+
+
+class BodyRun(NamedTuple):
+    """A run of the rigid body with attitude, and the exact attitude (k, 3, 3) at the saved times."""
+
+    solution: Solution
+    exact: Floats
+
+    @property
+    def angle(self) -> Floats:
+        """Angle between computed and exact attitude in radians, shape (k,)."""
+        attitude = self.solution.attitude
+        assert attitude is not None
+        return np.asarray(attitude_angle(attitude, self.exact))
+
+    @property
+    def phase(self) -> Floats:
+        """Phase lead of the computed body about the constant spatial momentum, in radians, signed, shape (k,)."""
+        attitude = self.solution.attitude
+        assert attitude is not None
+        return np.asarray(precession_error(attitude, self.exact, self.solution.x[0]))
+
+    @property
+    def drift(self) -> PhaseDrift:
+        """Growth of the phase of the attitude, in radians."""
+        return drift_of_series(self.solution.t, self.phase, ANGLES)
+
+    def at(self, time: float) -> int:
+        """Return the index of a saved time."""
+        return int(np.argmin(np.abs(self.solution.t - time)))
+
+
+def body_run(method: Method, x0: tuple[float, ...], end: float, step: float, save_every: int = 1) -> BodyRun:
+    """Integrate the paper's rigid body from the body angular momentum x0 and attitude I."""
+    body = paper_rigid_body()
+    solution = integrate(body, x0, (0.0, end), step, method, attitude=True, save_every=save_every)
+    return BodyRun(solution, body.exact(x0, solution.t, attitude=True)[1])

@@ -1,20 +1,21 @@
-"""Estimates of the error at the end of a run, by comparison with more accurate runs."""
+"""Error estimates of runs: of a step, with warnings if it is large, and at the end by more accurate runs."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.measured_steps import WARNED, MeasuredSteps, trial_states
 from coadjoint.analysis.powers import error_by_comparison
-from coadjoint.analysis.step_error import loses_digits
+from coadjoint.errors import LargeStepWarning, RoundingWarning
+from coadjoint.long_operations import warn_caller
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.preparation import Preparation, trial_run
+from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns
 from coadjoint.runs.start import any_momenta_of
@@ -22,6 +23,7 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
 
+SUGGESTED = 0.002  # error of the step that a warning suggests, relative to the change of the state in it
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
 # are not powers of two, so that the rounding of their steps differs from that of the run.
 REFINEMENTS = (1.5, 1.75, 2.5, 3.5)
@@ -33,6 +35,72 @@ WHOLE_STEP_TOLERANCE = 2.0**-40  # relative tolerance for a whole number of step
 MAX_SAVED_NUMBERS = 2**22
 # With fewer steps the error may not scale with the order; a finer run takes at least this many more.
 FEW_STEPS = 20
+
+
+def step_error(solution: Solution) -> float:
+    """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
+    return MeasuredSteps(solution, None).worst()[0]
+
+
+def step_errors_of_groups(solution: Solution) -> dict[str, float]:
+    """Return the same for each group of coordinates, relative to its own change, by the names of the groups."""
+    measured = MeasuredSteps(solution, None)
+    return dict(zip(measured.groups.names(), measured.errors_of_groups().tolist(), strict=True))
+
+
+def loses_digits(solution: Solution) -> bool:
+    """Test whether a step loses many digits of a group by rounding; False if steps cannot be repeated."""
+    method, system = solution.method, solution.system
+    if method.own_steps or system.has_noise:
+        return False
+    return MeasuredSteps(solution, None).lossy
+
+
+def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
+    """Warn if the error of a step is a large part of the change of the state in it, or rounding one of a group."""
+    if prepared.method.own_steps or prepared.system.has_noise:
+        return
+    try:
+        measured = MeasuredSteps(solution, prepared)
+        error, truncation, member, total = measured.worst()
+        too_large = truncation > WARNED and total > WARNED
+        # Where rounding is most of the error of a step, two half steps differ by rounding too.
+        rounded = None if too_large and error < 2.0 * truncation else measured.rounded_group()
+        if too_large and rounded is not None:
+            change, m, group = rounded
+            # An unstable run amplifies rounding.
+            if change >= 1.0 or measured.sizes[m, group] >= measured.sizes[m].max():
+                rounded = None
+    except Exception:
+        # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
+        return
+    solution.__dict__["_step_error"] = error
+    if rounded is not None:
+        change, m, group = rounded
+        member = int(measured.members[m])
+    motion = "this motion" if solution.failed is None else f"the motion of member {member}"
+    if too_large and rounded is None:
+        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.scheme.order)
+        warn_caller(
+            f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
+            f"{truncation:.2g} of the change of the state, though invariants may be kept; take a step of about "
+            f"{suggested:.1g}",
+            LargeStepWarning,
+        )
+    elif rounded is not None:
+        radians = measured.radians_in_step(m, group)
+        reason = (
+            f"since a step turns it by about {radians:.1g} radians, and float64 has 16 digits; shorter steps do not "
+            "help, a shorter span does"
+            if radians
+            else f"beside larger numbers that nearly cancel in {prepared.method}; shorter steps do not help, "
+            "coordinates or terms of the Hamiltonian in which they cancel exactly do"
+        )
+        warn_caller(
+            f"rounding changes {measured.groups.names()[group]} in {motion} by about {change:.1g} of "
+            f"its size, {reason}",
+            RoundingWarning,
+        )
 
 
 @ignore_overflow
@@ -122,16 +190,15 @@ def _distances(
     chunks = [slice(first, first + size) for first in range(0, len(starts), size)]
     distances = []
     for chunk in chunks:
-        distances.append(_distances_of(trial_run(prepared, plan, starts[chunk], advance), groups, ends[chunk]))
+        distances.append(_distances_of(trial_states(prepared, starts[chunk], plan, advance), groups, ends[chunk]))
     total: NDArray[np.float64] = error_by_comparison(np.concatenate(distances, axis=1), finer.left)
     return total
 
 
-def _distances_of(run: Run, groups: CoordinateGroups, ends: NDArray[np.float64]) -> NDArray[np.float64]:
-    x: Any = run.saved["x"][..., : ends.shape[1]]
-    failed = run.state["status"] != 0
+def _distances_of(x: NDArray[np.float64], groups: CoordinateGroups, ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the relative distances of ends from the last of some states (times, members, n); NaN of failed members."""
     size = np.concatenate([np.linalg.norm(x, axis=2, keepdims=True), groups.norms(x)], axis=2).max(axis=0)
     difference = ends - x[-1]
     distances = np.concatenate([np.linalg.norm(difference, axis=1, keepdims=True), groups.norms(difference)], axis=1)
     # If the size is zero, so is the distance.
-    return np.where(failed, np.inf, (distances / np.where(size > 0.0, size, 1.0)).T)
+    return np.asarray((distances / np.where(size > 0.0, size, 1.0)).T)

@@ -1,1 +1,0 @@
-"""Self-test of the installed package, run by `coadjoint selftest`."""
