@@ -18,7 +18,7 @@ from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.crossings.crossings import WatchedEvents
 from coadjoint.runs.events import Event
-from coadjoint.runs.inputs import InputLoops, Inputs
+from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.output_times import OutputTimes, output_times_of
 from coadjoint.runs.partial_steps import noises_of
@@ -56,9 +56,9 @@ class _Cache:
 
     # A call removes an entry of `ends` while it runs, so that concurrent calls never share one.
 
-    def __init__(self, step: float, loops: dict[float, Loops | InputLoops] | None = None) -> None:
+    def __init__(self, step: float, loops: dict[float, Loops] | None = None) -> None:
         self.lock = threading.RLock()
-        self.loops: dict[float, Loops | InputLoops] = {} if loops is None else loops
+        self.loops: dict[float, Loops] = {} if loops is None else loops
         self.times = RecentTimes(step)
         self.plan: Plan | None = None
         self.ends: list[Any] = []
@@ -112,7 +112,7 @@ class Preparation:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return everything prepared; loops that contain another loop are rebuilt in the receiving process."""
-        loops = {h: loops for h, loops in self.cache.loops.items() if getattr(loops, "is_picklable", False)}
+        loops = {h: loops for h, loops in self.cache.loops.items() if loops.is_picklable}
         fields = {name: value for name, value in vars(self).items() if name != "cache"}
         return {**fields, "loops": loops}
 
@@ -136,12 +136,12 @@ class Preparation:
         if system.is_batch:
             unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
             fields["_representations"] = tuple(self._representations[m] for m in members.tolist())
-            loops = {h: cast(Loops, loop).selected(members) for h, loop in loops.items()} if unchanged else {}
+            loops = {h: loop.selected(members) for h, loop in loops.items()} if unchanged else {}
         if isinstance(self.initial_attitude, np.ndarray) and self.initial_attitude.ndim > 2:
             fields["initial_attitude"] = self.initial_attitude[members]
         return self._copy(loops if unchanged else {}, **fields)
 
-    def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> Self:
+    def _copy(self, loops: dict[float, Loops], **fields: Any) -> Self:
         copied = object.__new__(type(self))
         copied.__dict__.update(vars(self), **fields, cache=_Cache(self.step, loops))
         return copied
@@ -243,15 +243,14 @@ class Preparation:
                 plan = self.cache.plan = shifted
         if self.inputs is None:
             return plan
-        loops = self.loops(times.h)
-        assert isinstance(loops, InputLoops) and values is not None
-        return plan.with_loops(loops.at(values), partial(self.system_at, values))
+        assert values is not None
+        loops = self.loops(times.h).with_values(values)
+        return plan.with_loops(loops, partial(self.system_at, values))
 
     def _new_plan(self, times: Times, groups: tuple[int, ...]) -> Plan:
         loops, workers = self.loops(times.h), min(groups[0], self._threads)
         options = self._watching, workers, min(self._threads // workers, MAX_THREADS_INSIDE)
-        base = loops.base if isinstance(loops, InputLoops) else loops
-        plan = Plan(self.system, self.method, base, times, groups, *options)
+        plan = Plan(self.system, self.method, loops, times, groups, *options)
         # The free memory is checked again for each large run.
         if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
             self.cache.plan = plan
@@ -264,7 +263,7 @@ class Preparation:
                 self.cache.events = WatchedEvents(self.system, events, x0, t0)
             return self.cache.events
 
-    def loops(self, h: float) -> Loops | InputLoops:
+    def loops(self, h: float) -> Loops:
         """Return the loops of a step or of its negative, built lazily for each direction."""
         loops = self.cache.loops.get(h)
         if loops is None:
@@ -273,11 +272,11 @@ class Preparation:
                 self.cache.loops[h] = loops
         return loops
 
-    def _loops(self, h: float) -> Loops | InputLoops:
+    def _loops(self, h: float) -> Loops:
         if self.inputs is not None:
-            return InputLoops(self.inputs, self.scheme, h, self._representations[0])
+            return self.inputs.loops(self.scheme, h, self._representations[0])
         for known in self.cache.loops.values():
-            if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
+            if (loops := known.at_step(h)) is not None:
                 return loops
         if self.system.is_batch:
             return loops_of_batch(self.system, self.scheme, h, self._representations)

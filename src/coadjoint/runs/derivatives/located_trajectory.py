@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from coadjoint.runs.crossings.crossings import WatchedEvents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.stretches import Stretch
 from coadjoint.runs.events import RecordedEvents
-from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.output_times import OutputTimes
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.times import Times
@@ -41,7 +40,7 @@ class LocatedTrajectory(Trajectory):
         assert self.start.single
         self.solution = prepared.run(**given.keywords)
         steps = prepared.at_fixed_steps(run.scheme)
-        self.loops = cast(Loops, steps.loops(times.h))
+        self.loops = steps.loops(times.h)
         self.parts = PartialSteps(run.system, run.scheme, self.loops)
         found = self.solution.events
         crossing_times = np.zeros(0) if found is None else found.t

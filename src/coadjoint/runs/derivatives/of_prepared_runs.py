@@ -7,7 +7,7 @@ own steps, are differentiated each by a run of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,6 @@ from coadjoint.runs.derivatives.differentiable_run import Arguments, Differentia
 from coadjoint.runs.derivatives.forward import Tangents, check_shape, tangents_of_run
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
 from coadjoint.runs.derivatives.run_tables import differ_in_columns
-from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
@@ -79,7 +78,7 @@ def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
     several = prepared.system.is_batch
     if several and not (given.events or prepared.method.own_steps):
         pieces = [len(members) for members, _ in _in_columns(prepared)]
-        several = pieces != [len(prepared.system)] or cast(Loops, prepared.loops(prepared.step)).order is not None
+        several = pieces != [len(prepared.system)] or prepared.loops(prepared.step).order is not None
     if given.events or prepared.method.own_steps:
         several = several or np.ndim(given.x0) > len(prepared.system.shape)
     if several and prepared.takes_inputs:
@@ -119,7 +118,7 @@ def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], Prepared
         return []
     cache = prepared.cache
     if cache.in_columns is None:
-        loops = cast(Loops, prepared.loops(prepared.step))
+        loops = prepared.loops(prepared.step)
         parts = [(members, prepared.sampled(members)) for members in loops.in_columns]
         cache.in_columns = [(members, run) for members, run in parts if differ_in_columns(run)]
     return cache.in_columns
