@@ -16,11 +16,10 @@ from coadjoint.methods.forced import check_steps, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
-from coadjoint.runs.crossings.crossings import WatchedEvents
+from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.events import Event
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
-from coadjoint.runs.output_times import OutputTimes, output_times_of
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.plan import Plan, bytes_of_run
 from coadjoint.runs.results.observables import Observed, check_observe
@@ -39,7 +38,16 @@ from coadjoint.runs.start import (
     with_group,
 )
 from coadjoint.runs.state import State
-from coadjoint.runs.times import RecentTimes, Times, read_step
+from coadjoint.runs.times import (
+    OutputTimes,
+    Times,
+    is_same_span,
+    is_unchangeable,
+    output_times_of,
+    read_step,
+    span_of,
+    times_between,
+)
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
@@ -59,7 +67,8 @@ class _Cache:
     def __init__(self, step: float, loops: dict[float, Loops] | None = None) -> None:
         self.lock = threading.RLock()
         self.loops: dict[float, Loops] = {} if loops is None else loops
-        self.times = RecentTimes(step)
+        self._step = step
+        self._last_times: tuple[tuple[float, float], int, Times] | None = None
         self.plan: Plan | None = None
         self.ends: list[Any] = []
         self.observed: Observed | None = None
@@ -68,6 +77,20 @@ class _Cache:
         self.of_members: dict[int, Any] = {}
         self.in_columns: list[tuple[NDArray[np.int64], Any]] | None = None
         self.checks_step = False  # whether the next run warns of a step that is too large
+
+    def times_of(self, t_span: Any, save_every: Any) -> Times:
+        """Validate span and `save_every`; the times of an unchanged pair are the same object."""
+        last = self._last_times  # read and replaced at once, so that threads may share it
+        if (
+            last is not None
+            and (t_span is last[0] or is_same_span(t_span, last[0]))
+            and (save_every is last[1] or (type(save_every) is int and save_every == last[1]))
+        ):
+            return last[2]
+        times = times_between(span_of(t_span), self._step, save_every)
+        if is_unchangeable(t_span) and type(save_every) is int:
+            self._last_times = t_span, save_every, times
+        return times
 
 
 class Preparation:
@@ -159,7 +182,7 @@ class Preparation:
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
-        times = self.cache.times.of(t_span, save_every)
+        times = self.cache.times_of(t_span, save_every)
         check_steps(self.system, times.t0, times.h)
         if t_eval is None:
             return times, None

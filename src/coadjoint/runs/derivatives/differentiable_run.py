@@ -22,11 +22,11 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS, by_linear, with
 from coadjoint.runs.derivatives.run_tables import build_tables, tables_of_members
 from coadjoint.runs.derivatives.stretches import ONE, Stretch, carry
 from coadjoint.runs.events import Event
-from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
+from coadjoint.runs.partial_steps import check_partial_steps, resample
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.short_repr import distinct
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of

@@ -14,13 +14,12 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.crossings.crossings import WatchedEvents
+from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.stretches import Stretch
 from coadjoint.runs.events import RecordedEvents
-from coadjoint.runs.output_times import OutputTimes
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import NODES, WEIGHTS

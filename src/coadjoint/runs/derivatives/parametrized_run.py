@@ -12,7 +12,7 @@ from coadjoint.errors import unknown_name
 from coadjoint.runs.derivatives.backward import Pullback, read_cotangents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import tangents_of_outputs
-from coadjoint.runs.output_times import check_partial_steps
+from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
