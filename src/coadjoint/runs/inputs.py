@@ -17,9 +17,8 @@ from coadjoint.errors import unknown_name
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.structures import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
-from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.loops import Loops, loops_of_system
-from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.torque import is_constant_torque
@@ -75,19 +74,18 @@ class Inputs:
         named = specification if isinstance(specification, Mapping) else {"linear": specification}
         if not named:
             raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
+        torques = {name for name, target in named.items() if isinstance(target, str)}
         self._linear = np.zeros(0)
-        if not all(isinstance(target, str) for target in named.values()):
+        if len(torques) < len(named):
             check_linear(self._unforced)
             self._linear = linear_of(self._unforced.hamiltonian)
         self.values = self._linear
         self._torques: dict[int, NDArray[np.int64]] = {}
         self.indices: dict[str, NDArray[np.int64]] = {}
         for name, target in named.items():
-            self._check_name(name, of_linear_term=not isinstance(target, str))
+            self._check_name(name, of_linear_term=name not in torques)
             self.indices[name] = (
-                self._torque_indices(target, name)
-                if isinstance(target, str)
-                else _read_coordinates(target, name, system.dim)
+                self._torque_indices(target, name) if name in torques else _read_coordinates(target, name, system.dim)
             )
         all_indices = np.arange(len(self.values))
         self._full_input = next(

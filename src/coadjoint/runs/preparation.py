@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
-from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.crossings import WatchedEvents
@@ -26,7 +26,6 @@ from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
-    Representation,
     Start,
     any_momenta_of,
     momenta_of,

@@ -50,9 +50,7 @@ class Gradient(Mapping[str, Any]):
         return len(self._values)
 
     def __repr__(self) -> str:
-        arrays = {name: value for name, value in self.items() if not isinstance(value, Mapping)}
-        for group in (value for value in self.values() if isinstance(value, Mapping)):
-            arrays |= group
+        arrays = {name: value for name, value in self.items() if name != INPUTS} | self._values.get(INPUTS, {})
         return f"<gradient by {', '.join(f'{name} {np.shape(value)}' for name, value in arrays.items())}>"
 
 

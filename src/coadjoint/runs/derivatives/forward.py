@@ -216,19 +216,22 @@ def tangents_of_run(
 
 def _flat(given: Any, run: DifferentiableRun) -> dict[str, Any]:
     """Return directions by name, with those of inputs as "inputs.name"."""
-    if not isinstance(given, Mapping):
-        raise TypeError(f"directions is {short(given)}; give a mapping from names to arrays")
-    found = dict(given)
+    found = read_mapping(given, "directions", "names")
     if run.inputs is None:
         return found
-    of_inputs = found.pop(INPUTS, {})
-    if not isinstance(of_inputs, Mapping):
-        raise TypeError(f"the direction inputs is {short(of_inputs)}; give a mapping from names of inputs to arrays")
+    of_inputs = read_mapping(found.pop(INPUTS, {}), "the direction inputs", "names of inputs")
     for name, value in of_inputs.items():
         if name not in run.inputs.indices:
             raise unknown_name("input of this run", name, run.inputs.indices)
         found[f"{INPUTS}.{name}"] = value
     return found
+
+
+def read_mapping(given: Any, what: str, keys: str) -> dict[str, Any]:
+    """Validate a mapping to arrays and return a copy."""
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{what} is {short(given)}; give a mapping from {keys} to arrays")
+    return dict(given)
 
 
 def _tangents_at_outputs(

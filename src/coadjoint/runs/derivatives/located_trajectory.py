@@ -14,7 +14,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.crossings import WatchedEvents
+from coadjoint.runs.crossings import WatchedEvents, coordinate_of
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.stretches import Stretch
 from coadjoint.runs.events import RecordedEvents
@@ -194,10 +194,9 @@ class CrossingDerivatives:
 
 def _gradient(system: Any, g: Any, x: Floats, t: float) -> Floats:
     """Return the gradient of the function of an event."""
-    if isinstance(g, str):
-        g = coordinates_of(system).index(g)
-    if isinstance(g, int | np.integer):
-        return np.asarray(np.eye(len(x))[g])
+    number = coordinate_of(g, "", coordinates_of(system), len(x))
+    if number is not None:
+        return np.asarray(np.eye(len(x))[number])
     return np.asarray(derivative_of(function_of_rows(system, g, t), x).derivative[0])
 
 

@@ -16,12 +16,11 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
 from coadjoint.runs.derivatives.backward import Cotangents, Gradient, Pullback
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
-from coadjoint.runs.derivatives.forward import Tangents, check_shape, tangents_of_run
+from coadjoint.runs.derivatives.forward import Tangents, check_shape, read_mapping, tangents_of_run
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
 from coadjoint.runs.derivatives.run_tables import differ_in_columns
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, to_array
 
 REVERSES = ("exact", "reversible")
@@ -128,8 +127,7 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
     """Return the solution of all members, and the tangents of each, side by side."""
     solution, pieces = _pieces(prepared, given)
     count, points, parameters = len(solution.x0), len(solution.t), prepared.parameters
-    if not isinstance(directions, Mapping):
-        raise TypeError(f"directions is {short(directions)}; give a mapping from names to arrays")
+    directions = read_mapping(directions, "directions", "names")
     leading: dict[str, Any] = {}
     for name, value in directions.items():
         shape = (count, *prepared.system.shape) if name == "x0" else None

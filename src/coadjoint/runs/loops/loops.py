@@ -18,11 +18,11 @@ from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
-from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.groups import Columns, Group, batches_of_groups, groups_of, individual_groups, split_members
 from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, corrected_groups_each, uncorrected_groups
 from coadjoint.runs.results.observables import MatrixInvariants
-from coadjoint.runs.start import Representation, Start, unit_groups
+from coadjoint.runs.start import Start, unit_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
