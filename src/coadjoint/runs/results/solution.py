@@ -10,12 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import NamedValues, suggest_keywords, unknown_solution_attribute
-from coadjoint.runs.events import TerminalEvent
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, unfinished_members
 from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, table_of_run
-from coadjoint.runs.start import Start
-from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.coordinates import CoordinateGroups
@@ -61,15 +58,6 @@ class Solution(SolutionOutput):
     _in_memory = True
     _starts: NDArray[np.float64] | None = None
     """Initial momenta of a run with `accuracy`, (members, n)."""
-    # Force and invariant of each column of recorded work.
-    _accounts: tuple[tuple[str, str], ...]
-    # Largest deviation of each invariant in each tenth of the run, then, with forces, those of the balances,
-    # (tenths, k) or (members, tenths, k).
-    _worst: NDArray[np.float64]
-    # Of all but copies.
-    _times: Times
-    _ending: TerminalEvent | None
-    _start: Start
 
     def __init__(self, fields: dict[str, Any]) -> None:
         object.__setattr__(self, "__dict__", fields)

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, dataclass_transform
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.events import RecordedEvents
+from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
@@ -25,8 +25,11 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
 
     from coadjoint.runs.results.solution import Solution
+    from coadjoint.runs.start import Start
+    from coadjoint.runs.times import Times
 
 Floats = NDArray[np.float64]
+AnyClass = TypeVar("AnyClass")
 
 ORTHOGONALITY = 1e-6
 """Largest deviation from orthogonality of attitudes that are taken for rotations."""
@@ -60,6 +63,12 @@ class Statistics:
     elapsed: float = math.nan
 
 
+@dataclass_transform(frozen_default=True, eq_default=False)
+def read_only(kind: type[AnyClass]) -> type[AnyClass]:
+    """Return a class unchanged, whose attributes type checkers take for read-only."""
+    return kind
+
+
 def declared(description: str) -> Any:
     """Return an attribute of solutions, which their classes have as a field, or compute or read on first use."""
 
@@ -70,8 +79,30 @@ def declared(description: str) -> Any:
     return cached_property(missing)
 
 
+@read_only
 class SolutionAttributes:
     """Attributes of a `Solution`; its classes have them as fields, or compute or read them on first use."""
+
+    # Force and invariant of each column of recorded work.
+    _accounts: tuple[tuple[str, str], ...]
+    # Largest deviation of each invariant in each tenth of the run, then, with forces, those of the balances,
+    # (tenths, k) or (members, tenths, k).
+    _worst: Floats
+    # Of all but copies.
+    _times: Times
+    _ending: TerminalEvent | None
+    _start: Start
+    # Of stored runs only.
+    path: Path | str
+    attributes: dict[str, Any]
+    dataset: xarray.Dataset
+    inputs: Callable[..., dict[str, Any]]
+    check_complete: Callable[[], None]
+    finished: bool
+    reached: int
+    status: NDArray[np.int64]
+    blocks: Sequence[Any]
+    progress_text: str
 
     system: System | Batch = declared("The system, with the inputs of the run.")
     method: Method = declared("The scheme.")
@@ -111,18 +142,6 @@ class SolutionAttributes:
     step: float = declared("The argument of the run.")
     save_every: int = declared("The argument of the run.")
     choice: Any = declared("For runs with `accuracy`: the result of `choose`; or None.")
-
-    # Of stored runs only.
-    path: Path | str
-    attributes: dict[str, Any]
-    dataset: xarray.Dataset
-    inputs: Callable[..., dict[str, Any]]
-    check_complete: Callable[[], None]
-    finished: bool
-    reached: int
-    status: NDArray[np.int64]
-    blocks: Sequence[Any]
-    progress_text: str
 
     @property
     def positions(self) -> Floats:
