@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -213,11 +213,11 @@ def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, 
     """Return the names of events: as given, else that of the coordinate, else "event k"."""
     names: list[str] = []
     for k, event in enumerate(events):
-        name = event.name
-        if name is None and is_integer(event.g):
-            name = dict(enumerate(coordinates)).get(event.g)
-        elif name is None and isinstance(event.g, str):
-            name = event.g
+        name, g = event.name, cast(Any, event.g)
+        if name is None and is_integer(g):
+            name = dict(enumerate(coordinates)).get(g)
+        elif name is None and isinstance(g, str):
+            name = g
         if event.name is None and (name is None or name in names):
             name = f"event {k}"
         if name in names:
@@ -228,7 +228,7 @@ def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, 
 
 def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequence[str], x0: Floats, t0: float) -> Any:
     """Return the object of an event that the kernels compile."""
-    g, n, matrices = event.g, plain_system.dim, plain_system.has_matrices
+    g, n, matrices = cast(Any, event.g), plain_system.dim, plain_system.has_matrices
     if matrices and not callable(g):
         raise TypeError(
             f"the event {name} is about coordinates, and the states of {plain_system.name} are matrices; give a "

@@ -64,8 +64,8 @@ class Directions:
             shapes["attitude0"] = (d, d) if single else (members, d, d)
         shapes |= {name: parameter.value.shape for name, parameter in run.parameters.items()}
         shapes |= {
-            f"{INPUTS}.{name}": (members, *one.indices.shape) if one.by_member else one.indices.shape
-            for name, one in trajectory.inputs.items()
+            f"{INPUTS}.{name}": (members, *indices.shape) if by_member else indices.shape
+            for name, (indices, by_member) in trajectory.inputs.items()
         }
         given = _flat(given, run)
         counts: dict[str, int | None] = {}
@@ -114,14 +114,13 @@ class Directions:
         directed = {name: one for name, one in trajectory.inputs.items() if f"{INPUTS}.{name}" in arrays}
         self.inputs: Floats | None = None
         if directed and trajectory.values is not None:
-            by_member = any(one.by_member for one in directed.values())
-            leading = (members, self.count) if by_member else (self.count,)
+            leading = (members, self.count) if any(each for _, each in directed.values()) else (self.count,)
             self.inputs = np.zeros((*leading, trajectory.values.shape[-1]))
-            for name, one in directed.items():
+            for name, (indices, by_member) in directed.items():
                 found = rows(f"{INPUTS}.{name}")
-                found = np.swapaxes(found, 0, 1) if one.by_member else found
-                leading = found.shape[: found.ndim - one.indices.ndim]
-                self.inputs[..., one.indices.ravel()] = found.reshape(*leading, -1)
+                found = np.swapaxes(found, 0, 1) if by_member else found
+                leading = found.shape[: found.ndim - indices.ndim]
+                self.inputs[..., indices.ravel()] = found.reshape(*leading, -1)
 
     @property
     def names(self) -> list[str]:
