@@ -67,7 +67,7 @@ from .methods.taylor import Taylor as Taylor
 from .runs.events import Event as Event
 from .runs.events import RecordedEvents as RecordedEvents
 from .runs.integrate import integrate as integrate
-from .runs.prepare import prepare as prepare
+from .runs.integrate import prepare as prepare
 from .runs.prepared_run import PreparedRun as PreparedRun
 from .runs.results.solution import Solution as Solution
 from .runs.stepper import stepper as stepper

@@ -13,10 +13,9 @@ import numpy.typing as npt
 from coadjoint.errors import IntegrationError
 from coadjoint.pictures.register import CannotShow, coordinate_index
 from coadjoint.pictures.style import coordinate
-from coadjoint.runs.results.body_motion import rotations_of
 from coadjoint.runs.results.drift import scales_of_invariants
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import member_count, unfinished_members
+from coadjoint.runs.results.solution_attributes import member_count, rotations_of, unfinished_members
 from coadjoint.runs.results.solution_output import is_driven
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names

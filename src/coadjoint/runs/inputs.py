@@ -17,10 +17,8 @@ from coadjoint.errors import unknown_name
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.structures import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
-from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.loops.groups import Group, individual_groups
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.loops import Loops, loops_of_system
-from coadjoint.runs.start import Representation
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.torque import is_constant_torque
@@ -76,19 +74,18 @@ class Inputs:
         named = specification if isinstance(specification, Mapping) else {"linear": specification}
         if not named:
             raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
+        torques = {name for name, target in named.items() if isinstance(target, str)}
         self._linear = np.zeros(0)
-        if not all(isinstance(target, str) for target in named.values()):
+        if len(torques) < len(named):
             check_linear(self._unforced)
             self._linear = linear_of(self._unforced.hamiltonian)
         self.values = self._linear
         self._torques: dict[int, NDArray[np.int64]] = {}
         self.indices: dict[str, NDArray[np.int64]] = {}
         for name, target in named.items():
-            self._check_name(name, of_linear_term=not isinstance(target, str))
+            self._check_name(name, of_linear_term=name not in torques)
             self.indices[name] = (
-                self._torque_indices(target, name)
-                if isinstance(target, str)
-                else _read_coordinates(target, name, system.dim)
+                self._torque_indices(target, name) if name in torques else _read_coordinates(target, name, system.dim)
             )
         all_indices = np.arange(len(self.values))
         self._full_input = next(
@@ -269,6 +266,16 @@ class Inputs:
             return self.system_at(values)
         return Batch([self.system_at(row) for row in values])
 
+    def loops(self, method: Method, h: float, representation: Representation) -> Loops:
+        """Return loops whose tables take any values of the inputs, of a scheme with fixed parts; h may be negative."""
+        loops = loops_of_system(self.system_at(self.generic), method, h, representation)
+        try:
+            (group,), (loop,), (watch,) = loops.groups, loops.compiled, loops.watches
+            loops.writable = self.writable(replace(loop, tables=group.tables), watch._replace(tables=group.watch))
+        except NotWritable as reason:
+            raise ValueError(f"{method} takes no inputs for {self.system.name}: {reason}") from None
+        return loops
+
 
 def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
     what, numbers = f"the coordinates of {name}", None
@@ -281,36 +288,3 @@ def _read_coordinates(value: Any, name: str, n: int) -> NDArray[np.int64]:
     if np.any((numbers < 0) | (numbers >= n)):
         raise ValueError(f"inputs has {short(value)} for {name}; coordinates run from 0 to {n - 1}")
     return numbers.astype(np.int64)
-
-
-class InputLoops:
-    """Loops for any values of the inputs, for a scheme with fixed parts; h is negative for backward runs."""
-
-    def __init__(self, inputs: Inputs, method: Method, h: float, representation: Representation) -> None:
-        self.base = loops_of_system(inputs.system_at(inputs.generic), method, h, representation)
-        try:
-            (group,), (loop,), (watch,) = self.base.groups, self.base.compiled, self.base.watches
-            self.tables = inputs.writable(replace(loop, tables=group.tables), watch._replace(tables=group.watch))
-        except NotWritable as reason:
-            raise ValueError(f"{method} takes no inputs for {inputs.system.name}: {reason}") from None
-
-    def build_all(self) -> None:
-        """Build everything that would be built lazily."""
-        self.base.build_all()
-
-    def at(self, values: Floats) -> Loops:
-        """Return the loops of one call, from the values of `Inputs.read`, (m,) or (members, m)."""
-        tables, (group,) = self.tables, self.base.groups
-        try:
-            if values.ndim == 1:
-                own, watch = tables.shared(values)
-                return self.base.with_groups([Group(None, group.loop, own, watch)])
-            if not tables.separate_tables:
-                own, watch, stride = tables.each(values)
-                return self.base.with_groups([Group(None, group.loop, own, watch, stride)])
-            each = [tables.shared(row) for row in values]
-        except OverflowError:
-            raise ValueError(
-                "the linear term is too large: a completed square overflows; give smaller inputs"
-            ) from None
-        return self.base.with_groups(individual_groups((group.loop, *pair) for pair in each))

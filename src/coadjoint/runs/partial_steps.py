@@ -1,4 +1,6 @@
-"""Partial steps: states between two steps by a shorter step of the same scheme, for many states at once."""
+"""Partial steps: states between two steps by a shorter step of the same scheme, for many states at once, and the states
+of a run at output times.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +16,19 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import partial_step_schedule
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.events import TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.loops.groups import rows_of_groups
 from coadjoint.runs.loops.loops import Loops
+from coadjoint.runs.run import Run
+from coadjoint.runs.times import OutputTimes, Times
 
 Floats = NDArray[np.float64]
 
 MAX_NUMBERS = 2**20
 """Array entries processed at a time."""
+ROWS_PER_CALL = 2**16
+"""States processed at once."""
 SINGLE_THREAD_ROWS = 256
 """Up to this many rows one thread is faster than starting others."""
 
@@ -150,3 +157,87 @@ class PartialSteps:
             time=start,
             residual=residual,
         )
+
+
+def check_partial_steps(system: Any, moments: OutputTimes) -> None:
+    """Reject output times between steps for systems without partial steps (noise)."""
+    if np.any(moments.length):
+        reject_noise(system)
+
+
+def resample(run: Run, moments: OutputTimes) -> None:
+    """Replace the saved points of a finished run, the steps in `moments.marks`, by its states at `moments`."""
+    marked_points, members = run.saved, len(run.start.momenta)
+    direction, ends = (1.0 if run.times.h > 0.0 else -1.0), run.ends
+    if run.ending is not None:
+        before = direction * moments.t < direction * run.ending.t
+        moments = OutputTimes(moments.t[before], moments.number[before], moments.length[before])
+    # Exactly n h at a step, independent of the rounding of its time.
+    elapsed = moments.number * run.times.h + moments.length
+    times = run.times.with_saved_steps(moments.marks)._replace(marks=moments.ends, between=moments.t, elapsed=elapsed)
+    if run.ending is not None:
+        times = _with_ending(times, run.ending)
+        run.ending = run.ending._replace(points=times.points)
+    plan = run.plan.with_times(times)
+    saved, points = NamedArrays(plan.layout.saved), np.searchsorted(run.times.saved, moments.number)
+    names = ("x", "group", "values")
+    source, target = ([arrays[name] for name in names] for arrays in (marked_points, saved))
+    for to_array, from_array in zip(target, source, strict=True):
+        to_array[: len(points)] = from_array[points]
+    if run.ending is not None:
+        saved["x"][-1, 0], saved["values"][-1, 0] = run.ending.x, run.ending.values
+    partial = np.flatnonzero(moments.length)
+    if len(partial):
+        parts = PartialSteps(run.plan.base, run.plan.method, run.loops, run.plan.workers)
+        # A failed member has no partial steps within its failed step.
+        last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
+        chunk = max(1, ROWS_PER_CALL // members)
+        for first in range(0, len(partial), chunk):
+            chunk_points = partial[first : first + chunk]
+            _fill(parts, run, moments, chunk_points, (last, direction * ends), target)
+        late = (moments.ends[:, None] >= last) & (run.state["status"] != 0)
+        for array in target:
+            array[: len(late)][late] = np.nan
+    run.initial, run.saved, run.plan = marked_points["values"][0], saved, plan
+
+
+def _with_ending(times: Times, ending: TerminalEvent) -> Times:
+    """Append the time of the terminal event to the output times."""
+    assert times.marks is not None and times.between is not None and times.elapsed is not None
+    return times._replace(
+        marks=np.append(times.marks, ending.steps),
+        between=np.append(times.between, ending.t),
+        elapsed=np.append(times.elapsed, ending.t - times.t0),
+    )
+
+
+def _fill(
+    parts: PartialSteps, run: Run, moments: OutputTimes, some: NDArray[np.int64], limits: Any, target: list[Floats]
+) -> None:
+    """Compute the states at these output times by partial steps, for members that have neither failed nor ended."""
+    x, group, values = target
+    k, owners = (axis.ravel() for axis in np.meshgrid(some, np.arange(x.shape[1]), indexing="ij"))
+    failing, ending = limits
+    past_end = (1.0 if run.times.h > 0.0 else -1.0) * moments.t[k] > ending[owners]
+    active = (moments.ends[k] < failing[owners]) & ~past_end
+    for array in target:
+        array[k[~active], owners[~active]] = np.nan
+    k, owners = k[active], owners[active]
+    if not len(k):
+        return
+    starts = run.times.at(moments.number[k])
+    result = parts.attempt(x[k, owners], group[k, owners], starts, moments.length[k], owners, watched=True)
+    x[k, owners], group[k, owners] = result.momenta, result.groups
+    for row in np.flatnonzero(result.status).tolist():
+        m, step = int(owners[row]), int(moments.ends[k[row]])
+        if step < failing[m]:
+            failing[m] = step
+            run.mark_failed(m, step, status_name(result.status[row]), float(result.residual[row]))
+    if (measures := run.loops.measured) is not None:
+        measured = measures.at(result.momenta, moments.t[k])
+    else:
+        # Multivalued invariants were followed along the run, and are continued from there by whole periods.
+        saved = values[k, owners]
+        with np.errstate(invalid="ignore"):  # an energy that overflowed
+            measured = np.where(saved == result.before, result.values, result.values + (saved - result.before))
+    values[k, owners] = measured

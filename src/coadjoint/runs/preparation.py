@@ -13,21 +13,19 @@ from numpy.typing import NDArray
 from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
-from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
-from coadjoint.runs.crossings.crossings import WatchedEvents
+from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.events import Event
-from coadjoint.runs.inputs import InputLoops, Inputs
+from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
-from coadjoint.runs.output_times import OutputTimes, output_times_of
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.plan import Plan, bytes_of_run
 from coadjoint.runs.results.observables import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
-    Representation,
     Start,
     any_momenta_of,
     momenta_of,
@@ -39,7 +37,16 @@ from coadjoint.runs.start import (
     with_group,
 )
 from coadjoint.runs.state import State
-from coadjoint.runs.times import RecentTimes, Times, read_step
+from coadjoint.runs.times import (
+    OutputTimes,
+    Times,
+    is_same_span,
+    is_unchangeable,
+    output_times_of,
+    read_step,
+    span_of,
+    times_between,
+)
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
@@ -56,10 +63,11 @@ class _Cache:
 
     # A call removes an entry of `ends` while it runs, so that concurrent calls never share one.
 
-    def __init__(self, step: float, loops: dict[float, Loops | InputLoops] | None = None) -> None:
+    def __init__(self, step: float, loops: dict[float, Loops] | None = None) -> None:
         self.lock = threading.RLock()
-        self.loops: dict[float, Loops | InputLoops] = {} if loops is None else loops
-        self.times = RecentTimes(step)
+        self.loops: dict[float, Loops] = {} if loops is None else loops
+        self._step = step
+        self._last_times: tuple[tuple[float, float], int, Times] | None = None
         self.plan: Plan | None = None
         self.ends: list[Any] = []
         self.observed: Observed | None = None
@@ -68,6 +76,20 @@ class _Cache:
         self.of_members: dict[int, Any] = {}
         self.in_columns: list[tuple[NDArray[np.int64], Any]] | None = None
         self.checks_step = False  # whether the next run warns of a step that is too large
+
+    def times_of(self, t_span: Any, save_every: Any) -> Times:
+        """Validate span and `save_every`; the times of an unchanged pair are the same object."""
+        last = self._last_times  # read and replaced at once, so that threads may share it
+        if (
+            last is not None
+            and (t_span is last[0] or is_same_span(t_span, last[0]))
+            and (save_every is last[1] or (type(save_every) is int and save_every == last[1]))
+        ):
+            return last[2]
+        times = times_between(span_of(t_span), self._step, save_every)
+        if is_unchangeable(t_span) and type(save_every) is int:
+            self._last_times = t_span, save_every, times
+        return times
 
 
 class Preparation:
@@ -112,7 +134,7 @@ class Preparation:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return everything prepared; loops that contain another loop are rebuilt in the receiving process."""
-        loops = {h: loops for h, loops in self.cache.loops.items() if getattr(loops, "is_picklable", False)}
+        loops = {h: loops for h, loops in self.cache.loops.items() if loops.is_picklable}
         fields = {name: value for name, value in vars(self).items() if name != "cache"}
         return {**fields, "loops": loops}
 
@@ -136,12 +158,12 @@ class Preparation:
         if system.is_batch:
             unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
             fields["_representations"] = tuple(self._representations[m] for m in members.tolist())
-            loops = {h: cast(Loops, loop).selected(members) for h, loop in loops.items()} if unchanged else {}
+            loops = {h: loop.selected(members) for h, loop in loops.items()} if unchanged else {}
         if isinstance(self.initial_attitude, np.ndarray) and self.initial_attitude.ndim > 2:
             fields["initial_attitude"] = self.initial_attitude[members]
         return self._copy(loops if unchanged else {}, **fields)
 
-    def _copy(self, loops: dict[float, Loops | InputLoops], **fields: Any) -> Self:
+    def _copy(self, loops: dict[float, Loops], **fields: Any) -> Self:
         copied = object.__new__(type(self))
         copied.__dict__.update(vars(self), **fields, cache=_Cache(self.step, loops))
         return copied
@@ -159,7 +181,7 @@ class Preparation:
 
     def times_of(self, t_span: Any, save_every: Any = 1, t_eval: Any = None) -> tuple[Times, OutputTimes | None]:
         """Validate span, `save_every` and `t_eval`; return the steps of a run, and the output times or None."""
-        times = self.cache.times.of(t_span, save_every)
+        times = self.cache.times_of(t_span, save_every)
         check_steps(self.system, times.t0, times.h)
         if t_eval is None:
             return times, None
@@ -243,15 +265,14 @@ class Preparation:
                 plan = self.cache.plan = shifted
         if self.inputs is None:
             return plan
-        loops = self.loops(times.h)
-        assert isinstance(loops, InputLoops) and values is not None
-        return plan.with_loops(loops.at(values), partial(self.system_at, values))
+        assert values is not None
+        loops = self.loops(times.h).with_values(values)
+        return plan.with_loops(loops, partial(self.system_at, values))
 
     def _new_plan(self, times: Times, groups: tuple[int, ...]) -> Plan:
         loops, workers = self.loops(times.h), min(groups[0], self._threads)
         options = self._watching, workers, min(self._threads // workers, MAX_THREADS_INSIDE)
-        base = loops.base if isinstance(loops, InputLoops) else loops
-        plan = Plan(self.system, self.method, base, times, groups, *options)
+        plan = Plan(self.system, self.method, loops, times, groups, *options)
         # The free memory is checked again for each large run.
         if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
             self.cache.plan = plan
@@ -264,7 +285,7 @@ class Preparation:
                 self.cache.events = WatchedEvents(self.system, events, x0, t0)
             return self.cache.events
 
-    def loops(self, h: float) -> Loops | InputLoops:
+    def loops(self, h: float) -> Loops:
         """Return the loops of a step or of its negative, built lazily for each direction."""
         loops = self.cache.loops.get(h)
         if loops is None:
@@ -273,11 +294,11 @@ class Preparation:
                 self.cache.loops[h] = loops
         return loops
 
-    def _loops(self, h: float) -> Loops | InputLoops:
+    def _loops(self, h: float) -> Loops:
         if self.inputs is not None:
-            return InputLoops(self.inputs, self.scheme, h, self._representations[0])
+            return self.inputs.loops(self.scheme, h, self._representations[0])
         for known in self.cache.loops.values():
-            if isinstance(known, Loops) and (loops := known.at_step(h)) is not None:
+            if (loops := known.at_step(h)) is not None:
                 return loops
         if self.system.is_batch:
             return loops_of_batch(self.system, self.scheme, h, self._representations)

@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.forced import check_steps
-from coadjoint.runs.crossings.event_run import EventRun
+from coadjoint.runs.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
-from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
-from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.partial_steps import PartialSteps, check_partial_steps, resample
 from coadjoint.runs.preparation import ONE_VECTOR, Preparation
 from coadjoint.runs.progress import read_progress
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run
 from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run
 from coadjoint.runs.start import Start
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.system import System
 from coadjoint.validation import FLOAT64
@@ -104,7 +103,7 @@ class PreparedRun(Preparation):
         ):
             # The short way of the most frequent case, once the plan is cached.
             cache = self.cache
-            plan, times = cache.plan, cache.times.of(t_span, save_every)
+            plan, times = cache.plan, cache.times_of(t_span, save_every)
             if plan is not None and plan.is_short and plan.groups == ONE_VECTOR:
                 if plan.times is not times:
                     check_steps(self.system, times.t0, times.h)

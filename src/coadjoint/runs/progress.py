@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from coadjoint.optional_packages import require_packages
@@ -22,24 +23,21 @@ def read_progress(progress: Any) -> bool:
     return shown
 
 
-class progress_bar:
-    """Context manager of a progress bar, or of printed lines without a terminal; its value takes each increment."""
+@contextmanager
+def progress_bar(steps: int, shown: bool, unit: str = "step") -> Iterator[Callable[[int], Any]]:
+    """Show a progress bar, or printed lines without a terminal; the value of the context takes each increment."""
+    if not shown:
+        yield lambda count: None
+        return
+    bar: Any = _Lines(steps, unit)
+    if _is_terminal():
+        from tqdm import tqdm
 
-    def __init__(self, steps: int, shown: bool, unit: str = "step") -> None:
-        self._bar: Any = None
-        if shown and _is_terminal():
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=steps, unit=unit, unit_scale=True)
-        elif shown:
-            self._bar = _Lines(steps, unit)
-
-    def __enter__(self) -> Callable[[int], None]:
-        return (lambda count: None) if self._bar is None else (lambda count: self._bar.update(count))
-
-    def __exit__(self, *exception: object) -> None:
-        if self._bar is not None:
-            self._bar.close()
+        bar = tqdm(total=steps, unit=unit, unit_scale=True)
+    try:
+        yield bar.update
+    finally:
+        bar.close()
 
 
 def _is_terminal() -> bool:

@@ -106,7 +106,7 @@ class FinalStateRun:
         prepared = self._prepared
         loops = prepared.loops(times.h)
         # Matrices are projected onto their algebra when they are read.
-        if not isinstance(loops, Loops) or loops.owners is not None or loops.rows:
+        if loops.writable is not None or loops.owners is not None or loops.rows:
             return None
         if prepared.system.has_matrices or prepared.representation is not None:
             return None

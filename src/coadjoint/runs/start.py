@@ -18,7 +18,7 @@ from coadjoint.algebra.group_elements import (
     rotation_block,
 )
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name, with_state_axes
@@ -26,8 +26,6 @@ from coadjoint.systems.registry import check_unit_coordinate, has_unit_coordinat
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
-
-Representation = NDArray[np.float64] | str | None
 
 BYTES_PER_MEMBER = 100
 """Memory for a member of a family, besides its state."""
@@ -45,9 +43,21 @@ class Start(NamedTuple):
     @property
     def carried(self) -> str | None:
         """Matrices of the group element: "representation", "coadjoint", or None."""
-        if self.representation is None:
-            return None
-        return "coadjoint" if isinstance(self.representation, str) else "representation"
+        return matrices_of(self.representation)
+
+
+def matrices_of(representation: Representation) -> str | None:
+    """Name the matrices of a group element: "representation", "coadjoint", or None."""
+    if representation is None:
+        return None
+    return "coadjoint" if isinstance(representation, str) else "representation"
+
+
+def group_size(system: Any, representation: Any) -> int:
+    """Return the number of rows of a group element, 0 without one."""
+    if representation is None:
+        return 0
+    return int(system.dim if matrices_of(representation) == "coadjoint" else representation.shape[-1])
 
 
 def start_without_groups(system: Any, momenta: NDArray[np.float64], single: bool = False) -> Start:
@@ -191,7 +201,7 @@ def with_group(
     """Return the start of a run from validated momenta (members, n) and one of `representations_of`."""
     if representation is None:
         return start_without_groups(system, momenta, single)
-    size = system.dim if isinstance(representation, str) else representation.shape[1]
+    size, coadjoint = group_size(system, representation), matrices_of(representation) == "coadjoint"
     if len(momenta) * size**2 > SMALL_SIZE:
         check_available_memory(
             8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},"
@@ -212,7 +222,7 @@ def with_group(
         )
     if not are_finite(initial):
         raise ValueError("attitude contains NaN or infinity; every entry must be finite")
-    if isinstance(representation, str) or not are_rotations(initial, representation):
+    if coadjoint or not are_rotations(initial, representation):
         if not _surely_regular(initial) and np.any(_ranks(initial) < size):
             raise ValueError("attitude is a singular matrix; a group element has an inverse")
         _check_elements(system, initial.reshape(-1, size, size), representation)
@@ -222,7 +232,7 @@ def with_group(
 
 
 def _check_elements(system: System | Batch, groups: NDArray[np.float64], representation: Any) -> None:
-    if isinstance(representation, str):
+    if matrices_of(representation) == "coadjoint":
         violation = automorphism_violation(groups, system.unforced.algebra.structure_matrix)
     else:
         violation = group_element_violation(groups, representation)
@@ -277,18 +287,19 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
 
 
 def _read_representation(system: System, method: Method, attitude: Any) -> Representation:
-    if isinstance(attitude, bool | np.bool_) and not attitude:
+    flag = attitude if isinstance(attitude, bool | np.bool_ | str) else True
+    if flag in (False,):
         return None
     if system.algebra is None:
         raise ValueError(f"{system.name} has no Lie algebra, so it moves no group element; use attitude=False")
-    if isinstance(attitude, str) and attitude != "coadjoint":
+    if flag not in (True, "coadjoint"):
         raise ValueError(
             f"attitude is {short(attitude)}; it must be True, False, 'coadjoint' or an initial group element"
         )
-    if not isinstance(attitude, str) and system.representation is None:
+    if flag != "coadjoint" and system.representation is None:
         raise ValueError(
             f"{system.name} has no representation for an attitude; give representation=, or use attitude='coadjoint'"
         )
-    representation = attitude if isinstance(attitude, str) else np.asarray(system.representation)
+    representation: Representation = "coadjoint" if flag == "coadjoint" else np.asarray(system.representation)
     method.check_attitude(system, representation)
     return representation

@@ -13,13 +13,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import (
-    StateAt,
-    ends_by_events,
-    last_times,
-    members_text,
-    unfinished_members,
-)
+from coadjoint.runs.results.solution_attributes import ends_by_events, last_times, members_text, unfinished_members
+from coadjoint.runs.results.solution_output import StateAt
 from coadjoint.runs.times import Times, accumulated_rounding
 from coadjoint.short_repr import distinct, short
 from coadjoint.validation import are_finite, read_numbers

@@ -137,20 +137,20 @@ class Stepper:
         >>> bool(np.allclose(g @ x, [1.0, 0.2, 0.5], atol=1e-14))
         True
         """
-        kind = self._matrices(attitude)
-        if not isinstance(kind, bool | str):
+        kind, element = self._read_attitude(attitude)
+        if element is not None:
             raise TypeError("attitude of `both` must be True or 'coadjoint'; give the initial group element as g")
         sol = self._advance(x, t, kind, g, inputs)
         assert sol.attitude is not None
         return np.asarray(sol.x[-1]), np.asarray(sol.attitude[-1])
 
-    def _matrices(self, attitude: Any) -> Any:
-        """Resolve `attitude`: None is True if the system has a representation, else "coadjoint"."""
+    def _read_attitude(self, attitude: Any) -> tuple[bool | str, Any]:
+        """Return True or "coadjoint", which None is without a representation, and an initial element or None."""
         if attitude is None:
-            return True if self.system.representation is not None else "coadjoint"
+            return (True if self.system.representation is not None else "coadjoint"), None
         if attitude is False:
             raise ValueError("attitude is False; a group element needs True, 'coadjoint', an initial one, or None")
-        return attitude
+        return (attitude, None) if isinstance(attitude, bool | str) else (True, attitude)
 
     def group(self, x: Any, t: float = 0.0, attitude: Any = None, **inputs: Any) -> NDArray[np.float64]:
         """Return the group element g of the step: the attitude after it, from the unit element before it.
@@ -172,9 +172,7 @@ class Stepper:
         ndarray, shape (d, d)
             Group element.
         """
-        kind = self._matrices(attitude)
-        has_element = not isinstance(kind, bool | str)
-        sol = self._advance(x, t, has_element or kind, kind if has_element else None, inputs)
+        sol = self._advance(x, t, *self._read_attitude(attitude), inputs)
         assert sol.attitude is not None
         return np.asarray(sol.attitude[-1])
 

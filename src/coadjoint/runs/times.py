@@ -1,4 +1,4 @@
-"""Times of a run: a whole number of steps, in the direction of the span."""
+"""Times of a run: a whole number of steps, in the direction of the span, and output times among them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.short_repr import short
-from coadjoint.validation import read_integer, read_number, read_numbers
+from coadjoint.short_repr import distinct, short
+from coadjoint.validation import are_finite, read_integer, read_number, read_numbers
 
 TIME_ROUNDING = 16 * UNIT_ROUNDOFF
 """Rounding of one time, relative to the largest: 8 units in the last place."""
 STEP_SHARE = 0.01
 """Largest accumulated rounding of times, in steps."""
+ULP_TOLERANCE = 4
+"""Times this close to a step, in units in the last place of the larger end of the span, are at the step."""
 
 
 def accumulated_rounding(count: float, first: float, last: float, step: float) -> float:
@@ -153,28 +155,6 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
     return Times(first, math.copysign(size, span), steps, min(every, max(1, steps)))
 
 
-class RecentTimes:
-    """The times of runs of one step; the last are cached, read and replaced at once, so that threads may share it."""
-
-    def __init__(self, step: float) -> None:
-        self._step = step
-        self._last: tuple[tuple[float, float], int, Times] | None = None
-
-    def of(self, t_span: Any, save_every: Any) -> Times:
-        """Validate span and `save_every`; the times of an unchanged pair are the same object."""
-        last = self._last
-        if (
-            last is not None
-            and (t_span is last[0] or is_same_span(t_span, last[0]))
-            and (save_every is last[1] or (type(save_every) is int and save_every == last[1]))
-        ):
-            return last[2]
-        times = times_between(span_of(t_span), self._step, save_every)
-        if is_unchangeable(t_span) and type(save_every) is int:
-            self._last = t_span, save_every, times
-        return times
-
-
 def is_same_span(t_span: Any, last: Any) -> bool:
     """Return whether a span is a tuple of floats with the bits of another one."""
     return (
@@ -209,3 +189,60 @@ def span_of(t_span: Any) -> tuple[float, float]:
             "the saved times"
         )
     return read_number(ends[0], "the start of t_span"), read_number(ends[1], "the end of t_span")
+
+
+class OutputTimes(NamedTuple):
+    """Output times, with the number of the step at or before each and the remaining time `length` after it."""
+
+    t: NDArray[np.float64]
+    number: NDArray[np.int64]
+    length: NDArray[np.float64]
+
+    @property
+    def marks(self) -> NDArray[np.int64]:
+        """Numbers of the steps from which the output times are reached, and 0."""
+        return np.union1d(self.number, 0)
+
+    @property
+    def ends(self) -> NDArray[np.int64]:
+        """For each output time, the number of the step, whole or partial, that ends there."""
+        return self.number + (self.length != 0.0)
+
+
+def output_times_of(t_eval: Any, times: Times, save_every: Any = 1, whole_steps: bool = False) -> OutputTimes:
+    """Validate `t_eval`, (k,), sorted in the direction of the run and in its span, and locate it among the steps."""
+    if save_every != 1:
+        raise ValueError("the run was given save_every and t_eval; give only one of them")
+    values = read_numbers(t_eval, "t_eval")
+    if values.ndim != 1 or not len(values):
+        raise ValueError(f"t_eval has the shape {values.shape}; it must be a row of times, at least one")
+    if not are_finite(values):
+        raise ValueError("t_eval contains NaN or infinity; every time must be finite")
+    t = np.array(values, dtype=np.float64)
+    forward = times.h > 0.0
+    unsorted = np.flatnonzero(t[1:] < t[:-1] if forward else t[1:] > t[:-1])
+    if len(unsorted):
+        k = int(unsorted[0]) + 1
+        raise ValueError(
+            "t_eval[{}] is {} and comes after {}; times must be sorted in the direction of t_span".format(
+                k, *distinct(t[k], t[k - 1])
+            )
+        )
+    beyond = accumulated_rounding(max(len(t), times.steps + 1), times.t0, times.end, abs(times.h))
+    low, high = (times.t0, times.end) if forward else (times.end, times.t0)
+    outside = np.flatnonzero((t < low - beyond) | (t > high + beyond))
+    if len(outside):
+        k = int(outside[0])
+        found, first, last = distinct(t[k], times.t0, times.end)
+        raise ValueError(f"t_eval[{k}] is {found}; it must lie within t_span, from {first} to {last}")
+    tolerance = beyond
+    if not whole_steps:
+        tolerance = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
+    steps = np.clip((t - times.t0) / times.h, 0, times.steps)
+    nearest = np.rint(steps).astype(np.int64)
+    at_step = (np.abs(t - times.at(nearest)) <= tolerance) | (t < low) | (t > high)
+    before = np.minimum(np.floor(steps).astype(np.int64), max(times.steps - 1, 0))
+    # Division may round up to a whole number from just below.
+    early = (t - times.at(before)) * (1.0 if forward else -1.0) < 0.0
+    number = np.where(at_step, nearest, before - early)
+    return OutputTimes(t, number, np.where(at_step, 0.0, t - times.at(number)))

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from coadjoint.runs.crossings.crossings import minimize_each, roots
+from coadjoint.runs.crossings import minimize_each, roots
 from coadjoint.runs.times import times_of
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U

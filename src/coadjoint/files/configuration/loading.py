@@ -37,11 +37,10 @@ from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import chosen_for, integrate
-from coadjoint.runs.output_times import output_times_of
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, with_choice
 from coadjoint.runs.start import momenta_of, start_of
-from coadjoint.runs.times import times_of
+from coadjoint.runs.times import output_times_of, times_of
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.validation import read_path
 

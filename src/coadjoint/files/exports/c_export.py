@@ -38,7 +38,6 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.forced import Forced
 from coadjoint.program.blocks import BlockKind
 from coadjoint.program.term_table import FUNCTION, Terms
-from coadjoint.runs.inputs import InputLoops
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
@@ -222,8 +221,9 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
         scheme = Forced(cast(Forced, scheme).inner)
     if prepared.inputs is None:
         return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
-    loops = InputLoops(prepared.inputs, scheme, 1.0, prepared.representation)
-    return loops.base.compiled[0], _Numbers(_entries(prepared, loops.tables))
+    loops = prepared.inputs.loops(scheme, 1.0, prepared.representation)
+    assert loops.writable is not None
+    return loops.compiled[0], _Numbers(_entries(prepared, loops.writable))
 
 
 def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, str, int], int]:

@@ -13,6 +13,7 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.shifts.shift import quadratic_entries
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.start import group_size, matrices_of
 from coadjoint.systems.parameter_differences import DISTANCE, NODES, WEIGHTS
 
 Floats = NDArray[np.float64]
@@ -30,7 +31,8 @@ class AttitudeDerivatives:
     ) -> None:
         # (casimirs,), or (members, casimirs) if members differ
         self.factors = np.array([factor for _, factor in shift]) if of_members is None else of_members
-        rho = -np.swapaxes(_dual_coadjoint(system), 1, 2) if isinstance(representation, str) else representation
+        coadjoint = matrices_of(representation) == "coadjoint"
+        rho = -np.swapaxes(_dual_coadjoint(system), 1, 2) if coadjoint else representation
         # X = sum over Casimirs c and coordinates j of factors[c] x0[j] of_casimir[c, j].
         self.of_casimir = np.zeros((len(shift), system.dim, *rho.shape[1:]))
         for number, (casimir, _) in enumerate(shift):
@@ -120,7 +122,7 @@ class ElementDifferences:
                 raise TypeError(f"attitudes by {self._method} have no derivatives; take Splitting or GaussLegendre")
             # The system is stored with its loops: its number is not used for another one.
             self._steps[id(system)] = system, PartialSteps(system, self._method, loops)
-        d = system.dim if isinstance(self._representation, str) else self._representation.shape[1]  # type: ignore[union-attr]
+        d = group_size(system, self._representation)
         count, units = len(x), np.tile(np.eye(d).ravel(), (len(x), 1))
         owners = np.zeros(count, dtype=np.int64)
         _, groups = self._steps[id(system)][1].take(

@@ -50,9 +50,7 @@ class Gradient(Mapping[str, Any]):
         return len(self._values)
 
     def __repr__(self) -> str:
-        arrays = {name: value for name, value in self.items() if not isinstance(value, Mapping)}
-        for group in (value for value in self.values() if isinstance(value, Mapping)):
-            arrays |= group
+        arrays = {name: value for name, value in self.items() if name != INPUTS} | self._values.get(INPUTS, {})
         return f"<gradient by {', '.join(f'{name} {np.shape(value)}' for name, value in arrays.items())}>"
 
 
@@ -230,8 +228,8 @@ class Pullback:
         arrays = dict(values)
         if of_inputs is not None:
             values[INPUTS] = {
-                name: (of_inputs if one.by_member else of_inputs.sum(axis=0))[..., one.indices]
-                for name, one in trajectory.inputs.items()
+                name: (of_inputs if own else of_inputs.sum(axis=0))[..., indices]
+                for name, (indices, own) in trajectory.inputs.items()
             }
             arrays |= {f"{INPUTS}.{name}": one for name, one in values[INPUTS].items()}
         gradient = Gradient(values, {name: rule for name, rule in tables.rules.items() if name in wanted})

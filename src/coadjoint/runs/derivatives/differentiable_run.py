@@ -22,11 +22,11 @@ from coadjoint.runs.derivatives.input_derivatives import INPUTS, by_linear, with
 from coadjoint.runs.derivatives.run_tables import build_tables, tables_of_members
 from coadjoint.runs.derivatives.stretches import ONE, Stretch, carry
 from coadjoint.runs.events import Event
-from coadjoint.runs.output_times import OutputTimes, check_partial_steps, resample
+from coadjoint.runs.partial_steps import check_partial_steps, resample
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.short_repr import distinct
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import Parameter, parameters_of
@@ -121,6 +121,7 @@ class Trajectory:
     finished = False  # whether every stretch is one step that starts from the saved state after the one before
     saved_rows: Any = slice(None)  # outputs that are the points of the solution
     workers = threads_inside = 1  # threads, and those that may share a member
+    inputs: dict[str, tuple[NDArray[np.int64], bool]]  # indices among the values, and whether members have their own
     deviation = 0.0  # largest relative error of a state from which the flows of a step were undone
     solution: Solution
     t: Floats
@@ -134,7 +135,7 @@ class Trajectory:
         self.system = prepared.system_at(self.values)
         indices = {} if run.inputs is None else run.inputs.indices
         by_member = {name for name, value in given.inputs.items() if np.ndim(value) > indices[name].ndim}
-        self.inputs = {name: GivenInput(one, name in by_member) for name, one in indices.items()}
+        self.inputs = {name: (one, name in by_member) for name, one in indices.items()}
         self.members, self.n = self.start.momenta.shape
         self.side = self.start.groups.shape[1]
         self._integrate(run, given, moments)
@@ -262,13 +263,6 @@ class Trajectory:
                 residual=float("nan"),
                 partial=self.solution,
             )
-
-
-class GivenInput(NamedTuple):
-    """The indices of an input among the values, in their shape, and whether each member has its own value."""
-
-    indices: NDArray[np.int64]
-    by_member: bool
 
 
 def parameters_of_run(system: Any) -> Mapping[str, Parameter]:

@@ -64,8 +64,8 @@ class Directions:
             shapes["attitude0"] = (d, d) if single else (members, d, d)
         shapes |= {name: parameter.value.shape for name, parameter in run.parameters.items()}
         shapes |= {
-            f"{INPUTS}.{name}": (members, *one.indices.shape) if one.by_member else one.indices.shape
-            for name, one in trajectory.inputs.items()
+            f"{INPUTS}.{name}": (members, *indices.shape) if by_member else indices.shape
+            for name, (indices, by_member) in trajectory.inputs.items()
         }
         given = _flat(given, run)
         counts: dict[str, int | None] = {}
@@ -114,14 +114,13 @@ class Directions:
         directed = {name: one for name, one in trajectory.inputs.items() if f"{INPUTS}.{name}" in arrays}
         self.inputs: Floats | None = None
         if directed and trajectory.values is not None:
-            by_member = any(one.by_member for one in directed.values())
-            leading = (members, self.count) if by_member else (self.count,)
+            leading = (members, self.count) if any(each for _, each in directed.values()) else (self.count,)
             self.inputs = np.zeros((*leading, trajectory.values.shape[-1]))
-            for name, one in directed.items():
+            for name, (indices, by_member) in directed.items():
                 found = rows(f"{INPUTS}.{name}")
-                found = np.swapaxes(found, 0, 1) if one.by_member else found
-                leading = found.shape[: found.ndim - one.indices.ndim]
-                self.inputs[..., one.indices.ravel()] = found.reshape(*leading, -1)
+                found = np.swapaxes(found, 0, 1) if by_member else found
+                leading = found.shape[: found.ndim - indices.ndim]
+                self.inputs[..., indices.ravel()] = found.reshape(*leading, -1)
 
     @property
     def names(self) -> list[str]:
@@ -216,19 +215,22 @@ def tangents_of_run(
 
 def _flat(given: Any, run: DifferentiableRun) -> dict[str, Any]:
     """Return directions by name, with those of inputs as "inputs.name"."""
-    if not isinstance(given, Mapping):
-        raise TypeError(f"directions is {short(given)}; give a mapping from names to arrays")
-    found = dict(given)
+    found = read_mapping(given, "directions", "names")
     if run.inputs is None:
         return found
-    of_inputs = found.pop(INPUTS, {})
-    if not isinstance(of_inputs, Mapping):
-        raise TypeError(f"the direction inputs is {short(of_inputs)}; give a mapping from names of inputs to arrays")
+    of_inputs = read_mapping(found.pop(INPUTS, {}), "the direction inputs", "names of inputs")
     for name, value in of_inputs.items():
         if name not in run.inputs.indices:
             raise unknown_name("input of this run", name, run.inputs.indices)
         found[f"{INPUTS}.{name}"] = value
     return found
+
+
+def read_mapping(given: Any, what: str, keys: str) -> dict[str, Any]:
+    """Validate a mapping to arrays and return a copy."""
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{what} is {short(given)}; give a mapping from {keys} to arrays")
+    return dict(given)
 
 
 def _tangents_at_outputs(

@@ -116,7 +116,7 @@ class StepTangents:
     ) -> None:
         units = np.eye(n + len(inputs), n) if vectors is None else vectors
         count = len(units)
-        self._tables, self._tangents = tables, np.zeros((1, count, n))
+        self._tables, self._tangents, self._compiled = tables, np.zeros((1, count, n)), not callable(tables.forward)
         self._units, self._momenta = units, np.zeros((1, n))
         self._h, self._fixed = h, None
         if INPUTS not in tables.coefficients:
@@ -132,14 +132,14 @@ class StepTangents:
 
     def _prepared(self, table: Any) -> Any:
         """Return a table as the compiled loop reads it, or itself for steps in Python."""
-        return as_structure(table) if isinstance(self._tables.forward, str) else table
+        return as_structure(table) if self._compiled else table
 
     def __call__(self, x: Floats, t: float, values: Floats | None) -> Floats | None:
         """Return the derivatives side by side, (n, n + k), at values of the inputs; None if they are not finite."""
         structure = self._fixed if values is None else self._tables.tables_at(self._h, values)
         self._momenta[0], self._tangents[0] = x, self._units
         run = self._run
-        if isinstance(self._tables.forward, str):
+        if self._compiled:
             run.t0 = t
         else:
             run = run._replace(t0=t)

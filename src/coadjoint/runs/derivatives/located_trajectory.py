@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,14 +14,12 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.crossings.crossings import WatchedEvents
+from coadjoint.runs.crossings import WatchedEvents, coordinate_of
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.stretches import Stretch
 from coadjoint.runs.events import RecordedEvents
-from coadjoint.runs.loops.loops import Loops
-from coadjoint.runs.output_times import OutputTimes
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import NODES, WEIGHTS
@@ -41,7 +39,7 @@ class LocatedTrajectory(Trajectory):
         assert self.start.single
         self.solution = prepared.run(**given.keywords)
         steps = prepared.at_fixed_steps(run.scheme)
-        self.loops = cast(Loops, steps.loops(times.h))
+        self.loops = steps.loops(times.h)
         self.parts = PartialSteps(run.system, run.scheme, self.loops)
         found = self.solution.events
         crossing_times = np.zeros(0) if found is None else found.t
@@ -196,10 +194,9 @@ class CrossingDerivatives:
 
 def _gradient(system: Any, g: Any, x: Floats, t: float) -> Floats:
     """Return the gradient of the function of an event."""
-    if isinstance(g, str):
-        g = coordinates_of(system).index(g)
-    if isinstance(g, int | np.integer):
-        return np.asarray(np.eye(len(x))[g])
+    number = coordinate_of(g, "", coordinates_of(system), len(x))
+    if number is not None:
+        return np.asarray(np.eye(len(x))[number])
     return np.asarray(derivative_of(function_of_rows(system, g, t), x).derivative[0])
 
 

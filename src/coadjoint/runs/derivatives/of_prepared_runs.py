@@ -7,7 +7,7 @@ own steps, are differentiated each by a run of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +16,11 @@ from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
 from coadjoint.runs.derivatives.backward import Cotangents, Gradient, Pullback
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
-from coadjoint.runs.derivatives.forward import Tangents, check_shape, tangents_of_run
+from coadjoint.runs.derivatives.forward import Tangents, check_shape, read_mapping, tangents_of_run
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
 from coadjoint.runs.derivatives.run_tables import differ_in_columns
-from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, to_array
 
 REVERSES = ("exact", "reversible")
@@ -79,7 +77,7 @@ def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
     several = prepared.system.is_batch
     if several and not (given.events or prepared.method.own_steps):
         pieces = [len(members) for members, _ in _in_columns(prepared)]
-        several = pieces != [len(prepared.system)] or cast(Loops, prepared.loops(prepared.step)).order is not None
+        several = pieces != [len(prepared.system)] or prepared.loops(prepared.step).order is not None
     if given.events or prepared.method.own_steps:
         several = several or np.ndim(given.x0) > len(prepared.system.shape)
     if several and prepared.takes_inputs:
@@ -119,7 +117,7 @@ def _in_columns(prepared: PreparedRun) -> list[tuple[NDArray[np.int64], Prepared
         return []
     cache = prepared.cache
     if cache.in_columns is None:
-        loops = cast(Loops, prepared.loops(prepared.step))
+        loops = prepared.loops(prepared.step)
         parts = [(members, prepared.sampled(members)) for members in loops.in_columns]
         cache.in_columns = [(members, run) for members, run in parts if differ_in_columns(run)]
     return cache.in_columns
@@ -129,8 +127,7 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
     """Return the solution of all members, and the tangents of each, side by side."""
     solution, pieces = _pieces(prepared, given)
     count, points, parameters = len(solution.x0), len(solution.t), prepared.parameters
-    if not isinstance(directions, Mapping):
-        raise TypeError(f"directions is {short(directions)}; give a mapping from names to arrays")
+    directions = read_mapping(directions, "directions", "names")
     leading: dict[str, Any] = {}
     for name, value in directions.items():
         shape = (count, *prepared.system.shape) if name == "x0" else None

@@ -12,8 +12,9 @@ from coadjoint.errors import unknown_name
 from coadjoint.runs.derivatives.backward import Pullback, read_cotangents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import tangents_of_outputs
-from coadjoint.runs.output_times import check_partial_steps
+from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.start import group_size
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
 
@@ -58,8 +59,7 @@ class ParametrizedRun:
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
         self.saved_times: Floats = times.saved_times if moments is None else moments.t
         self._points = len(self.saved_times)
-        group = prepared.representation
-        self._side = 0 if group is None else prepared.system.dim if isinstance(group, str) else group.shape[-1]
+        self._side = group_size(prepared.system, prepared.representation)
         self._shapes = {name: parameter.value.shape for name, parameter in self._run.parameters.items()}
         inputs = prepared.inputs
         self._shapes |= {} if inputs is None else {name: one.shape for name, one in inputs.indices.items()}

@@ -23,9 +23,9 @@ from coadjoint.methods.protocol.derivative_tables import (
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives, ElementDifferences
 from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
-from coadjoint.runs.inputs import InputLoops, Inputs
+from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.groups import Columns
-from coadjoint.runs.loops.loops import Loops, loops_of_system
+from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.preparation import Preparation
 from coadjoint.systems.parameters import check_may_change, force_numbers, parameters_of
@@ -50,12 +50,8 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
     inner = _of_scheme(run, plain, of_plain, h, in_energy, by_inputs and of_plain is not None)
     entries = _flow_entries(run, names)
     attitudes = None if representation is None else AttitudeDerivatives(plain, inner.shift, representation)
-    loops: dict[float, Any] = {
-        c: loops_of_system(plain, run.base, c * h, representation)
-        if of_plain is None
-        else InputLoops(of_plain, run.base, c * h, representation)
-        for c in dict.fromkeys(scheme.fractions)
-    }
+    loops_of = partial(loops_of_system, plain) if of_plain is None else of_plain.loops
+    loops = {c: loops_of(run.base, c * h, representation) for c in dict.fromkeys(scheme.fractions)}
 
     def entries_at(values: Floats) -> list[FlowEntry]:
         if inputs is None:
@@ -69,7 +65,7 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
         inner_values: tuple[Floats, ...] = ()
         if of_plain is not None:
             inner_values = (values[: len(of_plain.values)],)
-            of_steps = {c: one.at(*inner_values) for c, one in loops.items()}
+            of_steps = {c: one.with_values(*inner_values) for c, one in loops.items()}
         structures = {c * step: inner.tables_at(c * step, *inner_values) for c in loops}
         parts = {c * step: PartialSteps(system.unforced, run.base, one) for c, one in of_steps.items()}
         return ForcedSteps(system, inner, scheme, structures, parts, entries_at(values), attitudes)
@@ -89,7 +85,7 @@ def differ_in_columns(prepared: Preparation) -> bool:
 
 def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) -> DerivativeTables:
     """Return the tables of the members of a batch, which differ in columns."""
-    systems, loops = run.system.systems, cast(Loops, run.prepared.loops(run.prepared.step))
+    systems, loops = run.system.systems, run.prepared.loops(run.prepared.step)
     columns = cast(Columns, loops.columns_of_members)
     energies = {name: [run.energy(name, m) for m in range(len(systems))] for name in names}
     tables = run.base.derivative_tables(

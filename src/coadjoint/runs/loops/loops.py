@@ -18,18 +18,19 @@ from coadjoint.kernels.loop import CompiledLoop, MemberBatch
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
-from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.groups import Columns, Group, batches_of_groups, groups_of, individual_groups, split_members
 from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, corrected_groups_each, uncorrected_groups
-from coadjoint.runs.start import Representation, Start, unit_groups
+from coadjoint.runs.results.observables import MatrixInvariants
+from coadjoint.runs.start import Start, unit_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
+    from coadjoint.kernels.tables.writable import WritableTables
     from coadjoint.systems.system_stacks import SystemStack
 
 UNTRACKED = Quadratic(0.0)
@@ -38,48 +39,6 @@ BATCHES_PER_ROUND = 8
 """Per thread. An interrupt waits until the round ends; each batch costs a call from Python."""
 GroupCorrection = Callable[[Start, Times, NamedArrays, int], NDArray[np.float64]]
 Floats = NDArray[np.float64]
-
-
-class MatrixInvariants:
-    """The energy and the invariants of a system of matrices, and with `accounts` the same minus the work of forces."""
-
-    def __init__(self, system: MatrixSystem, names: Sequence[str], accounts: Sequence[tuple[str, str]]) -> None:
-        self._system, self._names, self._accounts = system, names, accounts
-
-    def measure(
-        self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
-    ) -> None:
-        """Compute the values at new saved `points` in place, and the largest deviations, `worst`, in each tenth."""
-        if not len(points):
-            return
-        first = self._values(start.momenta, times.t0)
-        for k in points.tolist():
-            number = int(times.saved[k])
-            values = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
-            tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
-            with np.errstate(invalid="ignore"):  # members may be about to overflow
-                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(values - first))
-
-    def at(self, states: Floats, t: Floats) -> Floats:
-        """Return the values of states (m, size) at times (m,)."""
-        return np.concatenate([self._values(x[None], time) for x, time in zip(states, t.tolist(), strict=True)])
-
-    def _values(self, states: Floats, t: float) -> Floats:
-        system = self._system
-        # States after a failure are NaN; user functions are not called on them.
-        finite = np.isfinite(states[:, : system.dim]).all(axis=-1)
-        result = np.full((len(states), len(self._names) * (2 if self._accounts else 1)), np.nan)
-        W = system.from_vector(states[finite, : system.dim])
-        with np.errstate(all="ignore"):
-            values = [system.energy(W, t), *system.casimirs_at(W).values()]
-        if self._accounts:
-            # Minus the work of the forces, from the accounts of a state; the start has none.
-            work = {name: np.zeros(len(W)) for name in self._names}
-            for (_, name), column in zip(self._accounts, states[finite, system.dim :].T, strict=False):
-                work[name] += column
-            values += [value - work[name] for value, name in zip(values, self._names, strict=True)]
-        result[finite] = np.stack(values, axis=-1)
-        return result
 
 
 class Loops:
@@ -137,6 +96,7 @@ class Loops:
             self.order = None if np.array_equal(members, np.arange(len(members))) else members
         self._rounds: tuple[tuple[int, int], list[list[MemberBatch]]] | None = None
         self._base: Loops | None = None
+        self.writable: WritableTables | None = None  # of a run with inputs
 
     @property
     def in_columns(self) -> list[NDArray[np.int64]]:
@@ -208,6 +168,22 @@ class Loops:
         """Return the loops of the same system with other tables, of the same structure."""
         return self._copy(groups=groups, _base=self)
 
+    def with_values(self, values: Floats) -> Loops:
+        """Return the loops of a call with these values of the inputs, (m,) or (members, m)."""
+        tables, (group,) = self.writable, self.groups
+        assert tables is not None
+        try:
+            if values.ndim == 1:
+                return self.with_groups([Group(None, group.loop, *tables.shared(values))])
+            if not tables.separate_tables:
+                return self.with_groups([Group(None, group.loop, *tables.each(values))])
+            each = [tables.shared(row) for row in values]
+        except OverflowError:
+            raise ValueError(
+                "the linear term is too large: a completed square overflows; give smaller inputs"
+            ) from None
+        return self.with_groups(individual_groups((group.loop, *pair) for pair in each))
+
     def at_step(self, h: float) -> Loops | None:
         """Return the loops of another step, by the same tables; None if they must be built again."""
         from coadjoint.kernels.tables.flow import FlowTables, at_step
@@ -237,26 +213,15 @@ class Loops:
         compiled, watches = ([parts[k] for k in chosen] for parts in (self.compiled, self.watches))
         systems, corrected = np.unique(self._corrected[members], return_inverse=True)
         corrections = [self.corrections[k] for k in systems.tolist()]
-        if self._numbers is None:
-            fields = self.dim, self.names, compiled, watches, corrections, owners, self.in_order
-            return Loops(*fields, corrected=corrected)
-        numbers, columns = self._numbers[members], [self._columns[k] for k in chosen]
-        for k, one in enumerate(columns):
-            if one is not None:
-                used, numbers[owners == k] = np.unique(numbers[owners == k], return_inverse=True)
-                columns[k] = one.take(used)
-        return Loops(
-            self.dim,
-            self.names,
-            compiled,
-            watches,
-            corrections,
-            owners,
-            self.in_order,
-            columns=columns,
-            numbers=numbers,
-            corrected=corrected,
-        )
+        columns, numbers = [], self._numbers
+        if numbers is not None:
+            columns, numbers = [self._columns[k] for k in chosen], numbers[members]
+            for k, one in enumerate(columns):
+                if one is not None:
+                    used, numbers[owners == k] = np.unique(numbers[owners == k], return_inverse=True)
+                    columns[k] = one.take(used)
+        fields = self.dim, self.names, compiled, watches, corrections, owners, self.in_order
+        return Loops(*fields, columns=columns, numbers=numbers, corrected=corrected)
 
     def attitude_may_overflow(self, start: Start, times: Times) -> bool:
         """Whether `corrected_groups` may return infinite elements although those of the loops are finite."""
@@ -309,9 +274,11 @@ class Loops:
 
     @property
     def is_picklable(self) -> bool:
-        """Whether the loops can be pickled: all addresses in their tables are those of functions."""
+        """Whether the loops can be pickled: without inputs, if all addresses in their tables are those of functions."""
         from coadjoint.kernels.pickling import is_picklable, loop_is_picklable
 
+        if self.writable is not None:
+            return False
         return all(map(loop_is_picklable, self.compiled)) and all(
             is_picklable(watch.keepalive) for watch in self.watches
         )
@@ -320,7 +287,7 @@ class Loops:
         """Return the attributes, with the tables in a form that can be pickled."""
         from coadjoint.kernels.pickling import picklable_loop, picklable_tables
 
-        derived = ("compiled", "watches", "groups", "order", "_rounds", "_base")
+        derived = ("compiled", "watches", "groups", "order", "writable", "_rounds", "_base")
         watches = [picklable_tables(watch.tables, watch.keepalive) for watch in self.watches]
         tables = [picklable_loop(loop) for loop in self.compiled], watches
         return {name: value for name, value in vars(self).items() if name not in derived} | {"tables": tables}

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.tables.recording import schedule_of
+from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.runs.start import Representation, Start
+from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System
 from coadjoint.validation import SMALL_SIZE

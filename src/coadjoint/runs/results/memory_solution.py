@@ -49,7 +49,8 @@ class MemorySolution(Solution):
     _layout: Layout
     _numbers: Floats
     _base: System | Batch
-    _momenta: Floats
+    _momenta: Floats | None = None
+    """Of a run of one vector; its start is made on first use."""
 
     @cached_property
     def _saved(self) -> NamedArrays:
@@ -73,12 +74,12 @@ class MemorySolution(Solution):
 
     @cached_property
     def _start(self) -> Start:
-        # Of a run of one vector, of which only the momenta are given.
+        assert self._momenta is not None
         return start_without_groups(self._base, self._momenta[None], True)
 
     @cached_property
     def x(self) -> NDArray[Any]:
-        if "_momenta" in vars(self):
+        if self._momenta is not None:
             saved = self._layout.saved
             return self._numbers[saved.slices["x"]].reshape(saved.shapes["x"])[:, 0]
         rows = self._without_member_axis(self._points("x"))

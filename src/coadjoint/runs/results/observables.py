@@ -1,8 +1,8 @@
-"""Observed quantities (`observe`): compiled once, evaluated at the saved points."""
+"""Observed quantities (`observe`), compiled once, and invariants of matrices, evaluated at the saved points."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import in_one_line
+from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.tables.recording import values_along
+from coadjoint.runs.start import Start
+from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -19,11 +22,13 @@ from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_number
 
+Floats = NDArray[np.float64]
+
 
 class Observed:
     """Quantities evaluated at saved points; each function is called once at x0 for validation."""
 
-    def __init__(self, system: System, observe: Mapping[str, Any], x0: NDArray[np.float64]) -> None:
+    def __init__(self, system: System, observe: Mapping[str, Any], x0: Floats) -> None:
         from coadjoint.kernels.tables.invariants import watch_tables
 
         self._names, self._matrices = list(observe), system.unforced if system.has_matrices else None
@@ -46,7 +51,7 @@ class Observed:
         }
         self._compiled, self._values_along = watch_tables(system, wrapped), values_along
 
-    def along(self, t: NDArray[np.float64], points: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    def along(self, t: Floats, points: Floats) -> dict[str, Floats]:
         """Return the values (k, members) of every quantity at the times (k,) and points (k, members, n)."""
         if self._matrices is not None:
             return {name: self._of_matrices(name, t, points) for name in self._names}
@@ -55,7 +60,7 @@ class Observed:
         self._values_along(self._compiled.tables, points, t, out)
         return {name: out[..., i + 1] for i, name in enumerate(self._names)}
 
-    def _of_matrices(self, name: str, t: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _of_matrices(self, name: str, t: Floats, points: Floats) -> Floats:
         """Evaluate a Python function of a matrix at all points; NaN for failed members."""
         assert self._matrices is not None
         function, system = self._quantities[name], self._matrices
@@ -66,6 +71,48 @@ class Observed:
             value = function(W, float(t[k])) if timed else function(W)
             values[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
         return values
+
+
+class MatrixInvariants:
+    """The energy and the invariants of a system of matrices, and with `accounts` the same minus the work of forces."""
+
+    def __init__(self, system: MatrixSystem, names: Sequence[str], accounts: Sequence[tuple[str, str]]) -> None:
+        self._system, self._names, self._accounts = system, names, accounts
+
+    def measure(
+        self, times: Times, start: Start, saved: NamedArrays, worst: NDArray[Any], points: NDArray[np.int64]
+    ) -> None:
+        """Compute the values at new saved `points` in place, and the largest deviations, `worst`, in each tenth."""
+        if not len(points):
+            return
+        first = self._values(start.momenta, times.t0)
+        for k in points.tolist():
+            number = int(times.saved[k])
+            values = saved["values"][k] = self._values(saved["x"][k], float(times.at(times.saved[k])))
+            tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
+            with np.errstate(invalid="ignore"):  # members may be about to overflow
+                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(values - first))
+
+    def at(self, states: Floats, t: Floats) -> Floats:
+        """Return the values of states (m, size) at times (m,)."""
+        return np.concatenate([self._values(x[None], time) for x, time in zip(states, t.tolist(), strict=True)])
+
+    def _values(self, states: Floats, t: float) -> Floats:
+        system = self._system
+        # States after a failure are NaN; user functions are not called on them.
+        finite = np.isfinite(states[:, : system.dim]).all(axis=-1)
+        result = np.full((len(states), len(self._names) * (2 if self._accounts else 1)), np.nan)
+        W = system.from_vector(states[finite, : system.dim])
+        with np.errstate(all="ignore"):
+            values = [system.energy(W, t), *system.casimirs_at(W).values()]
+        if self._accounts:
+            # Minus the work of the forces, from the accounts of a state; the start has none.
+            work = {name: np.zeros(len(W)) for name in self._names}
+            for (_, name), column in zip(self._accounts, states[finite, system.dim :].T, strict=False):
+                work[name] += column
+            values += [value - work[name] for value, name in zip(values, self._names, strict=True)]
+        result[finite] = np.stack(values, axis=-1)
+        return result
 
 
 def _check_matrix_functions(system: MatrixSystem, observe: Mapping[str, Any]) -> None:
@@ -89,7 +136,7 @@ def check_observe(observe: Any) -> dict[str, Any]:
     return dict(observe)
 
 
-def _value_at(quantity: Any, name: str, x0: NDArray[np.float64]) -> Any:
+def _value_at(quantity: Any, name: str, x0: Floats) -> Any:
     """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
     try:
         return 0.0 if isinstance(quantity, Polynomial | Quadratic) or takes_time(quantity, name) else quantity(x0)

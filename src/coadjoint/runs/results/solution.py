@@ -10,18 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import NamedValues, suggest_keywords, unknown_solution_attribute
-from coadjoint.runs.events import TerminalEvent
 from coadjoint.runs.results.drift import Drift, scales_of_invariants
-from coadjoint.runs.results.solution_attributes import SolutionAttributes, StateAt, unfinished_members
+from coadjoint.runs.results.solution_attributes import SolutionAttributes, unfinished_members
 from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, table_of_run
-from coadjoint.runs.start import Start
-from coadjoint.runs.times import Times
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.validation import read_bool
 
-COPIED = (*(name for name in vars(SolutionAttributes) if name[0] != "_"), "_accounts", "_worst", "_starts")
+DECLARED = [name for name, value in vars(SolutionAttributes).items() if type(value) is cached_property]
+COPIED = (*DECLARED, "_accounts", "_worst", "_starts")
 """Fields of copies; those of `ESTIMATES` if they are known."""
 ESTIMATES = ("_errors_at_end", "_step_error")
 
@@ -60,25 +58,6 @@ class Solution(SolutionOutput):
     _in_memory = True
     _starts: NDArray[np.float64] | None = None
     """Initial momenta of a run with `accuracy`, (members, n)."""
-    if TYPE_CHECKING:
-        # Force and invariant of each column of recorded work.
-        @cached_property
-        def _accounts(self) -> tuple[tuple[str, str], ...]: ...
-
-        # Largest deviation of each invariant in each tenth of the run, then, with forces, those of the balances,
-        # (tenths, k) or (members, tenths, k).
-        @cached_property
-        def _worst(self) -> NDArray[np.float64]: ...
-
-        # Of all but copies.
-        @cached_property
-        def _times(self) -> Times: ...
-
-        @cached_property
-        def _ending(self) -> TerminalEvent | None: ...
-
-        @cached_property
-        def _start(self) -> Start: ...
 
     def __init__(self, fields: dict[str, Any]) -> None:
         object.__setattr__(self, "__dict__", fields)
@@ -341,118 +320,6 @@ class Solution(SolutionOutput):
         except ValueError:  # a run that was read, with functions that are not stored
             system = None
         return scales_of_invariants(system, self.x0, self.initial)
-
-    @suggest_keywords
-    def spectrum(self) -> NDArray[Any]:
-        """Return the eigenvalues of the saved matrices of a `MatrixSystem`, invariants of isospectral schemes.
-
-        Returns
-        -------
-        ndarray, shape (k, N) or (k, members, N)
-            As returned by `MatrixSystem.spectrum`; NaN where a member has failed.
-
-        Raises
-        ------
-        TypeError
-            The states are not matrices.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> import numpy as np
-        >>> s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W: W.T)
-        >>> sol = co.integrate(s, np.diag([1.0, 2.0, 3.0]) + 0.1, t_span=(0, 1), step=0.1)
-        >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
-        True
-        """
-        if not self.system.has_matrices:
-            raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
-        axes = 1 if self.failed is None else 2  # of times and members
-        finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))
-        values = self.system.unforced.spectrum(self.x[finite])
-        spectra = np.full((*finite.shape, values.shape[-1]), np.nan, dtype=values.dtype)
-        spectra[finite] = values
-        return spectra
-
-    @suggest_keywords
-    def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
-        """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
-
-        The steps are the exact motion of a slightly different system, and this is the energy of that system. It is
-        constant up to O(step^order), while `energy` oscillates.
-
-        Parameters
-        ----------
-        order : int
-            Terms below step^order are included; see `coadjoint.modified_hamiltonian`. For a scheme of order 2, order=2
-            gives `energy`.
-
-        Returns
-        -------
-        ndarray, shape (k,) or (k, members)
-            As `energy`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            The scheme or the system has no modified Hamiltonian; see `coadjoint.modified_hamiltonian`.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
-        >>> sol = co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
-        >>> modified = sol.modified_energy(order=6)
-        >>> float(max(abs(modified - modified[0])) / max(abs(sol.energy - sol.energy[0]))) < 1e-4
-        True
-        """
-        modified_hamiltonian = shortcut("modified_hamiltonian")
-        h = self.step if self.t_span[1] > self.t_span[0] else -self.step
-        if self.system.is_batch:
-            hamiltonians = [modified_hamiltonian(member, self.method, order) for member in self.system]
-            return np.stack([H(self.x[:, m], h) for m, H in enumerate(hamiltonians)], axis=1)
-        return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))
-
-    @suggest_keywords
-    def at(self, t: Any) -> StateAt:
-        """Return the states at any times within the run, as accurate as those at its steps.
-
-        From the saved point before a time, whole steps are recomputed, followed by a partial step of the same scheme.
-        So the state has the order and the conservation properties of the scheme, unlike an interpolating polynomial.
-        For many times, ``integrate(..., t_eval=times)`` is faster. Members of an ensemble that were ended by events, or
-        have not run so far, are NaN after their ends.
-
-        Parameters
-        ----------
-        t : float or array_like, shape (k,)
-            Times within the run, in any order; a time beyond its ends by rounding, as in `integrate`, is that end.
-
-        Returns
-        -------
-        StateAt
-            A named tuple of ``t, x, energy, casimirs, attitude``, with the same shapes as at the saved points; without
-            the first axis if t is a single time.
-
-        Raises
-        ------
-        ValueError
-            A time outside the run or after the ends of all members; too many steps from the saved points; a member that
-            has failed; a force that is a noise, which is defined for whole steps only.
-        IntegrationError
-            A step fails.
-
-        Examples
-        --------
-        >>> import coadjoint as co
-        >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1)
-        >>> sol = co.integrate(body, x0, (0, 10), 0.1, co.GaussLegendre(3), save_every=20)
-        >>> bool(abs(sol.at(3.14159).x - body.exact(x0, 3.14159)).max() < 1e-10)
-        True
-        >>> sol.at([0.5, 9.99]).energy.shape
-        (2,)
-        """
-        found: StateAt = shortcut("state_at")(self, t)
-        return found
 
 
 def with_choice(solution: Solution, choice: Any) -> Solution:

@@ -1,14 +1,17 @@
-"""Conversions of solutions: tables, rotations, figures and movies, and HTML summaries for notebooks."""
+"""What is computed from solutions: states between points, modified energies, tables, figures, HTML summaries."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.runs.results.body_motion import BodyMotion
-from coadjoint.runs.results.solution_attributes import Statistics
+from coadjoint.runs.results.solution_attributes import SolutionAttributes, Statistics
 from coadjoint.short_repr import distinct, html_table
 from coadjoint.shortcuts import shortcut
 
@@ -23,8 +26,164 @@ MAX_CASIMIRS_SHOWN = 4
 """Number of Casimirs shown, largest drift first."""
 
 
-class SolutionOutput(BodyMotion):
-    """Base class of `Solution` with its conversions, figures and movies."""
+class StateAt(NamedTuple):
+    """States at given times, in the shapes of `Solution` at its saved points; without the first axis for a single time.
+
+    Parameters
+    ----------
+    t : float or ndarray, shape (k,)
+        Times.
+    x : ndarray, shape (n,) or (k, n), or with an axis of members before the last
+        Momentum.
+    energy : float or ndarray
+        The Hamiltonian.
+    casimirs : mapping
+        Name -> values.
+    attitude : ndarray or None
+        Group element, if it was computed.
+    """
+
+    t: Any
+    x: Any
+    energy: Any
+    casimirs: Mapping[str, Any]
+    attitude: Any
+
+    def __repr__(self) -> str:
+        times = f"t = {self.t:g}" if np.ndim(self.t) == 0 else f"{len(self.t)} times"
+        parts = {"x": self.x, "energy": self.energy, "casimirs": dict(self.casimirs), "attitude": self.attitude}
+        held = ", ".join(f"{name} {_shown(value)}" for name, value in parts.items() if value is not None)
+        return f"<states at {times}: {held}>"
+
+
+def _shown(value: Any) -> str:
+    """Format a short value for one line; of a large array, its shape."""
+    if isinstance(value, dict):
+        return (
+            "{"
+            + ", ".join(f"{name}: {_shown(entry)}" for name, entry in list(value.items())[:4])
+            + (f", and {len(value) - 4} more}}" if len(value) > 4 else "}")
+        )
+    numbers = np.asarray(value)
+    if numbers.size > 8:
+        return f"of shape {numbers.shape}"
+    return " ".join(np.array2string(numbers, precision=6, separator=", ").split())
+
+
+class SolutionOutput(SolutionAttributes):
+    """Base class of `Solution` with results that other layers compute, conversions, figures and movies."""
+
+    @suggest_keywords
+    def at(self, t: Any) -> StateAt:
+        """Return the states at any times within the run, as accurate as those at its steps.
+
+        From the saved point before a time, whole steps are recomputed, followed by a partial step of the same scheme.
+        So the state has the order and the conservation properties of the scheme, unlike an interpolating polynomial.
+        For many times, ``integrate(..., t_eval=times)`` is faster. Members of an ensemble that were ended by events, or
+        have not run so far, are NaN after their ends.
+
+        Parameters
+        ----------
+        t : float or array_like, shape (k,)
+            Times within the run, in any order; a time beyond its ends by rounding, as in `integrate`, is that end.
+
+        Returns
+        -------
+        StateAt
+            A named tuple of ``t, x, energy, casimirs, attitude``, with the same shapes as at the saved points; without
+            the first axis if t is a single time.
+
+        Raises
+        ------
+        ValueError
+            A time outside the run or after the ends of all members; too many steps from the saved points; a member that
+            has failed; a force that is a noise, which is defined for whole steps only.
+        IntegrationError
+            A step fails.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body, x0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1)
+        >>> sol = co.integrate(body, x0, (0, 10), 0.1, co.GaussLegendre(3), save_every=20)
+        >>> bool(abs(sol.at(3.14159).x - body.exact(x0, 3.14159)).max() < 1e-10)
+        True
+        >>> sol.at([0.5, 9.99]).energy.shape
+        (2,)
+        """
+        found: StateAt = shortcut("state_at")(self, t)
+        return found
+
+    @suggest_keywords
+    def spectrum(self) -> NDArray[Any]:
+        """Return the eigenvalues of the saved matrices of a `MatrixSystem`, invariants of isospectral schemes.
+
+        Returns
+        -------
+        ndarray, shape (k, N) or (k, members, N)
+            As returned by `MatrixSystem.spectrum`; NaN where a member has failed.
+
+        Raises
+        ------
+        TypeError
+            The states are not matrices.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> import numpy as np
+        >>> s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W: W.T)
+        >>> sol = co.integrate(s, np.diag([1.0, 2.0, 3.0]) + 0.1, t_span=(0, 1), step=0.1)
+        >>> bool(abs(sol.spectrum() - sol.spectrum()[0]).max() < 1e-13)
+        True
+        """
+        if not self.system.has_matrices:
+            raise TypeError(f"the states of {self.system.name} are no matrices, and have no spectrum")
+        axes = 1 if self.failed is None else 2  # of times and members
+        finite = np.isfinite(self.x).all(axis=tuple(range(axes, self.x.ndim)))
+        values = self.system.unforced.spectrum(self.x[finite])
+        spectra = np.full((*finite.shape, values.shape[-1]), np.nan, dtype=values.dtype)
+        spectra[finite] = values
+        return spectra
+
+    @suggest_keywords
+    def modified_energy(self, order: int = 4) -> NDArray[np.float64]:
+        """Return the modified Hamiltonian of the scheme and the step of the run, at the saved points.
+
+        The steps are the exact motion of a slightly different system, and this is the energy of that system. It is
+        constant up to O(step^order), while `energy` oscillates.
+
+        Parameters
+        ----------
+        order : int
+            Terms below step^order are included; see `coadjoint.modified_hamiltonian`. For a scheme of order 2, order=2
+            gives `energy`.
+
+        Returns
+        -------
+        ndarray, shape (k,) or (k, members)
+            As `energy`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            The scheme or the system has no modified Hamiltonian; see `coadjoint.modified_hamiltonian`.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
+        >>> sol = co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
+        >>> modified = sol.modified_energy(order=6)
+        >>> float(max(abs(modified - modified[0])) / max(abs(sol.energy - sol.energy[0]))) < 1e-4
+        True
+        """
+        modified_hamiltonian = shortcut("modified_hamiltonian")
+        h = self.step if self.t_span[1] > self.t_span[0] else -self.step
+        if self.system.is_batch:
+            hamiltonians = [modified_hamiltonian(member, self.method, order) for member in self.system]
+            return np.stack([H(self.x[:, m], h) for m, H in enumerate(hamiltonians)], axis=1)
+        return np.asarray(modified_hamiltonian(self.system, self.method, order)(self.x, h))
 
     @suggest_keywords
     def to_xarray(self, grid: Any = None) -> xarray.Dataset:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import read_choice, read_integer
+from coadjoint.validation import is_integer, read_choice, read_integer
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -213,11 +213,11 @@ def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, 
     """Return the names of events: as given, else that of the coordinate, else "event k"."""
     names: list[str] = []
     for k, event in enumerate(events):
-        name = event.name
-        if name is None and isinstance(event.g, str):
-            name = event.g
-        elif name is None and isinstance(event.g, int | np.integer) and 0 <= event.g < len(coordinates):
-            name = coordinates[event.g]
+        name, g = event.name, cast(Any, event.g)
+        if name is None and is_integer(g):
+            name = dict(enumerate(coordinates)).get(g)
+        elif name is None and isinstance(g, str):
+            name = g
         if event.name is None and (name is None or name in names):
             name = f"event {k}"
         if name in names:
@@ -228,24 +228,15 @@ def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, 
 
 def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequence[str], x0: Floats, t0: float) -> Any:
     """Return the object of an event that the kernels compile."""
-    g, n, matrices = event.g, plain_system.dim, plain_system.has_matrices
+    g, n, matrices = cast(Any, event.g), plain_system.dim, plain_system.has_matrices
     if matrices and not callable(g):
         raise TypeError(
             f"the event {name} is about coordinates, and the states of {plain_system.name} are matrices; give a "
             "function of a matrix"
         )
-    if isinstance(g, str) and g not in coordinates and set("+-*/^") & set(g):
-        raise ValueError(
-            f"the event {name} is {short(g)}, which is no coordinate; give a polynomial, "
-            f"co.Polynomial({short(g)}, basis={short(tuple(coordinates), 200)})"
-        )
-    if isinstance(g, str | int | np.integer):
-        i = (
-            coordinates.index(read_choice(g, "coordinate", coordinates))
-            if isinstance(g, str)
-            else read_integer(g, "g", 0, n - 1)
-        )
-        return Quadratic(0.0, linear=np.eye(1, n, i)[0])
+    number = coordinate_of(g, name, coordinates, n)
+    if number is not None:
+        return Quadratic(0.0, linear=np.eye(1, n, number)[0])
     if isinstance(g, Polynomial | Quadratic):
         return g
     timed, start = takes_time(g, name), plain_system.states_of(x0) if matrices else x0
@@ -253,6 +244,20 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
         raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
     return Invariant(MatrixEventFunction(g, plain_system, timed) if matrices else g)
+
+
+def coordinate_of(g: Any, name: str, coordinates: Sequence[str], n: int) -> int | None:
+    """Return the number of the coordinate of the event of this name; None if its g is a function."""
+    if is_integer(g):
+        return read_integer(g, "g", 0, n - 1)
+    if not isinstance(g, str):
+        return None
+    if g not in coordinates and set("+-*/^") & set(g):
+        raise ValueError(
+            f"the event {name} is {short(g)}, which is no coordinate; give a polynomial, "
+            f"co.Polynomial({short(g)}, basis={short(tuple(coordinates), 200)})"
+        )
+    return coordinates.index(read_choice(g, "coordinate", coordinates))
 
 
 class MatrixEventFunction:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import EventArrays, FlaggedSteps
 from coadjoint.memory import check_available_memory
-from coadjoint.runs.crossings.crossings import Crossings, MemberFailure, WatchedEvents
+from coadjoint.runs.crossings import Crossings, MemberFailure, WatchedEvents
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.progress import progress_bar

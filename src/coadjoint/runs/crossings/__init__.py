@@ -1,1 +1,0 @@
-"""Location of events within steps, runs with events, and sections."""
