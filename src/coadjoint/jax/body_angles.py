@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,55 +18,66 @@ UPRIGHT = 0.9
 AXES = (2, 0, 1, 2)
 
 
-class BodyAngles:
-    """Angles 4 b to 4 b + 3 of the rotations of body b of a part; a bond is a spherical body with two momenta."""
+class Angles(NamedTuple):
+    """Angles of the flow of a part `at` its constants, the time tau, a state and a time.
 
-    def __init__(self, table: Mapping[str, Any], part: int) -> None:
-        own = table["state_part"] == part
-        names = ("state_angle", "state_row", "state_column", "state_value")
-        entries = list(zip(*(table[name][own].tolist() for name in names), strict=True))
-        shares = range(*table["share"][part : part + 2].tolist())
-        columns, scales, cells = [], [], []
-        for body, share in enumerate(shares):
-            first = int(table["term_row"][share])
-            weights = [range(*table["entry"][row : row + 2].tolist()) for row in range(first + 1, first + 4)]
-            generators = [{i: (j, value) for q, i, j, value in entries if q == 4 * body + a} for a in (1, 2, 3)]
-            pairs, scale = _coordinates([table["column"][list(row)].tolist() for row in weights], generators)
-            columns.append(pairs)
-            scales.append(scale)
-            # The entries of the inverse inertia in the scaled basis: number, weight, and factor.
-            if self._is_bond(pairs):
-                cells.append((body, 0, weights[0][0], scale[0] ** -2))
-                continue
-            for a, row in enumerate(weights):
-                for e in row:
-                    b = pairs[0].index(int(table["column"][e]))
-                    if (a, b) in PAIRS:
-                        cells.append((body, PAIRS.index((a, b)), e, 1.0 / (scale[a] * scale[b])))
-        self.is_bond = all(map(self._is_bond, columns))  # no part has both
-        self.scale = np.array(scales)
-        self.body, self.cell, index, self.factor = map(np.array, zip(*cells, strict=True))
-        self.index = len(table["offset"]) + index
-        self.shape = len(columns), 6 if self.cell.max() > 2 else 3
-        # The momenta in the scaled basis.
-        body, axis, copy = (k.ravel() for k in np.indices((len(columns), 3, 2 if self.is_bond else 1)))
-        place, n = np.array(columns)[body, copy, axis], int(table["dim"])
-        self.momenta = sparse(3 * body + axis, place, self.scale[body, axis], (3 * len(columns), n))
+    `constants` takes the numbers of the table to those of the part.
+    """
 
-    @staticmethod
-    def _is_bond(pairs: Any) -> bool:
-        return len(pairs) > 1
+    constants: Callable[[Any], Any]
+    at: Callable[[Any, Any, Any, Any], Any]
 
-    def constants(self, numbers: Any) -> Any:
-        """Return the inverse inertia of each body, of which a bond has one number, from the numbers of the table."""
-        return jnp.zeros(self.shape).at[self.body, self.cell].set(self.factor * numbers[self.index])
 
-    def at(self, inverse_inertia: Any, tau: Any, x: Any, t: Any) -> Any:
-        """Return the angles of the flow over the time tau."""
-        z = self.momenta.times(x).reshape(-1, 3)
-        quaternion = _bond_quaternion if self.is_bond else _body_quaternion
+def body_angles(table: Mapping[str, Any], part: int) -> Angles:
+    """Return the angles 4 b to 4 b + 3 of body b of a part; a bond is a spherical body with two momenta.
+
+    The constants are the inverse inertia of each body, of which a bond has one number.
+    """
+    own = table["state_part"] == part
+    names = ("state_angle", "state_row", "state_column", "state_value")
+    entries = list(zip(*(table[name][own].tolist() for name in names), strict=True))
+    shares = range(*table["share"][part : part + 2].tolist())
+    columns, scales, cells = [], [], []
+    for body, share in enumerate(shares):
+        first = int(table["term_row"][share])
+        weights = [range(*table["entry"][row : row + 2].tolist()) for row in range(first + 1, first + 4)]
+        generators = [{i: (j, value) for q, i, j, value in entries if q == 4 * body + a} for a in (1, 2, 3)]
+        pairs, scale = _coordinates([table["column"][list(row)].tolist() for row in weights], generators)
+        columns.append(pairs)
+        scales.append(scale)
+        # The entries of the inverse inertia in the scaled basis: number, weight, and factor.
+        if _is_bond(pairs):
+            cells.append((body, 0, weights[0][0], scale[0] ** -2))
+            continue
+        for a, row in enumerate(weights):
+            for e in row:
+                b = pairs[0].index(int(table["column"][e]))
+                if (a, b) in PAIRS:
+                    cells.append((body, PAIRS.index((a, b)), e, 1.0 / (scale[a] * scale[b])))
+    is_bond = all(map(_is_bond, columns))  # no part has both
+    of_axes = np.array(scales)
+    owner, cell, index, factor = map(np.array, zip(*cells, strict=True))
+    index = len(table["offset"]) + index
+    shape = len(columns), 6 if cell.max() > 2 else 3
+    # The momenta in the scaled basis.
+    body, axis, copy = (k.ravel() for k in np.indices((len(columns), 3, 2 if is_bond else 1)))
+    place, n = np.array(columns)[body, copy, axis], int(table["dim"])
+    momenta = sparse(3 * body + axis, place, of_axes[body, axis], (3 * len(columns), n))
+
+    def constants(numbers: Any) -> Any:
+        return jnp.zeros(shape).at[owner, cell].set(factor * numbers[index])
+
+    def at(inverse_inertia: Any, tau: Any, x: Any, t: Any) -> Any:
+        z = momenta.times(x).reshape(-1, 3)
+        quaternion = _bond_quaternion if is_bond else _body_quaternion
         angles = jax.vmap(lambda m, z: _angles(quaternion(m, z)))(tau * inverse_inertia, z)
-        return (angles * self.scale[:, list(AXES)]).ravel()
+        return (angles * of_axes[:, list(AXES)]).ravel()
+
+    return Angles(constants, at)
+
+
+def _is_bond(pairs: Any) -> bool:
+    return len(pairs) > 1
 
 
 def _coordinates(columns: Any, generators: Any) -> tuple[list[list[int]], Any]:

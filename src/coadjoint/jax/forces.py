@@ -14,7 +14,7 @@ from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
 from coadjoint.jax.numpy_arrays import on_jax
-from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField
+from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps
 from coadjoint.jax.table_steps import product
 from coadjoint.methods.forced import Forced, substeps_of
 from coadjoint.systems.forces.base import Noise
@@ -24,49 +24,36 @@ Flow = Callable[[Any, Any, Any, Any, Any], Any]
 """The flow of a force: of constants, state, time, duration and member."""
 
 
-class StepsBetweenForces:
-    """Steps of another scheme between half flows of forces, at fractions of the step, as of `methods.Forced`."""
+def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: Forced) -> Steps:
+    """Return steps of another scheme between half flows of forces, at fractions of the step, as of `methods.Forced`.
 
-    def __init__(self, inner: Any, system: Any, field: StageField, scheme: Forced) -> None:
-        self.inner, self.fractions = inner, scheme.fractions
-        plain = system.unforced
-        self.flows: list[Flow] = [
-            force.describe_to(ForceReaders(plain, field, f"a function of {label}", scheme.order), plain)
-            for label, force in system.labelled_forces
-        ]
+    The constants are those of the scheme, and the coefficients of the energy.
+    """
+    plain = system.unforced
+    flows: list[Flow] = [
+        force.describe_to(ForceReaders(plain, field, f"a function of {label}", scheme.order), plain)
+        for label, force in system.labelled_forces
+    ]
 
-    def constants(self, energy: Any) -> Any:
-        """Return the constants of the scheme and the coefficients of the energy."""
-        return self.inner.constants(energy), jnp.asarray(energy)
-
-    def begin(self, constants: Any, start: Any, t: Any, h: Any) -> Any:
-        """Return the state, which is finished between steps."""
-        return start
-
-    def step(self, constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
-        """Take a step."""
+    def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         own, energy = constants
 
         def substep(state: Any, at: Any) -> Any:
             (x, attitude), (begin, length) = state, at
             half = 0.5 * length
-            for flow in self.flows:
+            for flow in flows:
                 x = flow(energy, x, begin, half, member)
-            x, attitude = self.inner.whole(own, (x, attitude), begin, length, member)
-            for flow in reversed(self.flows):
+            x, attitude = inner.whole(own, (x, attitude), begin, length, member)
+            for flow in reversed(flows):
                 x = flow(energy, x, begin + half, half, member)
             return (x, attitude), None
 
-        each = substeps_of(self.fractions, t, h)
+        each = substeps_of(scheme.fractions, t, h)
         if len(each) == 1:
             return substep(state, each[0])[0]
         return lax.scan(substep, state, tuple(map(jnp.array, zip(*each, strict=True))))[0]
 
-    def finish(self, constants: Any, state: Any, t: Any, h: Any, start: Any, elapsed: Any) -> Any:
-        """Return the state."""
-        return state
-
-    whole = step
+    return Steps(lambda energy: (inner.constants(energy), jnp.asarray(energy)), step, step)
 
 
 class ForceReaders:

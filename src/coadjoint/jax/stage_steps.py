@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -50,6 +51,27 @@ def sparse(rows: Any, columns: Any, values: Any, shape: tuple[int, int]) -> Spar
     padded = np.zeros((shape[0], width), dtype=np.int64)
     padded[rows, place] = columns
     return Sparse(jnp.zeros((shape[0], width)).at[rows, place].add(values), padded)
+
+
+def _unchanged(constants: Any, state: Any, *_: Any) -> Any:
+    return state
+
+
+class Steps(NamedTuple):
+    """Steps of a scheme. A state is a momentum and the rows of a group element, None in runs without an attitude.
+
+    Between steps a state may be unfinished: `begin(constants, start, t, h)` returns the one of which a state is the
+    finished one, with the unit element; `finish(constants, state, t, h, start, elapsed)` returns the finished state,
+    with the attitude from the start of a run. `constants(energy)` are those for coefficients of the energy.
+    """
+
+    constants: Callable[[Any], Any]
+    step: Callable[..., Any]
+    """A step of an unfinished state: of constants, state, t, h and the number of the member."""
+    whole: Callable[..., Any]
+    """A step of a finished state to a finished state."""
+    begin: Callable[..., Any] = _unchanged
+    finish: Callable[..., Any] = _unchanged
 
 
 class StageField:
@@ -120,25 +142,13 @@ def gradient_of(term: FunctionTerm) -> Any:
     return given
 
 
-class StageSteps:
-    """Steps of an implicit Runge-Kutta method; the constants are the coefficients of the energy."""
+def stage_steps(field: StageField, tableau: Coefficients) -> Steps:
+    """Return the steps of an implicit Runge-Kutta method; the constants are the coefficients of the energy."""
 
-    def __init__(self, field: StageField, tableau: Coefficients) -> None:
-        self.field, self.tableau = field, tableau
-
-    def constants(self, energy: Any) -> Any:
-        """Return the coefficients of the energy."""
-        return jnp.asarray(energy)
-
-    def begin(self, constants: Any, start: Any, t: Any, h: Any) -> Any:
-        """Return the state, which is finished between steps."""
-        return start
-
-    def step(self, constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
-        """Take a step; NaN if its iteration has not converged."""
-        x, tableau = state[0], self.tableau
+    def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
+        x = state[0]
         lengths, times = (h * tableau.scale)[:, None], t + h * tableau.node
-        fields = jax.vmap(self.field.at, (None, 0, 0))
+        fields = jax.vmap(field.at, (None, 0, 0))
 
         def improved(slopes: Any, _: Any) -> Any:
             found = lengths * fields(constants, x + tableau.mix @ slopes, times)
@@ -147,10 +157,6 @@ class StageSteps:
         first = jnp.zeros((len(times), len(x)))
         slopes, corrections = lax.scan(improved, first, None, length=ITERATIONS)
         converged = corrections[-1] <= LARGEST_CORRECTION * jnp.max(jnp.abs(slopes))
-        return jnp.where(converged, x + slopes.sum(axis=0), jnp.nan), None
+        return jnp.where(converged, x + slopes.sum(axis=0), jnp.nan), None  # NaN if the iteration has not converged
 
-    def finish(self, constants: Any, state: Any, t: Any, h: Any, start: Any, elapsed: Any) -> Any:
-        """Return the state."""
-        return state
-
-    whole = step
+    return Steps(jnp.asarray, step, step)

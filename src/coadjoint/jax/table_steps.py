@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,71 +16,22 @@ import numpy as np
 from jax import lax
 from jax.scipy.linalg import expm
 
-from coadjoint.jax.body_angles import BodyAngles
-from coadjoint.jax.stage_steps import Sparse, gradient_of, sparse
+from coadjoint.jax.body_angles import Angles, body_angles
+from coadjoint.jax.stage_steps import Steps, gradient_of, sparse
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, BlockKind
 from coadjoint.program.shifts.group_correction import UnshiftTables
 
 Table = Mapping[str, Any]
 State = tuple[Any, Any]
 """A state, and the rows of the group element, None in runs without an attitude."""
+BlockAction = Callable[[Any, Any], Any]
+"""The action exp(theta_1 D_1 + ...) x of blocks, of the angles theta of a part and x."""
 
 # Version of the table of a splitting that is read, as docs/table.md describes it.
 VERSION = 3
 # Halvings of the generator of an attitude over the time of a run; beyond them it is NaN.
 MOST_SQUARINGS = 48
 DEPENDENT = ("offset", "weight", "coefficient_of_monomial")
-
-
-class Layer(NamedTuple):
-    """Blocks without common coordinates: the angle of each coordinate, the constants of its block, and N of all."""
-
-    angle: Sparse
-    mean: Any
-    frequency: Any
-    growth: Any
-    inverse: Any
-    nilpotent: Any
-    degree: Any
-    N: Sparse
-
-    def act(self, theta: Any, x: Any) -> Any:
-        """Return exp(theta_1 D_1 + ...) x."""
-        t = self.angle.times(theta)
-        S, half = jnp.where(self.nilpotent, t, 0.0), jnp.zeros_like(t)
-        if np.any(self.frequency):
-            S = S + jnp.sin(self.frequency * t) * self.inverse
-            half = half + jnp.sin(0.5 * self.frequency * t) * self.inverse
-        if np.any(self.growth):
-            S = S + jnp.sinh(self.growth * t) * self.inverse
-            half = half + jnp.sinh(0.5 * self.growth * t) * self.inverse
-        power = self.N.times(x)
-        moved = S * power
-        if np.any(self.degree > 1):
-            power = self.N.times(power)
-            moved = moved + (jnp.where(self.nilpotent, 0.5 * t * t, 0.0) + 2.0 * half * half) * power
-        factor = 0.5 * t * t
-        for k in range(3, int(self.degree.max()) + 1):
-            power, factor = self.N.times(power), factor * t / k
-            moved = moved + jnp.where(self.nilpotent & (self.degree >= k), factor, 0.0) * power
-        if not np.any(self.mean):
-            return x + moved
-        mean = self.mean * t
-        return x + jnp.expm1(mean) * x + jnp.exp(mean) * moved
-
-
-class SeriesBlock(NamedTuple):
-    """A block of no closed form, by its series with repeated squares."""
-
-    angle: int
-    coordinates: Any
-    D: Any
-    norm: float
-
-    def act(self, theta: Any, x: Any) -> Any:
-        """Return exp(theta D) x."""
-        y = x[self.coordinates]
-        return x.at[self.coordinates].set(exponential(self.D, self.norm, theta[self.angle]) @ y)
 
 
 @jax.custom_jvp
@@ -101,145 +52,97 @@ def _exponential_jvp(values: Any, tangents: Any) -> Any:
     return E, D @ E * tangents[2]
 
 
-class Angles(NamedTuple):
-    """Angles of a part as sums over factors in (linear terms) or over monomials of coordinates."""
+def _part(
+    table: Table, functions: Mapping[int, Any], part: int, side: int | None
+) -> tuple[Angles, Callable[..., State]]:
+    """Return the angles of a part, and its flow of constants, the times tau and t, and a state."""
+    first, last = (int(k) for k in table["share"][part : part + 2])
+    rows = slice(int(table["term_row"][first]), int(table["term_row"][last]))
+    angles = body_angles(table, part) if first in table["bodies"] else _angles(table, functions, first, last)
+    count = rows.stop - rows.start
+    layers = _layers(table, "state", int(table["dim"]), part, count)
+    on_group = [] if side is None else _layers(table, "group", side, part, count)
+    w = table["frequency"][rows]
+    safe = np.where(w == 0.0, 1.0, w)
 
-    # `row`, `number` and `factor` are of each summand: its angle, its number among the dependent ones, and the multiple
-    # of it; `coordinates` are multiplied, padded by one behind the last coordinate, where there is a one.
+    def flow(constants: Any, tau: Any, t: Any, state: State) -> State:
+        x, elements = state
+        theta = angles.at(constants, tau, x, t)
+        if np.any(w):
+            theta = jnp.where(w == 0.0, theta, 2.0 * jnp.arctan(0.5 * safe * theta) / safe)
+        for act in layers:
+            x = act(theta, x)
+        for act in on_group:
+            elements = jax.vmap(partial(act, theta))(elements)
+        return x, elements
 
-    size: int
-    dim: int
-    row: Any
-    number: Any
-    factor: Any
-    coordinates: Any
-    functions: Sequence[tuple[int, Any, Any]]
-
-    def constants(self, numbers: Any) -> Any:
-        """Return the offsets, the matrix of linear summands, and the sums of all others with their coordinates."""
-        values, degree = self.factor * numbers[self.number], (self.coordinates < self.dim).sum(axis=1)
-        offset, linear, other = degree == 0, degree == 1, degree > 1
-        offsets = jnp.zeros(self.size).at[self.row[offset]].add(values[offset])
-        matrix = sparse(self.row[linear], self.coordinates[linear, 0], values[linear], (self.size, self.dim))
-        if not other.any():
-            return offsets, matrix, None
-        index = np.arange(int(other.sum()))
-        return offsets, matrix, sparse(self.row[other], index, values[other], (self.size, len(index)))
-
-    def at(self, constants: Any, tau: Any, x: Any, t: Any) -> Any:
-        """Return the angles of the flow over the time tau."""
-        offsets, matrix, others = constants
-        theta = offsets + matrix.times(x)
-        if others is not None:
-            chosen = self.coordinates[(self.coordinates < self.dim).sum(axis=1) > 1]
-            theta = theta + others.times(jnp.append(x, 1.0)[chosen].prod(axis=1))
-        for first, coordinates, gradient in self.functions:
-            theta = theta.at[first : first + len(coordinates)].add(gradient(x[coordinates], t))
-        return tau * theta
+    return angles, flow
 
 
-class TablePart:
-    """A part of the table: its angles, and layers of its blocks."""
+def table_steps(
+    table: Table, functions: Mapping[int, Any], side: int | None, unshift: Sequence[UnshiftTables]
+) -> Steps:
+    """Return the steps of a splitting from its table, with the sizes of group elements and the shifts of these.
 
-    def __init__(self, table: Table, functions: Mapping[int, Any], part: int, side: int | None) -> None:
-        first, last = (int(k) for k in table["share"][part : part + 2])
-        self.rows = slice(int(table["term_row"][first]), int(table["term_row"][last]))
-        self.angles = BodyAngles(table, part) if first in table["bodies"] else _angles(table, functions, first, last)
-        count = self.rows.stop - self.rows.start
-        self.layers = _layers(table, "state", int(table["dim"]), part, count)
-        self.on_group = [] if side is None else _layers(table, "group", side, part, count)
-        w = table["frequency"][self.rows]
-        self.frequency, self.safe = w, np.where(w == 0.0, 1.0, w)
+    Their `begin` undoes the finish, so that all steps have the same flows.
+    """
+    if table["version"] > VERSION:
+        raise ValueError(f"the table has the version {table['version']}; this reader knows versions up to {VERSION}")
+    generators, after_shift = [_generator(one) for one in unshift], _after_shift(table)
+    parts = [_part(table, functions, p, side) for p in range(len(table["share"]) - 1)]
+    first_rows, step_rows, finish_rows = (range(*table["section"][k : k + 2].tolist()) for k in range(3))
 
-    def flow(self, constants: Any, tau: Any, t: Any, state: State) -> State:
-        """Advance the state, and the group element, by the flow of the part over the time tau."""
-        x, rows = state
-        theta = self.angles.at(constants, tau, x, t)
-        if np.any(self.frequency):
-            rational = 2.0 * jnp.arctan(0.5 * self.safe * theta) / self.safe
-            theta = jnp.where(self.frequency == 0.0, theta, rational)
-        for layer in self.layers:
-            x = layer.act(theta, x)
-        for layer in self.on_group:
-            rows = jax.vmap(partial(layer.act, theta))(rows)
-        return x, rows
-
-
-class TableSteps:
-    """Steps of a splitting, from its table; `begin` undoes the finish, so that all steps have the same flows."""
-
-    def __init__(
-        self, table: Table, functions: Mapping[int, Any], side: int | None, unshift: Sequence[UnshiftTables]
-    ) -> None:
-        if table["version"] > VERSION:
-            raise ValueError(
-                f"the table has the version {table['version']}; this reader knows versions up to {VERSION}"
-            )
-        self.table, self.side = table, side
-        self.generators = [_generator(one) for one in unshift]
-        self.after_shift = _after_shift(table)
-        self.parts = [TablePart(table, functions, p, side) for p in range(len(table["share"]) - 1)]
-        sections = [range(*table["section"][k : k + 2].tolist()) for k in range(3)]
-        self.first_rows, self.step_rows, self.finish_rows = sections
-
-    def constants(self, energy: Any) -> Any:
-        """Return the constants of the parts, and factors of Casimirs, for coefficients of the energy, as in the table.
-
-        Without coefficients those of the table.
-        """
-        numbers = [jnp.asarray(self.table[name]) for name in DEPENDENT]
-        factors = jnp.array([shift["factor"] for shift in self.table["shift"]])
+    def constants(energy: Any) -> Any:
+        """Return the constants of the parts, and factors of Casimirs; without coefficients those of the table."""
+        numbers = [jnp.asarray(table[name]) for name in DEPENDENT]
+        factors = jnp.array([shift["factor"] for shift in table["shift"]])
         if energy is not None:
-            rest, factors = self.after_shift(energy, factors)
+            rest, factors = after_shift(energy, factors)
             for k, name in enumerate(DEPENDENT):
-                own = self.table["provenance"][name]
+                own = table["provenance"][name]
                 numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
         joined = jnp.concatenate(numbers)
-        return [part.angles.constants(joined) for part in self.parts], factors
+        return [angles.constants(joined) for angles, _ in parts], factors
 
-    def begin(self, constants: Any, start: State, t: Any, h: Any) -> State:
-        """Return the unfinished state of which a state is the finished one, with the unit element."""
-        state = start[0], None if self.side is None else jnp.eye(self.side)
-        return self._flows(constants, self.finish_rows[::-1], t - h, h, state, -1.0)
-
-    def step(self, constants: Any, state: State, t: Any, h: Any, member: Any) -> State:
-        """Take a step of an unfinished state."""
-        return self._flows(constants, self.step_rows, t, h, state)
-
-    def finish(self, constants: Any, state: State, t: Any, h: Any, start: State, elapsed: Any) -> State:
-        """Return the finished state, with the attitude, which subtracted Casimirs turn, from the element of a run."""
-        (x, element), (x0, attitude) = self._flows(constants, self.finish_rows, t, h, state), start
-        if self.side is None:
-            return x, None
-        if self.generators:
-            turn = sum(factor * generator(x0) for factor, generator in zip(constants[1], self.generators, strict=True))
-            attitude = product(attitude, expm(elapsed * turn, max_squarings=MOST_SQUARINGS))
-        return x, product(attitude, element)
-
-    def whole(self, constants: Any, start: State, t: Any, h: Any, member: Any) -> State:
-        """Take a step of a finished state to a finished state."""
-        state = start[0], None if self.side is None else jnp.eye(self.side)
-        return self.finish(constants, self._flows(constants, self.first_rows, t, h, state), t, h, start, h)
-
-    def _flows(
-        self, constants: Any, rows: Sequence[int], t: Any, h: Any, state: State, direction: float = 1.0
-    ) -> State:
+    def flows(constants: Any, rows: Sequence[int], t: Any, h: Any, state: State, direction: float = 1.0) -> State:
         """Apply the flows of rows of a step from t, or in the direction -1 those of its inverse."""
         if not len(rows):
             return state
-        table, used = self.table, list(rows)
-        chosen, parts = np.unique(table["part"][used], return_inverse=True)
-        flows: list[Callable[..., Any]] = [
-            partial(self.parts[part].flow, constants[0][part]) for part in chosen.tolist()
-        ]
+        used = list(rows)
+        chosen, number = np.unique(table["part"][used], return_inverse=True)
+        each: list[Callable[..., Any]] = [partial(parts[part][1], constants[0][part]) for part in chosen.tolist()]
 
         def flow(state: State, row: Any) -> Any:
             part, coefficient, moment = row
-            return lax.switch(part, flows, direction * coefficient * h, t + moment * h, state), None
+            return lax.switch(part, each, direction * coefficient * h, t + moment * h, state), None
 
         # A loop, since XLA would otherwise join flows into one, and compute their sines again for each use.
-        columns = parts, table["coefficient"][used], table["moment"][used]
+        columns = number, table["coefficient"][used], table["moment"][used]
         return lax.scan(jax.checkpoint(flow, prevent_cse=False), state, columns)[0]
+
+    def unturned(start: State) -> State:
+        return start[0], None if side is None else jnp.eye(side)
+
+    def begin(constants: Any, start: State, t: Any, h: Any) -> State:
+        return flows(constants, finish_rows[::-1], t - h, h, unturned(start), -1.0)
+
+    def step(constants: Any, state: State, t: Any, h: Any, member: Any) -> State:
+        return flows(constants, step_rows, t, h, state)
+
+    def finish(constants: Any, state: State, t: Any, h: Any, start: State, elapsed: Any) -> State:
+        """Return the finished state, with the attitude, which subtracted Casimirs turn."""
+        (x, element), (x0, attitude) = flows(constants, finish_rows, t, h, state), start
+        if side is None:
+            return x, None
+        if generators:
+            turn = sum(factor * generator(x0) for factor, generator in zip(constants[1], generators, strict=True))
+            attitude = product(attitude, expm(elapsed * turn, max_squarings=MOST_SQUARINGS))
+        return x, product(attitude, element)
+
+    def whole(constants: Any, start: State, t: Any, h: Any, member: Any) -> State:
+        return finish(constants, flows(constants, first_rows, t, h, unturned(start)), t, h, start, h)
+
+    return Steps(constants, step, whole, begin, finish)
 
 
 def _generator(tables: UnshiftTables) -> Callable[[Any], Any]:
@@ -289,7 +192,7 @@ def _after_shift(table: Table) -> Callable[..., tuple[Any, Any]]:
 
 
 def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -> Angles:
-    """Return the angles of the terms `first` to `last` - 1, which are one part."""
+    """Return the angles of the terms `first` to `last` - 1, which are one part, as sums over factors and monomials."""
     n, rows = int(table["dim"]), slice(int(table["term_row"][first]), int(table["term_row"][last]))
     may_change = {*table["provenance"]["offset"]["index"].tolist()}
     starts = np.cumsum([0, *(len(table[name]) for name in DEPENDENT)])
@@ -308,8 +211,12 @@ def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -
             found.append((row - rows.start, int(starts[2] + m), float(power), coordinates))
     width = max((len(one[3]) for one in found), default=0)
     padded = [(*one[3], *[n] * (max(1, width) - len(one[3]))) for one in found]
-    places = np.array(padded, dtype=np.int64).reshape(len(found), max(1, width))
+    # Of each summand: its angle, its number among the dependent ones, and the multiple of it. The coordinates are
+    # multiplied, padded by one behind the last coordinate, where there is a one.
+    coordinate = np.array(padded, dtype=np.int64).reshape(len(found), max(1, width))
     angle, number = (np.array([one[k] for one in found], dtype=np.int64) for k in (0, 1))
+    factor, degree, size = np.array([one[2] for one in found]), (coordinate < n).sum(axis=1), rows.stop - rows.start
+    alone, linear, other = degree == 0, degree == 1, degree > 1
     of_user = [
         (
             int(table["term_row"][k] - rows.start),
@@ -319,10 +226,30 @@ def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -
         for k, one in functions.items()
         if first <= k < last
     ]
-    return Angles(rows.stop - rows.start, n, angle, number, np.array([one[2] for one in found]), places, of_user)
+
+    def constants(numbers: Any) -> Any:
+        """Return the offsets, the matrix of linear summands, and the sums of all others with their coordinates."""
+        values = factor * numbers[number]
+        offsets = jnp.zeros(size).at[angle[alone]].add(values[alone])
+        matrix = sparse(angle[linear], coordinate[linear, 0], values[linear], (size, n))
+        if not other.any():
+            return offsets, matrix, None
+        index = np.arange(int(other.sum()))
+        return offsets, matrix, sparse(angle[other], index, values[other], (size, len(index)))
+
+    def at(constants: Any, tau: Any, x: Any, t: Any) -> Any:
+        offsets, matrix, others = constants
+        theta = offsets + matrix.times(x)
+        if others is not None:
+            theta = theta + others.times(jnp.append(x, 1.0)[coordinate[other]].prod(axis=1))
+        for start, own, gradient in of_user:
+            theta = theta.at[start : start + len(own)].add(gradient(x[own], t))
+        return tau * theta
+
+    return Angles(constants, at)
 
 
-def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[Layer | SeriesBlock]:
+def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[BlockAction]:
     """Return the blocks of a part in layers, in an order in which overlapping blocks remain, on n coordinates."""
     prefix = f"{action}_"
     table = {name.removeprefix(prefix): column for name, column in table.items() if name.startswith(prefix)}
@@ -332,7 +259,7 @@ def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[La
         own = int(level[inside].max())
         level[inside] = own + 1
         layers.setdefault(own, []).append(b)
-    found: list[Layer | SeriesBlock] = []
+    found: list[BlockAction] = []
     for _, blocks in sorted(layers.items()):
         series = [b for b in blocks if table["kind"][b] == BlockKind.SERIES and table["norm"][b]]
         closed = [b for b in blocks if b not in series]
@@ -342,12 +269,21 @@ def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[La
             inside, entries = _coordinates(table, b), _entries(table, b)
             D = np.zeros((n, n))
             D[table["row"][entries], table["column"][entries]] = table["value"][entries]
-            angle = int(table["angle"][entries][0])
-            found.append(SeriesBlock(angle, inside, D[np.ix_(inside, inside)], float(table["norm"][b])))
+            found.append(_series(int(table["angle"][entries][0]), inside, D[np.ix_(inside, inside)], table["norm"][b]))
     return found
 
 
-def _layer(table: Table, blocks: Sequence[int], n: int, count: int) -> Layer:
+def _series(angle: int, coordinates: Any, D: Any, norm: Any) -> BlockAction:
+    """Return the action of a block of no closed form, by its series with repeated squares."""
+
+    def act(theta: Any, x: Any) -> Any:
+        return x.at[coordinates].set(exponential(D, float(norm), theta[angle]) @ x[coordinates])
+
+    return act
+
+
+def _layer(table: Table, blocks: Sequence[int], n: int, count: int) -> BlockAction:
+    """Return the action exp(theta_1 D_1 + ...) of blocks without common coordinates, with constants for each one."""
     angle, degree, nilpotent = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64), np.zeros(n, dtype=bool)
     mean, square = np.zeros(n), np.zeros(n)
     cells: dict[tuple[int, int], float] = {}
@@ -365,16 +301,34 @@ def _layer(table: Table, blocks: Sequence[int], n: int, count: int) -> Layer:
         cells |= {place: value for place, value in own.items() if value}
     root = np.sqrt(np.abs(square))
     rows, columns = ([place[k] for place in cells] for k in (0, 1))
-    return Layer(
-        angle=sparse(np.arange(n), angle, np.ones(n), (n, count)),
-        mean=mean,
-        frequency=np.where(square < 0.0, root, 0.0),
-        growth=np.where(square > 0.0, root, 0.0),
-        inverse=1.0 / np.where(root == 0.0, np.inf, root),
-        nilpotent=nilpotent,
-        degree=degree,
-        N=sparse(rows, columns, np.array(list(cells.values())), (n, n)),
-    )
+    of_angle = sparse(np.arange(n), angle, np.ones(n), (n, count))
+    frequency, growth = np.where(square < 0.0, root, 0.0), np.where(square > 0.0, root, 0.0)
+    inverse = 1.0 / np.where(root == 0.0, np.inf, root)
+    N = sparse(rows, columns, np.array(list(cells.values())), (n, n))
+
+    def act(theta: Any, x: Any) -> Any:
+        t = of_angle.times(theta)
+        S, half = jnp.where(nilpotent, t, 0.0), jnp.zeros_like(t)
+        if np.any(frequency):
+            S = S + jnp.sin(frequency * t) * inverse
+            half = half + jnp.sin(0.5 * frequency * t) * inverse
+        if np.any(growth):
+            S = S + jnp.sinh(growth * t) * inverse
+            half = half + jnp.sinh(0.5 * growth * t) * inverse
+        power = N.times(x)
+        moved = S * power
+        if np.any(degree > 1):
+            power = N.times(power)
+            moved = moved + (jnp.where(nilpotent, 0.5 * t * t, 0.0) + 2.0 * half * half) * power
+        factor = 0.5 * t * t
+        for k in range(3, int(degree.max()) + 1):
+            power, factor = N.times(power), factor * t / k
+            moved = moved + jnp.where(nilpotent & (degree >= k), factor, 0.0) * power
+        if not np.any(mean):
+            return x + moved
+        return x + jnp.expm1(mean * t) * x + jnp.exp(mean * t) * moved
+
+    return act
 
 
 def _entries(table: Table, b: int) -> slice:

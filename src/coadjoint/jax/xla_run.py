@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.forces import StepsBetweenForces
+from coadjoint.jax.forces import steps_between_forces
 from coadjoint.jax.primitives import doubles
-from coadjoint.jax.stage_steps import StageField, StageSteps
-from coadjoint.jax.table_steps import DEPENDENT, TableSteps
+from coadjoint.jax.stage_steps import StageField, Steps, stage_steps
+from coadjoint.jax.table_steps import DEPENDENT, table_steps
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
@@ -40,7 +40,7 @@ ZERO_CHANGE = 256 * UNIT_ROUNDOFF
 class Described(NamedTuple):
     """Steps of a scheme for a system without forces, and the table: at least the energy and the parameters."""
 
-    steps: Any
+    steps: Steps
     table: Mapping[str, Any]
     field: StageField
 
@@ -59,7 +59,7 @@ class XlaRun:
         elif self._system.forces:
             forced = cast(Forced, prepared.scheme)
             steps, self._table, field = _described(self._system.unforced, forced.inner, group)
-            self._steps = StepsBetweenForces(steps, self._system, field, forced)
+            self._steps = steps_between_forces(steps, self._system, field, forced)
         else:
             self._steps, self._table, _ = _described(self._system.unforced, method, group)
         self._linear = self._number_linear_terms()
@@ -73,8 +73,7 @@ class XlaRun:
         self._chosen = None if moments is None else marks // max(1, self._every)
         self._starts = times.at(marks)
         self._lengths = np.zeros(len(marks)) if moments is None else moments.length
-        steps = np.arange(times.steps + 1)
-        self._moments = times.at(steps) if self._system.has_noise else None
+        self._moments = times.at(np.arange(times.steps + 1)) if self._system.has_noise else None
         self.solve = jax.jit(self._solve)
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
@@ -316,7 +315,7 @@ def _described(system: Any, method: Any, group: Any) -> Described:
     if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
         if group is not None:
             raise TypeError(f'{CALLER} computes attitudes by splittings only, not by {method}; take backend="compiled"')
-        return Described(StageSteps(field, scheme.coefficients()), table, field)
+        return Described(stage_steps(field, scheme.coefficients()), table, field)
     if not isinstance(scheme, FlowMethod):
         raise TypeError(
             f'{CALLER} takes splittings and implicit Runge-Kutta methods, not {method}; take backend="compiled"'
@@ -325,7 +324,7 @@ def _described(system: Any, method: Any, group: Any) -> Described:
         raise TypeError(f"{CALLER} has no compensated sums, as {method} wants; take compensated=False")
     program = scheme.program(system, group=group)
     table = program.to_mapping()
-    return Described(TableSteps(table, program.functions, *_of_group(program, group)), table, field)
+    return Described(table_steps(table, program.functions, *_of_group(program, group)), table, field)
 
 
 def _structure_differs(system: Any, one: Described, first_system: Any, first: Described) -> bool:

@@ -1,6 +1,5 @@
 # Public names of `co.methods`; lazy_loader and type checkers read this file.
 
-from .compiled_steps.step_compiler import compile_step as compile_step
 from .composition import even_order as even_order
 from .forced import Forced as Forced
 from .gauss_legendre import gauss_tableau as gauss_tableau
@@ -19,5 +18,6 @@ from .protocol.step_method import StepMethod as StepMethod
 from .registry import get as get
 from .registry import names as names
 from .registry import register as register
+from .step_compiler import compile_step as compile_step
 
 __all__: list[str]

@@ -15,7 +15,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.matrix_steps import matrix_tables
 from coadjoint.kernels.tables.steps import STEP_LOOP
-from coadjoint.methods.numerics.isospectral_stages import slope_along
+from coadjoint.methods.numerics.isospectral_stages import has_layers, slope_along
 from coadjoint.methods.protocol.composed import loop_over
 from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, work_of_products
 from coadjoint.methods.protocol.method import Representation
@@ -308,8 +308,9 @@ class MatrixOrbit:
 
     def gradient_change(self, W: Any, dW: Any, t: Any) -> Any:
         """Return the changes of P."""
-        layers = len(self._system.matrix_shape) == 3  # streams of two layers are linear, without a constant
-        return self._system.stream_of(dW, t) if layers else slope_along(self._system, W, dW, t)
+        if has_layers(self._system):  # whose streams are linear, without a constant
+            return self._system.stream_of(dW, t)
+        return slope_along(self._system, W, dW, t)
 
     def generator(self, P: Any, dP: Any) -> Generator:
         """Return D of a combination of streams, and of its changes if given."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.methods.protocol.composed import Wrapper, check_base, composition_order
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.step_derivatives import derivative_of
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep, dense_step, derivative_of
 from coadjoint.systems.forces.base import Force
 
 if TYPE_CHECKING:
@@ -64,33 +64,19 @@ def _order_of_composition(fractions: tuple[float, ...]) -> int:
     return 2 if len(fractions) == 1 else min(composition_order(fractions, 2), ORDER_OF_FLOWS)
 
 
-class FlowOfForce(NamedTuple):
-    """The flow of a force with its derivative: a number, a diagonal (n,), or a matrix (n, n); `by` says how."""
-
-    end: NDArray[np.float64]
-    derivative: NDArray[np.float64]
-    by: str
-
-    def tangents(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the tangents (k, n) after the flow for those before it."""
-        return np.asarray((self.derivative @ rows.T).T if self.derivative.ndim == 2 else self.derivative * rows)
-
-    def cotangent(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cotangent (n,) before the flow for that after it."""
-        return np.asarray(row @ self.derivative if self.derivative.ndim == 2 else self.derivative * row)
-
-
-def flow_of_force(force: Force, system: Any, x: NDArray[np.float64], t: float, tau: float, order: int) -> FlowOfForce:
+def flow_of_force(
+    force: Force, system: Any, x: NDArray[np.float64], t: float, tau: float, order: int
+) -> LinearizedStep:
     """Return the flow of a force on the Hamiltonian part with its derivative, in schemes of an order."""
     known = force.tangent(system, x, t, tau)
     if known is not None:
         end = np.asarray(force.flow_of_order(system, x, t, tau, order), dtype=np.float64)
-        return FlowOfForce(end, np.asarray(known, dtype=np.float64), "formula")
+        return dense_step(end, np.asarray(known, dtype=np.float64))
     found = derivative_of(lambda z: force.flow_of_order(system, z, t, tau, order), x)
     derivative = found.derivative
     if system.has_matrices:
         derivative = system.to_vector(system.algebra.projected(system.from_vector(derivative)))
-    return FlowOfForce(found.value, np.asarray(derivative), found.by)
+    return dense_step(found.value, np.asarray(derivative), found.by)
 
 
 @dataclass(frozen=True)

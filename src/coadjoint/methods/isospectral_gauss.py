@@ -13,15 +13,14 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.matrix_steps import matrix_tables
 from coadjoint.kernels.tables.steps import STEP_LOOP
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
-from coadjoint.methods.numerics.isospectral_derivatives import LayerDerivatives, StageDerivatives, TwoLayerDerivatives
-from coadjoint.methods.numerics.isospectral_stages import increment_of, of_blocks, stages_of, two_layer_stages
+from coadjoint.methods.numerics.isospectral_stages import increment_of, linearized_step, stages_of
 from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
 from coadjoint.methods.protocol.cost_model import Work, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer
 
@@ -109,10 +108,7 @@ class IsospectralGauss(SubstepMethod):
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         matrices = matrices_of(system)
         (a, b), W = _coefficients(self.stages), matrices.matrices(x)
-        if isinstance(matrices, TwoLayerSystem):
-            end = W + of_blocks(increment_of(two_layer_stages(matrices, W, t, h, a), h, b))
-        else:
-            end = W + increment_of(stages_of(matrices, W, t, h, a, str(self)), h, b)
+        end = W + increment_of(matrices, stages_of(matrices, W, t, h, a, str(self)), h, b)
         return np.asarray(matrices.to_vector(end) if matrices.is_in_numbers(x) else end)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -120,13 +116,11 @@ class IsospectralGauss(SubstepMethod):
         step = self.linearized(system, x, t, h)
         return step.end, step.tangents(np.eye(len(step.end))).T
 
-    def linearized(self, system: System, x: Any, t: float, h: float) -> StageDerivatives:
+    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
         """Return one step with its derivative, which is applied to matrices; errors as in `tangent`."""
         matrices, (a, b) = matrices_of(system), _coefficients(self.stages)
         W = matrices.matrices(x)
-        if isinstance(matrices, TwoLayerSystem):
-            return TwoLayerDerivatives(matrices, W, t, h, a, b)
-        return LayerDerivatives(matrices, W, t, h, a, b, str(self))
+        return linearized_step(matrices, W, stages_of(matrices, W, t, h, a, str(self)), t, h, a, b)
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         return "formula" if matrices_of(system).linear_stream else "differences"

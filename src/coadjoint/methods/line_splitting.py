@@ -17,6 +17,7 @@ from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.methods.splitting import DEFAULT_SCHEMES, SCHEMES
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -132,8 +133,8 @@ class LineSplitting(SubstepMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step in NumPy of a matrix (N, N) or of its coordinates (dim,)."""
         torus = torus_of(system)
-        step = FlowsOfLines(self, torus, modes_of(torus.matrices(x)), h)
-        return step.end if torus.is_in_numbers(x) else step.matrix
+        end = matrix_of(self._modes(torus, x, h)[-1])
+        return torus.to_vector(end) if torus.is_in_numbers(x) else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative in coordinates, for the projection on the algebra."""
@@ -141,10 +142,36 @@ class LineSplitting(SubstepMethod):
         step = self.linearized(system, x, t, h)
         return step.end, step.tangents(np.eye(system.dim)).T
 
-    def linearized(self, system: System, x: Any, t: float, h: float) -> FlowsOfLines:
-        """Return one step with its exact derivative, which is applied to modes."""
+    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
+        """Return one step with its exact derivative, which is applied to modes, projected on the algebra."""
         torus = torus_of(system)
-        return FlowsOfLines(self, torus, modes_of(torus.matrices(x)), h)
+        factor, constant = stream_of_modes(torus)
+        *before, end = self._modes(torus, x, h)
+        flows = list(zip(before, self.flows(torus.algebra.N, h), strict=True))
+
+        def tangents(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+            changes = modes_of(torus.algebra.projected(torus.from_vector(rows)))
+            for v, (line, time) in flows:
+                _, changes = flow(v, changes, factor, constant, line, time)
+            return torus.to_vector(matrix_of(changes))
+
+        def cotangent(row: NDArray[np.float64]) -> NDArray[np.float64]:
+            # The matrices of modes are orthogonal and of one length, which cancels.
+            after = modes_of(torus.from_vector(row))
+            for v, (line, time) in reversed(flows):
+                after = transposed_flow(v, after, factor, constant, line, time)
+            return torus.to_vector(torus.algebra.projected(matrix_of(after)))
+
+        return LinearizedStep(torus.to_vector(matrix_of(end)), tangents, cotangent)
+
+    def _modes(self, torus: MatrixSystem, x: Any, h: float) -> list[Complexes]:
+        """Return the modes of a state, and those after each flow of a step."""
+        factor, constant = stream_of_modes(torus)
+        modes = [modes_of(torus.matrices(x))]
+        none = np.zeros((0, *modes[0].shape), dtype=np.complex128)
+        for line, time in self.flows(torus.algebra.N, h):
+            modes.append(flow(modes[-1], none, factor, constant, line, time)[0])
+        return modes
 
     def flows(self, N: int, h: float) -> Iterator[tuple[Line, float]]:
         """Yield the lines whose flows make up a step, and the time of each."""
@@ -155,37 +182,6 @@ class LineSplitting(SubstepMethod):
             yield forward[-1], fraction * h
             for line in forward[-2::-1]:
                 yield line, fraction * h / 2
-
-
-class FlowsOfLines:
-    """A step from modes v (N, N) with its derivative; the state after it is a `matrix`, and `end` as a vector."""
-
-    def __init__(self, method: LineSplitting, torus: MatrixSystem, v: Complexes, h: float) -> None:
-        self._torus, (self._factor, self._constant) = torus, stream_of_modes(torus)
-        self._flows = list(method.flows(torus.algebra.N, h))
-        self._before, none = [], np.zeros((0, *v.shape), dtype=np.complex128)
-        for line, time in self._flows:
-            self._before.append(v)
-            v, _ = flow(v, none, self._factor, self._constant, line, time)
-        self.matrix = matrix_of(v)
-        self.end = torus.to_vector(self.matrix)
-
-    def tangents(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the tangents (k, n) after the step for vectors before it, which are projected on the algebra."""
-        torus = self._torus
-        changes = modes_of(torus.algebra.projected(torus.from_vector(rows)))
-        for v, (line, time) in zip(self._before, self._flows, strict=True):
-            _, changes = flow(v, changes, self._factor, self._constant, line, time)
-        return torus.to_vector(matrix_of(changes))
-
-    def cotangent(self, row: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cotangent (n,) before the step, projected on the algebra."""
-        torus = self._torus
-        # The matrices of modes are orthogonal and of one length, which cancels.
-        after = modes_of(torus.from_vector(row))
-        for v, (line, time) in zip(reversed(self._before), reversed(self._flows), strict=True):
-            after = transposed_flow(v, after, self._factor, self._constant, line, time)
-        return torus.to_vector(torus.algebra.projected(matrix_of(after)))
 
 
 @cache

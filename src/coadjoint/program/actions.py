@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.block_table import MIN_REPEATED, BlockTable, block_table, joined_tables, repeated_block_table
-from coadjoint.program.blocks import RULES, BlockKind
+from coadjoint.program.blocks import RULES, BlockKind, Rule
 from coadjoint.program.generators import BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.program.parts.part import Parts
@@ -79,12 +80,19 @@ def _sharing_labels(blocks: BlockTable) -> Integers:
     label = np.zeros(len(blocks.kind), dtype=np.int64)
     with_entries = blocks.entries > 0
     label[with_entries] = np.flatnonzero(with_entries)
-    for kind in (BlockKind.SCALE, BlockKind.ROTATE, BlockKind.PLANE):
+    for kind, rule in RULES.items():
+        if rule.values or rule.per_block:
+            continue
         members = np.flatnonzero(blocks.kind == kind)
-        for column in range(RULES[kind].header):
+        for column in range(rule.header):
             values, inverse = np.unique(blocks.constants[blocks.constant_begin[members] + column], return_inverse=True)
             _, label[members] = np.unique(label[members] * len(values) + inverse, return_inverse=True)
     return label
+
+
+def _kinds_with(test: Callable[[Rule], bool]) -> NDArray[np.bool_]:
+    """Return whether the rule of each kind passes a test."""
+    return np.array([test(RULES[kind]) for kind in BlockKind])
 
 
 def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, leader: Integers) -> Integers:
@@ -115,14 +123,14 @@ def _arrange_runs(size: int, blocks: BlockTable, parts: Parts) -> Action:
     kind, count = kind[order], count[order]
     begins_run = run_starts(part, group_level, kind, count)
     begins_run[1:] |= angle[1:] != angle[:-1] + 1
-    begins_run |= (kind == BlockKind.CUBIC) | (kind == BlockKind.SERIES)
+    begins_run |= _kinds_with(lambda rule: rule.values > 0)[kind]
     selection = member[expand(begins, begins + count)[1]]
     if not np.all(selection[1:] > selection[:-1]):
         blocks = blocks.take(selection)
     first, start, kind = np.flatnonzero(begins_run), starts_of(count), blocks.kind
     leader, part = start[first], part[first]
     # The blocks of a group share the constants of its first block, except for shears.
-    stored = (kind == BlockKind.SHEAR) | (kind == BlockKind.CUBIC) | (kind == BlockKind.SERIES)
+    stored = _kinds_with(lambda rule: rule.values > 0 or rule.per_block)[kind]
     stored[start[:-1]] = True
     lengths = np.diff(blocks.constant_begin)
 
@@ -160,7 +168,7 @@ def run_blocks(action: Action, run: int, q: int) -> list[tuple[NDArray[Any], NDA
     constants, rule = action.constants, RULES[kind]
     first = index + q * repeat * width
     coordinates = action.indices[first : first + repeat * width].astype(np.int64).reshape(repeat, width)
-    own = repeat if kind == BlockKind.SHEAR else 1
+    own = repeat if rule.per_block else 1
     matrices = np.full((own, width, width), 0 * constants[constant], dtype=constants.dtype)
     for b, matrix in enumerate(matrices):
         if rule.matrix is not None:

@@ -29,16 +29,34 @@ class BlockKind(IntEnum):
 
 
 class Rule(NamedTuple):
-    """What is stored of a block of one kind: `header` constants before the values of entries, and `matrix`, the rows of
-    D that they make. With N = D - mean and N^3 = square N, exp(theta D) = e^(theta mean) (1 + s theta N + c theta^2
-    N^2), s = sinh(w)/w and c = (cosh(w) - 1)/w^2 for w^2 = square theta^2 of either sign. N has powers up to `degree`.
+    """What is stored of a block of one kind, and its flow.
+
+    Stored are `header` constants, of each angle or `per_block`, and `values` for each entry of D. Without entries, the
+    header makes the rows of D by `matrix`. With N = D - mean and N^3 = square N, exp(theta D) = e^(theta mean) (1 + s
+    theta N + c theta^2 N^2), s = sinh(w)/w and c = (cosh(w) - 1)/w^2 for w^2 = square theta^2 of either sign. N has
+    powers up to `degree`. A flow takes `calls` of elementary functions for an angle, and for a block `work`
+    multiplications (with additions), or as many for each entry: its degree if that is zero.
     """
 
-    header: int
-    matrix: Callable[..., Any] | None
     mean: Callable[[NDArray[Any], Any], Any]
     square: Callable[[NDArray[Any], Any], Any]
     degree: int | None
+    work: int
+    matrix: Callable[..., Any] | None = None
+    header: int = 1
+    values: int = 0
+    per_block: bool = False
+    calls: int = 1
+
+    def stored(self, angles: int, repeat: int, width: int, entries: int) -> tuple[int, int]:
+        """Return the numbers of indices and of constants of a run of blocks."""
+        if self.values:
+            return 2 * width + 1 + entries, self.header + self.values * entries
+        return angles * repeat * width, self.header * angles * (repeat if self.per_block else 1)
+
+    def multiplications(self, entries: int, degree: int) -> int:
+        """Return the multiplications (with additions) of the flow of a block."""
+        return entries * (self.work or degree) if self.values else self.work
 
 
 def _zero(D: NDArray[Any], first: Any) -> Any:
@@ -53,18 +71,19 @@ def _half(D: NDArray[Any]) -> Any:
 CUBIC_HEADER = 6
 
 RULES: Mapping[BlockKind, Rule] = {
-    BlockKind.SCALE: Rule(1, lambda d: [[d]], lambda D, _: D[0, 0], _zero, 0),
-    BlockKind.ROTATE: Rule(1, lambda w: [[0 * w, -w], [w, 0 * w]], _zero, lambda D, _: -(D[1, 0] ** 2), 2),
+    BlockKind.SCALE: Rule(lambda D, _: D[0, 0], _zero, 0, 1, lambda d: [[d]]),
+    BlockKind.ROTATE: Rule(_zero, lambda D, _: -(D[1, 0] ** 2), 2, 4, lambda w: [[0 * w, -w], [w, 0 * w]]),
     BlockKind.PLANE: Rule(
-        4,
-        lambda mean, half, upper, lower: [[mean + half, upper], [lower, mean - half]],
         lambda D, _: (D[0, 0] + D[1, 1]) / 2,
         lambda D, _: _half(D) * _half(D) + D[0, 1] * D[1, 0],
         2,
+        6,
+        lambda mean, half, upper, lower: [[mean + half, upper], [lower, mean - half]],
+        header=4,
     ),
-    BlockKind.SHEAR: Rule(1, lambda d: [[0 * d, d], [0 * d, 0 * d]], _zero, _zero, 1),
-    BlockKind.CUBIC: Rule(CUBIC_HEADER, None, _zero, lambda _, lam: lam, 2),
-    BlockKind.SERIES: Rule(1, None, _zero, _zero, None),
+    BlockKind.SHEAR: Rule(_zero, _zero, 1, 2, lambda d: [[0 * d, d], [0 * d, 0 * d]], per_block=True, calls=0),
+    BlockKind.CUBIC: Rule(_zero, lambda _, lam: lam, 2, 2, header=CUBIC_HEADER, values=3),
+    BlockKind.SERIES: Rule(_zero, _zero, None, 0, values=1, calls=0),
 }
 """The closed forms in Python; C++ has them once more, by kind, in `flows/blocks.hpp` and `flows/sparse_blocks.hpp`."""
 

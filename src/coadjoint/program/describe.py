@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import BlockKind
+from coadjoint.program.blocks import RULES, BlockKind
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.part import BodyShare, Part
 from coadjoint.program.parts.split import separated_functions
@@ -20,8 +20,6 @@ from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MAX_SHOWN = 6  # generators of a part in a line
-# Multiplications (with additions) per block.
-MULTIPLICATIONS_PER_KIND = {BlockKind.SCALE: 1, BlockKind.ROTATE: 4, BlockKind.PLANE: 6, BlockKind.SHEAR: 2}
 # Multiplications in the flow of a free body over a short time.
 BODY_WORK = 600
 # Multiplications in the flow of a bond, which has no blocks.
@@ -141,10 +139,10 @@ def action_work(action: Action, number: int) -> tuple[int, int]:
     """Return the multiplications and elementary function calls of the action of one part on one vector."""
     multiplications, functions = 0, 0
     for run in range(action.run[number], action.run[number + 1]):
-        kind = BlockKind(int(action.kind[run]))
-        angles = int(action.angles[run])
-        multiplications += angles * int(action.repeat[run]) * _block_work(action, run, kind)
-        functions += 0 if kind in (BlockKind.SHEAR, BlockKind.SERIES) else angles
+        rule, angles = RULES[BlockKind(action.kind[run])], int(action.angles[run])
+        each = rule.multiplications(int(action.entries[run]), int(action.degree[run]))
+        multiplications += angles * int(action.repeat[run]) * each
+        functions += rule.calls * angles
     return multiplications, functions
 
 
@@ -154,12 +152,6 @@ def count_series_blocks(action: Action, number: int) -> int:
     return sum(
         int(action.angles[run]) * int(action.repeat[run]) for run in runs if action.kind[run] == BlockKind.SERIES
     )
-
-
-def _block_work(action: Action, run: int, kind: BlockKind) -> int:
-    if kind in MULTIPLICATIONS_PER_KIND:
-        return MULTIPLICATIONS_PER_KIND[kind]
-    return int(action.entries[run]) * (2 if kind == BlockKind.CUBIC else int(action.degree[run]))
 
 
 def share_work(program: Program, number: int) -> tuple[int, int]:

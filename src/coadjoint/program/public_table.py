@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.actions import Action, run_blocks
+from coadjoint.program.added_part import Places
 from coadjoint.program.blocks import RULES, BlockKind
 from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.places import Places
 from coadjoint.program.sources import products_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program

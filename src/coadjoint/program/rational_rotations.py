@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import BlockKind
 from coadjoint.program.numbers import Number, array_of, is_exact, roundoff
-from coadjoint.program.parts.part import Parts, PolynomialShare
+from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import Rows, SparseRows, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coordinates import coordinate_names
@@ -71,7 +71,7 @@ def _coupled(parts: Parts) -> NDArray[np.bool_]:
     coupled = ~_is_along_form(parts.forms, parts.weights)
     for s, share in parts.nonlinear_shares.items():
         angles = slice(int(parts.row[s]), int(parts.row[s + 1]))
-        if isinstance(share, PolynomialShare):
+        if share.polynomial is not None:
             mixed = [e for e in share.polynomial.monomials if sum(1 for power in e if power) > 1]
             coupled[angles] = [any(e[i] for e in mixed) for i in share.coordinates]
         else:

@@ -13,7 +13,7 @@ from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.actions import NOTHING_OMITTED
 from coadjoint.program.commutation import first_noncommuting
-from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts
+from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.sparse_rows import sparse_row, starts_of
 from coadjoint.systems.vanishing_products import (
     MAX_MONOMIALS,
@@ -47,7 +47,7 @@ _SEPARATED: WeakKeyDictionary[Parts, dict[Any, Separated]] = WeakKeyDictionary()
 def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Separated:
     products = commuting_products(algebra)
     omitted: list[tuple[int, int, int, int]] = []
-    separated: dict[int, FunctionShare] = {}
+    separated: dict[int, GradientShare] = {}
     for p, numbers in _candidates(algebra, parts, products).items():
         functions, entries = _omitted_in_part(parts, p, {q: products.at(q) for q in numbers}, inputs)
         separated |= functions
@@ -103,14 +103,14 @@ def _candidates(algebra: LieAlgebra, parts: Parts, products: Products) -> dict[i
 
 def _omitted_in_part(
     parts: Parts, p: int, candidates: Mapping[int, Product], inputs: Collection[int]
-) -> tuple[dict[int, FunctionShare], list[tuple[int, int, int, int]]]:
+) -> tuple[dict[int, GradientShare], list[tuple[int, int, int, int]]]:
     """Return separated functions of a part by share, and omitted entries (share, angle in it, row, column)."""
-    functions: dict[int, FunctionShare] = {}
+    functions: dict[int, GradientShare] = {}
     omitted: list[tuple[int, int, int, int]] = []
     shares = range(int(parts.share[p]), int(parts.share[p + 1]))
     for s in shares:
         share = parts.nonlinear_shares.get(s)
-        if not isinstance(share, FunctionShare):
+        if share is None or share.term is None:
             continue
         index = {int(k): a for a, k in enumerate(share.term.coordinates)}
         found = divided_gradient(share.term, candidates)
@@ -136,9 +136,9 @@ def _of_polynomials(
     listed: list[tuple[int, int, Product, tuple[int, int, list[GradientTerm], Any]]] = []
     for s in shares:
         share = parts.nonlinear_shares.get(s)
-        if isinstance(share, FunctionShare | BodyShare):
-            continue
         polynomial = share.polynomial if share else None
+        if share and polynomial is None:
+            continue
         derivatives = derivatives_of(polynomial, range(polynomial.dim)) if polynomial else {}
         for a, angle in enumerate(range(int(parts.row[s]), int(parts.row[s + 1]))):
             coordinate, value = sparse_row(parts.forms, angle)

@@ -18,7 +18,7 @@ from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action, cop
 from coadjoint.program.generators import BasisMatrices, NotSplittable
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import ChosenParts, decompose
-from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import Parts
 from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
 from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
@@ -140,7 +140,8 @@ def term_table(parts: Parts) -> TermTable:
         return table
     weights_of_all = SparseRows(parts.weights.start, parts.weights.coordinate, parts.weights.value)
     angle = weights_of_all.start
-    edges = sorted(parts.nonlinear_shares.keys() - parts.bodies.keys())
+    gradients = parts.gradients
+    edges = sorted(gradients)
     for first, last in zip([0, *(s + 1 for s in edges)], [*edges, len(parts.row) - 1], strict=True):
         if last > first:
             rows = parts.row[first : last + 1]
@@ -151,10 +152,10 @@ def term_table(parts: Parts) -> TermTable:
                 weights_of_all.value[begin:end],
             )
             table.add_linear_terms(rows, parts.offset[rows[0] : rows[-1]], weights)
-        share = parts.nonlinear_shares.get(last)
-        if isinstance(share, PolynomialShare):
+        share = gradients.get(last)
+        if share is not None and share.polynomial is not None:
             table.add_polynomial(share.coordinates, share.polynomial)
-        elif isinstance(share, FunctionShare):
+        elif share is not None and share.term is not None:
             table.function(share.divided or share.term)
     return table
 

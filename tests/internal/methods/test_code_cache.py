@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from coadjoint.methods.compiled_steps.code_cache import cached_library
+from coadjoint.methods.step_compiler import cached_library
 from coadjoint.private_folders import check_private
 from refusals import refused
 

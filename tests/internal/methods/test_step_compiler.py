@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.compiled_steps import step_compiler
+from coadjoint.methods import step_compiler
 from refusals import refused
 
 SOURCE = Path(__file__).parents[2] / "public" / "runs" / "own_step.cpp"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.parts.part_polynomials import parts_at, taylor_polynomial
 from coadjoint.program.parts.squares import (
     MAX_RATIONAL_SIZE,
@@ -314,8 +314,8 @@ def test_functions_of_parts_become_polynomials_in_their_coordinates(coordinates)
     """In whatever order they have their coordinates; the other shares and columns are kept."""
     rng = np.random.default_rng(len(coordinates))
     term, x = term_of(drawn_polynomial(rng, len(coordinates), 2), coordinates), rng.uniform(-2.0, 2.0, 5)
-    plain = PolynomialShare((1,), co.Polynomial({(0, 1, 0, 0, 0): 1}))
-    given = Parts(*range(4), {7: FunctionShare(term), 2: plain}, *range(4, 7))
+    plain = GradientShare((1,), co.Polynomial({(0, 1, 0, 0, 0): 1}))
+    given = Parts(*range(4), {7: GradientShare(tuple(coordinates), term=term), 2: plain}, *range(4, 7))
     made, where = parts_at(given, x, 2), list(coordinates)
     assert [made.forms, made.offset, made.weights, made.row, made.share, made.timed] == list(range(6))
     assert made.nonlinear_shares.keys() == {7, 2} and made.nonlinear_shares[2] is plain

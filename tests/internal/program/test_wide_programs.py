@@ -7,13 +7,13 @@ import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.long_operations import LongWait
 from coadjoint.program import blocks, commutation
+from coadjoint.program.added_part import Places
 from coadjoint.program.generators import NotSplittable, check_products
+from coadjoint.program.modified_energy.logarithms import Commutators
 from coadjoint.program.modified_energy.modified_series import estimated_products
-from coadjoint.program.modified_energy.sweep_logarithm import Commutators
 from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from coadjoint.program.parts.split import split
-from coadjoint.program.places import Places
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import parameters_of
 from refusals import refused
@@ -108,21 +108,21 @@ def test_lattices_are_not_too_wide():
 @pytest.mark.long
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
-    from coadjoint.program.modified_energy import modified_series, sweep_logarithm
+    from coadjoint.program.modified_energy import logarithms, modified_series
 
     monkeypatch.setattr(modified_series, "estimated_products", lambda *given: 0.0)
 
     g = co.algebras.su(6)
     system = co.LiePoissonSystem(g, co.Quadratic(symmetric(np.random.default_rng(1), g.dim, 1.0)))
     made = []
-    plain = sweep_logarithm.Commutators.check_available_memory
+    plain = logarithms.Commutators.check_available_memory
     monkeypatch.setattr(
-        sweep_logarithm.Commutators,
+        logarithms.Commutators,
         "check_available_memory",
         lambda self, count: (made.append(count), plain(self, count))[1],
     )
-    monkeypatch.setattr(sweep_logarithm, "MAX_PRODUCTS", 10**6)
-    monkeypatch.setattr(sweep_logarithm, "WARN_PRODUCTS", 10**4)
+    monkeypatch.setattr(logarithms, "MAX_PRODUCTS", 10**6)
+    monkeypatch.setattr(logarithms, "WARN_PRODUCTS", 10**4)
     with refused(ValueError, "modified Hamiltonian"):
         co.modified_hamiltonian(system, co.Splitting(order=2), order=4)
     assert sum(made) < 5 * 10**5

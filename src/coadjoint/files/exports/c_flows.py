@@ -23,7 +23,7 @@ from coadjoint.files.exports.c_statements import (
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.program.actions import Action
-from coadjoint.program.blocks import CUBIC_HEADER, BlockKind
+from coadjoint.program.blocks import CUBIC_HEADER, RULES, BlockKind
 
 BODY_COLUMNS, BODY_CONSTANTS, BODY_ROTATIONS = 6, 15, 4
 DIRECT, BONDS = 1, 2
@@ -62,15 +62,7 @@ def runs_of_part(action: Action, p: int, called: bool) -> list[RepeatedBlocks]:
         angles, repeat, width, entries = (
             int(column[run]) for column in (action.angles, action.repeat, action.width, action.entries)
         )
-        blocks = angles * repeat
-        indices, constants = {
-            BlockKind.SCALE: (blocks, angles),
-            BlockKind.ROTATE: (2 * blocks, angles),
-            BlockKind.PLANE: (2 * blocks, 4 * angles),
-            BlockKind.SHEAR: (2 * blocks, blocks),
-            BlockKind.CUBIC: (2 * width + 1 + entries, CUBIC_HEADER + 3 * entries),
-            BlockKind.SERIES: (2 * width + 1 + entries, 1 + entries),
-        }[BlockKind(kind)]
+        indices, constants = RULES[BlockKind(kind)].stored(angles, repeat, width, entries)
         first, constant, angle = int(action.position[run]), int(action.constant[run]), int(action.angle[run])
         one = RepeatedBlocks(
             kind,
@@ -392,7 +384,7 @@ def _direct_turns(run: RepeatedBlocks, errors: bool) -> list[str]:
 
 def _matrix(run: RepeatedBlocks) -> list[str]:
     """Return the declarations of a block of several coordinates."""
-    width, first = run.width, CUBIC_HEADER if run.kind == BlockKind.CUBIC else 1
+    width, first = run.width, RULES[BlockKind(run.kind)].header
     return [
         *numbers("coadjoint_index", "coordinate", run.indices[:width]),
         *numbers("coadjoint_index", "start", run.indices[width : 2 * width + 1]),

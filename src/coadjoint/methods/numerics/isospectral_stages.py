@@ -1,7 +1,9 @@
-"""Steps of isospectral Gauss methods in NumPy, of matrices and of two layers: the reference for the compiled steps.
+"""Steps of isospectral Gauss methods in NumPy, with their derivatives: the reference for the compiled steps.
 
 ``V_i = 1 + h sum_j a_ij P_j V_j`` and ``U_i = 1 - h sum_j a_ij U_j P_j`` are inverses of one another at the end of a
 step, ``M_i = V_i W U_i`` and ``P_i = stream(M_i)``. For skew-Hermitian W, U_i is V_i*.
+States of two layers (2, N, N) are blocks in the stages. The linear equations of derivatives are iterated like the
+stages; inner products are those of real and imaginary parts.
 """
 
 from __future__ import annotations
@@ -13,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.memory import check_available_memory
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 
 Matrix = NDArray[Any]
 Floats = NDArray[np.float64]
@@ -30,6 +33,9 @@ DIVERGED = 1 / UNIT_ROUNDOFF  # corrections of matrices that begin near 1; later
 DIFFERENCE_STEP = 2.0**-17  # about the cube root of the unit roundoff, relative to the state: errors are balanced
 
 
+NO_CONVERGENCE = "the linear equations of the stages do not converge; take a smaller step"
+
+
 class Stages(NamedTuple):
     """The stages of a step, one matrix each: V, U, M and P, shape (s, N, N), and their times."""
 
@@ -40,8 +46,15 @@ class Stages(NamedTuple):
     times: list[float]
 
 
+def has_layers(system: MatrixSystem) -> bool:
+    """Return whether states have two layers."""
+    return len(system.matrix_shape) == 3
+
+
 def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, scheme_name: str) -> Stages:
-    """Return the stages of a step of length h from W (N, N) at time t, with coefficients a (s, s)."""
+    """Return the stages of a step of length h from a state W at time t, with coefficients a (s, s)."""
+    if has_layers(system):
+        return two_layer_stages(system, W, t, h, a)
     identity, times = np.eye(len(W)), [t + h * float(row.sum()) for row in a]
     P0 = system.stream_of(W, t)
 
@@ -60,8 +73,13 @@ def stages_of(system: MatrixSystem, W: Matrix, t: float, h: float, a: Floats, sc
     return Stages(V, U, M, P, times)
 
 
-def increment_of(stages: Stages, h: float, b: Floats) -> Matrix:
-    """Return the change of W in the step; of two layers in blocks."""
+def increment_of(system: MatrixSystem, stages: Stages, h: float, b: Floats) -> Matrix:
+    """Return the change of the state in the step."""
+    change = _in_stages(stages, h, b)
+    return of_blocks(change) if has_layers(system) else change
+
+
+def _in_stages(stages: Stages, h: float, b: Floats) -> Matrix:
     return np.asarray(h * np.tensordot(b, stages.P @ stages.M - stages.M @ stages.P, 1))
 
 
@@ -118,7 +136,7 @@ def of_blocks(A: Matrix) -> Matrix:
     return np.stack([A[..., :N, :N], A[..., :N, N:]], axis=-3)
 
 
-def two_layer_stages(system: TwoLayerSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64]) -> Stages:
+def two_layer_stages(system: MatrixSystem, X: Matrix, t: Any, h: Any, a: NDArray[np.float64]) -> Stages:
     """Return the stages, in blocks, of a step of a state (2, N, N); IntegrationError if they do not converge."""
     W, identity = as_blocks(X), np.eye(2 * len(X[0]))
 
@@ -157,3 +175,116 @@ def _solve_stages(a: NDArray[np.float64], Y: list[Matrix], identity: Matrix, lef
     solution = np.linalg.solve(matrix, np.tile(identity.astype(matrix.dtype), (s, 1)))
     parts = [solution[i * n : (i + 1) * n] for i in range(s)]
     return [part.T for part in parts] if left else parts
+
+
+def linearized_step(
+    system: MatrixSystem, W: Matrix, stages: Stages, t: float, h: float, a: Floats, b: Floats
+) -> LinearizedStep:
+    """Return the step of these stages from a state W with its derivative, projected on the algebra."""
+    layers = has_layers(system)
+    of_state = as_blocks(W) if layers else W
+
+    def tangents(rows: Floats) -> Floats:
+        directions = system.algebra.projected(system.from_vector(rows))
+        after = _along(system, of_state, stages, as_blocks(directions) if layers else directions, t, h, a, b)
+        return system.to_vector(of_blocks(after) if layers else after)
+
+    def cotangent(row: Floats) -> Floats:
+        after = system.from_vector(row)
+        before = _transposed(system, of_state, stages, _of_blocks_transposed(after) if layers else after, t, h, a, b)
+        return system.to_vector(system.algebra.projected(_as_blocks_transposed(before) if layers else before))
+
+    end = of_blocks(of_state + _in_stages(stages, h, b)) if layers else W + _in_stages(stages, h, b)
+    return LinearizedStep(system.to_vector(end), tangents, cotangent)
+
+
+def _slopes(system: MatrixSystem, stages: Stages, along: Matrix) -> Matrix:
+    """Return the derivatives of the streams of the stages along matrices (stages, k, N, N)."""
+    if has_layers(system):
+        return as_blocks(system.stream_of(of_blocks(along)))
+    return np.stack([slope_along(system, *one) for one in zip(stages.M, along, stages.times, strict=True)])
+
+
+def _slopes_transposed(system: MatrixSystem, stages: Stages, of_streams: Matrix) -> Matrix:
+    """Return the cotangents of the stages for those of their streams, (stages, N, N)."""
+    algebra = system.algebra
+    if has_layers(system):
+        layers = _as_blocks_transposed(of_streams)
+        layers = (layers - _adjoint(layers)) / 2
+        # The stream takes the vorticity to P and the carried field to J.
+        return _of_blocks_transposed(system.stream_of(layers[..., ::-1, :, :])[..., ::-1, :, :])
+    if system.stream.kind != "BY_FUNCTION":
+        # Symmetric for all matrices that are skew-Hermitian if the algebra is: the stages have a trace.
+        return np.asarray(system.slope_of((of_streams - _adjoint(of_streams)) / 2 if algebra.skew else of_streams))
+    # Functions are symmetric in the pairing of the algebra.
+    inner = algebra.projected(algebra.dual(of_streams))
+    return np.asarray(algebra.dual(_slopes(system, stages, inner[:, None])[:, 0]))
+
+
+def _along(
+    system: MatrixSystem, W: Matrix, stages: Stages, directions: Matrix, t: float, h: float, a: Floats, b: Floats
+) -> Matrix:
+    """Return the derivatives of the step along matrices (k, N, N)."""
+    check_available_memory(
+        13 * len(b) * directions.nbytes, f"the derivatives of a step along {len(directions)} directions"
+    )
+    V1, U1, M1, P1 = (array[:, None] for array in stages[:4])
+
+    def update(dV: Matrix, dU: Matrix, dM: Matrix, dP: Matrix) -> Any:
+        dM_new = dV @ W @ U1 + V1 @ directions @ U1 + V1 @ W @ dU
+        # A difference is linear in its direction up to an error relative to it. Along the corrections of dM these
+        # errors shrink with them; along dM they would stay, and corrections might cycle above ROUND_OFF_CANDIDATE.
+        linear = system.linear_stream
+        dP = _slopes(system, stages, dM_new) if linear else dP + _slopes(system, stages, dM_new - dM)
+        dV_new, dU_new = h * weighted_sums(a, dP @ V1 + P1 @ dV), -h * weighted_sums(a, dU @ P1 + U1 @ dP)
+        change = max(largest(dV_new - dV), largest(dU_new - dU))
+        return (dV_new, dU_new, dM_new, dP), change, largest(dV_new)
+
+    # Axes: stage, direction, row, column.
+    zero = np.zeros((len(b), *directions.shape), dtype=M1.dtype)
+    _, _, dM, dP = iterated(update, (zero,) * 4, len(W), NO_CONVERGENCE, t)
+    return np.asarray(directions + h * np.tensordot(b, dP @ M1 + P1 @ dM - dM @ P1 - M1 @ dP, 1))
+
+
+def _transposed(
+    system: MatrixSystem, W: Matrix, stages: Stages, after: Matrix, t: float, h: float, a: Floats, b: Floats
+) -> Matrix:
+    """Return the cotangent before the step for that after it, matrices (N, N)."""
+    V, U, M, P = stages[:4]
+    Vt, Ut, Mt, Pt = (_adjoint(array) for array in (V, U, M, P))
+    WU, VW = _adjoint(W @ U), _adjoint(V @ W)
+    weights = (h * b)[:, None, None]
+    of_M = weights * (Pt @ after - after @ Pt)
+    of_P = weights * (after @ Mt - Mt @ after)
+
+    def update(v: Matrix, u: Matrix, m: Matrix, p: Matrix, q: Matrix) -> Any:
+        p_new = of_P + h * weighted_sums(a.T, v) @ Vt - Ut @ (h * weighted_sums(a.T, u))
+        linear = system.linear_stream
+        q = _slopes_transposed(system, stages, p_new) if linear else q + _slopes_transposed(system, stages, p_new - p)
+        m = of_M + q
+        v_new = m @ WU + Pt @ (h * weighted_sums(a.T, v))
+        u_new = VW @ m - (h * weighted_sums(a.T, u)) @ Pt
+        change = max(largest(v_new - v), largest(u_new - u))
+        return (v_new, u_new, m, p_new, q), change, max(largest(v_new), largest(u_new))
+
+    zero = np.zeros_like(M)
+    _, _, m, _, _ = iterated(update, (zero,) * 5, len(W), NO_CONVERGENCE, t)
+    return np.asarray(after + np.sum(Vt @ m @ Ut, axis=0))
+
+
+def _as_blocks_transposed(of_blocks: Matrix) -> Matrix:
+    """Return the transpose of `as_blocks`."""
+    N = of_blocks.shape[-1] // 2
+    A, B = of_blocks[..., :N, :N] + of_blocks[..., N:, N:], of_blocks[..., :N, N:]
+    return np.stack([A, B], axis=-3)
+
+
+def _of_blocks_transposed(of_layers: Matrix) -> Matrix:
+    """Return the transpose of `of_blocks`."""
+    A, B = of_layers[..., 0, :, :], of_layers[..., 1, :, :]
+    rows = np.concatenate([A, B], axis=-1)
+    return np.concatenate([rows, np.zeros_like(rows)], axis=-2)
+
+
+def _adjoint(matrices: Matrix) -> Matrix:
+    return np.conj(np.swapaxes(matrices, -1, -2))

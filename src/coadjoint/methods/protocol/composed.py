@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.loop import CompiledLoop, scheme_memory
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.step_derivatives import JoinedSteps, LinearizedStep
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep, joined_steps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.system import System
@@ -278,7 +278,7 @@ class Substeps(Composed):
         for fraction in self.coefficients:
             steps.append(self.base.linearized(system, x, t, h * fraction))
             x, t = steps[-1].end, t + h * fraction
-        return JoinedSteps(steps)
+        return joined_steps(steps)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.base.work_of_substeps(system, group, len(self.coefficients))

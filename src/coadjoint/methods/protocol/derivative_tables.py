@@ -22,9 +22,8 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
-from coadjoint.program.added_part import terms_of, with_added_part
+from coadjoint.program.added_part import Places, terms_of, with_added_part
 from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
-from coadjoint.program.places import Places
 from coadjoint.program.sources import Sources
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.lie_poisson import LiePoissonSystem

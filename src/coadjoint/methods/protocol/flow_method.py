@@ -60,7 +60,7 @@ class FlowMethod(Method):
                 read_choice(value, field.name, ("exact", "rational"))
             elif field.name == "parts":
                 object.__setattr__(self, field.name, _read_parts(value))
-        if self.rotation == "rational" and isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
+        if self.rotation == "rational" and self.parts in BODY_FLOW_CHOICES:
             raise ValueError(f'parts="{self.parts}" has no rational rotations; take rotation="exact"')
 
     @property
@@ -196,9 +196,9 @@ class FlowMethod(Method):
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
         """Return the scheme with the automatic parts of a system fixed; it needs a field `parts`."""
-        if isinstance(self.parts, str) and self.parts in BODY_FLOW_CHOICES:
+        if self.parts in BODY_FLOW_CHOICES:
             check_body_flow_inputs(system, self.parts, coordinates)
-        automatic = isinstance(self.parts, ChosenParts) or (isinstance(self.parts, str) and self.parts == "auto")
+        automatic = isinstance(self.parts, ChosenParts) or self.parts == "auto"
         if not automatic or not system.has_structure_constants:
             return self
         if not is_dataclass(self) or all(field.name != "parts" for field in fields(self)):

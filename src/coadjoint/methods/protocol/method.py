@@ -15,7 +15,7 @@ from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.properties import Properties, check_attitude
-from coadjoint.methods.protocol.step_derivatives import DenseStep, LinearizedStep, derivative_of
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep, dense_step, derivative_of
 from coadjoint.program.numbers import Number
 from coadjoint.short_repr import short
 from coadjoint.systems.system import System
@@ -251,7 +251,7 @@ class Method(metaclass=ExplainedCalls):
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
         """Return a step from a vector, with its derivative as a linear map; by default from its matrix, `tangent`."""
         end, matrix = self.tangent(system, x, t, h)
-        return DenseStep(np.asarray(end), np.asarray(matrix))
+        return dense_step(np.asarray(end), np.asarray(matrix))
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
         """Return the loop that carries tangent vectors, with the same bits of states; None: `tangent` is called."""

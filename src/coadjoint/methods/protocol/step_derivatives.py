@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,53 +65,39 @@ def _difference(
     return np.asarray((ahead - behind) / (2.0 * h))
 
 
-class LinearizedStep(Protocol):
-    """A step and its derivative at a state: `end` is the state (n,) after it."""
+class LinearizedStep(NamedTuple):
+    """A step and its derivative at a state: the state (n,) at the `end`, and the derivative as linear maps.
 
-    @property
-    def end(self) -> Floats:
-        """State after the step."""
-
-    def tangents(self, rows: Floats) -> Floats:
-        """Return the tangents (k, n) after the step for those before it."""
-
-    def cotangent(self, row: Floats) -> Floats:
-        """Return the cotangent (n,) before the step for that after it."""
-
-
-class DenseStep(NamedTuple):
-    """A step with the matrix (n, n) of its derivative."""
+    `tangents` takes the tangents (k, n) before the step to those after it, `cotangent` the cotangent (n,) after it to
+    that before it. `by` says how the derivative was computed.
+    """
 
     end: Floats
-    matrix: Floats
-
-    def tangents(self, rows: Floats) -> Floats:
-        """Return the tangents (k, n) after the step."""
-        return np.asarray((self.matrix @ rows.T).T)
-
-    def cotangent(self, row: Floats) -> Floats:
-        """Return the cotangent (n,) before the step."""
-        return np.asarray(row @ self.matrix)
+    tangents: Callable[[Floats], Floats]
+    cotangent: Callable[[Floats], Floats]
+    by: str = "formula"
 
 
-class JoinedSteps(NamedTuple):
-    """Several steps, one after the other."""
+def dense_step(end: Floats, derivative: Floats, by: str = "formula") -> LinearizedStep:
+    """Return a step whose derivative is a number, a diagonal (n,), or a matrix (n, n)."""
+    if derivative.ndim < 2:
+        return LinearizedStep(end, lambda rows: derivative * rows, lambda row: derivative * row, by)
+    return LinearizedStep(
+        end, lambda rows: np.asarray((derivative @ rows.T).T), lambda row: np.asarray(row @ derivative), by
+    )
 
-    steps: Sequence[LinearizedStep]
 
-    @property
-    def end(self) -> Floats:
-        """State after the last step."""
-        return self.steps[-1].end
+def joined_steps(steps: Sequence[LinearizedStep]) -> LinearizedStep:
+    """Return several steps, one after the other, as one."""
 
-    def tangents(self, rows: Floats) -> Floats:
-        """Return the tangents (k, n) after the step."""
-        for step in self.steps:
+    def tangents(rows: Floats) -> Floats:
+        for step in steps:
             rows = step.tangents(rows)
         return rows
 
-    def cotangent(self, row: Floats) -> Floats:
-        """Return the cotangent (n,) before the step."""
-        for step in reversed(self.steps):
+    def cotangent(row: Floats) -> Floats:
+        for step in reversed(steps):
             row = step.cotangent(row)
         return row
+
+    return LinearizedStep(steps[-1].end, tangents, cotangent)

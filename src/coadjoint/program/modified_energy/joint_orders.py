@@ -17,7 +17,7 @@ from coadjoint.program.modified_energy.second_order import (
     order_weights,
     part_derivatives,
 )
-from coadjoint.program.parts.part import NonlinearShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
 from coadjoint.program.sources import Sources
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -119,23 +119,17 @@ def _derivatives(
 
     shares: dict[int, NonlinearShare] = {}
     given = sorted(parts.nonlinear_shares.items())
-    own = [c for _, share in given for c in _coefficients(share)]
+    own = [float(c) for _, share in given if share.polynomial is not None for c in share.polynomial.monomials.values()]
     values = iter(filled("coefficient", np.array(own)).tolist())
     for s, share in given:
-        if (polynomial := getattr(share, "polynomial", None)) is not None:
-            monomials = {e: next(values) for e in polynomial.monomials}
-            coordinates: Any = share.coordinates  # type: ignore[union-attr]
-            shares[s] = PolynomialShare(coordinates, Polynomial(monomials, dim=polynomial.dim))
+        if share.polynomial is not None:
+            monomials = {e: next(values) for e in share.polynomial.monomials}
+            shares[s] = GradientShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
         elif others:
             shares[s] = share
     weights = SparseRows(parts.weights.start, parts.weights.coordinate, filled("weight", parts.weights.value))
     offset = filled("offset", parts.offset)
     return part_derivatives(replace(parts, offset=offset, weights=weights, nonlinear_shares=shares), points)
-
-
-def _coefficients(share: NonlinearShare) -> list[float]:
-    polynomial = getattr(share, "polynomial", None)
-    return [] if polynomial is None else list(map(float, polynomial.monomials.values()))
 
 
 def smallest(sizes: Floats, errors: Floats) -> tuple[Integers, Floats, Floats, NDArray[np.bool_]]:

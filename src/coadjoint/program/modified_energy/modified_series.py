@@ -17,18 +17,16 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomi
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import warn_if_long
-from coadjoint.program.modified_energy.composition_logarithm import (
+from coadjoint.program.modified_energy.logarithms import (
     BALL_BITS,
-    Coordinates,
-    Letter,
-    composition_logarithm,
-    exact_sweeps,
-)
-from coadjoint.program.modified_energy.sweep_logarithm import (
     SECONDS_PER_PRODUCT,
     Commutators,
+    Coordinates,
     Flow,
+    Letter,
     check_products,
+    composition_logarithm,
+    exact_sweeps,
     sweep_logarithm,
 )
 from coadjoint.program.parts.part import Parts

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.parts.part import BodyShare, FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.split import separated_functions
-from coadjoint.program.term_table import derivative_of
 from coadjoint.systems.hamiltonians.terms import Term
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -44,30 +43,13 @@ def part_derivatives(parts: Parts, points: Floats) -> tuple[Floats, Floats]:
     np.add.at(quadratic, index, value[entry] * weights.value[weight_entry].astype(np.float64))
     gradient = constant + _matrix_vector(quadratic, points)
     hessian = np.repeat(quadratic, count, axis=1) if parts.nonlinear_shares else quadratic
-    for s, share in parts.nonlinear_shares.items():
-        if isinstance(share, BodyShare):
-            continue
-        coordinates = share.term.coordinates if isinstance(share, FunctionShare) else np.array(share.coordinates)
-        p = part[parts.row[s]]
+    for s, share in parts.gradients.items():
+        coordinates, p = np.array(share.coordinates), part[parts.row[s]]
         for k, x in enumerate(points):
-            share_gradient, share_hessian = _share_derivatives(share, coordinates, x)
+            share_gradient, share_hessian = share.derivatives(x)
             gradient[p, k, coordinates] += share_gradient
             hessian[p, k][np.ix_(coordinates, coordinates)] += share_hessian
     return gradient, hessian
-
-
-def _share_derivatives(
-    share: PolynomialShare | FunctionShare, coordinates: NDArray[Any], x: Floats
-) -> tuple[Floats, Floats]:
-    """Return gradient and Hessian of a share with respect to its own coordinates."""
-    if isinstance(share, FunctionShare):
-        gradient, hessian = (derivative_of(share.term, order, x[coordinates], 0.0) for order in (1, 2))
-    else:
-        gradient, hessian = (
-            share.polynomial.gradient(x)[coordinates],
-            share.polynomial.hessian(x)[np.ix_(coordinates, coordinates)],
-        )
-    return np.asarray(gradient, dtype=np.float64), np.asarray(hessian, dtype=np.float64)
 
 
 def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:

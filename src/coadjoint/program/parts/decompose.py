@@ -114,13 +114,13 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     """
     if isinstance(choice, ChosenParts):
         return _explicit_decomposition(system, choice)
-    if isinstance(choice, str) and choice in BODY_FLOW_CHOICES:
+    if choice in BODY_FLOW_CHOICES:
         known = _BODY_FLOW_CACHE[choice]
         if system not in known:
             parts, shift = bonds(system) if choice == "bonds" else (free_bodies(system), ())
             known[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
         return known[system]
-    if not isinstance(choice, str) or choice != "auto":
+    if choice != "auto":
         parts = split(system, choice)
         return Decomposition(parts, (), ChosenParts(tuple(range(len(parts)))))
     if system not in _AUTOMATIC_CACHE:

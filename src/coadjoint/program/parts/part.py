@@ -13,29 +13,37 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, run_starts, starts_of
+from coadjoint.program.term_table import derivative_of
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 
 @dataclass(frozen=True)
-class PolynomialShare:
-    """Angles that are the derivatives of a polynomial with respect to the given coordinates."""
+class GradientShare:
+    """Angles that are the derivatives, by the given coordinates, of a polynomial, or of the user function of a term.
+
+    The gradient of a function may be `divided` into a sum of vectors.
+    """
 
     coordinates: tuple[int, ...]
-    polynomial: Polynomial
-
-
-@dataclass(frozen=True)
-class FunctionShare:
-    """Angles that are the gradient of a user function of the term's coordinates."""
-
-    term: FunctionTerm
+    polynomial: Polynomial | None = None
+    term: FunctionTerm | None = None
     divided: FunctionTerm | None = None
 
     @property
     def copies(self) -> int:
         """The number of vectors that the gradient is the sum of."""
-        return 1 if self.divided is None else len(self.divided.coordinates) // len(self.term.coordinates)
+        return 1 if self.divided is None else len(self.divided.coordinates) // len(self.coordinates)
+
+    def derivatives(self, x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the gradient and Hessian at a state by its own coordinates, at the time zero."""
+        own = np.array(self.coordinates)
+        if self.term is not None:
+            gradient, hessian = (derivative_of(self.term, order, x[own], 0.0) for order in (1, 2))
+        else:
+            assert self.polynomial is not None
+            gradient, hessian = self.polynomial.gradient(x)[own], self.polynomial.hessian(x)[np.ix_(own, own)]
+        return np.asarray(gradient, dtype=np.float64), np.asarray(hessian, dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -50,8 +58,11 @@ class BodyShare:
     scale: tuple[float, float, float]
     other: tuple[int, int, int] | None = None
 
+    polynomial = None
+    term = None
 
-NonlinearShare = PolynomialShare | FunctionShare | BodyShare
+
+NonlinearShare = GradientShare | BodyShare
 COMPUTED = -1
 """Source of shares that are no copies of a term of H: completed squares, bodies, and other choices of parts."""
 
@@ -95,10 +106,10 @@ class Parts(Sequence[Part]):
         return cls(forms, offset, weights, row, {}, *shares)
 
     @classmethod
-    def single(cls, share: PolynomialShare | FunctionShare, coordinates: Sequence[int], timed: bool = False) -> Parts:
+    def single(cls, share: GradientShare, timed: bool = False) -> Parts:
         """Construct one part of one nonlinear share."""
-        size, ends = len(coordinates), np.array([0, 1])
-        forms = SparseRows.units(np.array(coordinates, dtype=np.int64))
+        size, ends = len(share.coordinates), np.array([0, 1])
+        forms = SparseRows.units(np.array(share.coordinates, dtype=np.int64))
         rest = size * ends, {0: share}, ends, np.array([timed]), np.zeros(1, dtype=np.int64)
         return cls(forms, np.zeros(size), SparseRows.empty(size), *rest)
 
@@ -128,6 +139,11 @@ class Parts(Sequence[Part]):
             np.concatenate([piece.source for piece in pieces]),
             pivots,
         )
+
+    @property
+    def gradients(self) -> dict[int, GradientShare]:
+        """The shares that are gradients of polynomials and functions."""
+        return {s: share for s, share in self.nonlinear_shares.items() if not isinstance(share, BodyShare)}
 
     @property
     def bodies(self) -> dict[int, BodyShare]:

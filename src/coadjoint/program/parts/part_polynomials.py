@@ -16,7 +16,7 @@ from coadjoint.algebra.exact.numbers import exact_number, fraction, rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomials.monomials import Exponents, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.parts.part import FunctionShare, NonlinearShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
 from coadjoint.program.sparse_rows import sparse_row
 from coadjoint.program.term_table import derivative_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
@@ -40,9 +40,9 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
     for angle, p in enumerate(parts.part_of_angle.tolist()):
         pieces[p] += _linear_angle(ring, parts, angle)
     for s, share in parts.nonlinear_shares.items():
-        if isinstance(share, FunctionShare):
+        if share.term is not None:
             raise TypeError("a part of the Hamiltonian is a function of Python, not a polynomial")
-        if isinstance(share, PolynomialShare):
+        if share.polynomial is not None:
             pieces[int(parts.part_of_angle[parts.row[s]])] += ring.from_polynomial(share.polynomial)
     return pieces
 
@@ -108,9 +108,9 @@ def rational_pieces(
     """
     terms: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     share_of_angle = {
-        int(parts.row[s]) + k: (share, i)
+        int(parts.row[s]) + k: (share.polynomial, i)
         for s, share in parts.nonlinear_shares.items()
-        if isinstance(share, PolynomialShare)
+        if share.polynomial is not None
         for k, i in enumerate(share.coordinates)
     }
     for angle, p in enumerate(parts.part_of_angle.tolist()):
@@ -132,12 +132,12 @@ def rational_pieces(
 
 
 def _angle(
-    ring: ExactPolynomials, parts: Parts, angle: int, share: PolynomialShare | None, coordinate: int
+    ring: ExactPolynomials, parts: Parts, angle: int, polynomial: Polynomial | None, coordinate: int
 ) -> list[Any]:
     """Return the coefficients of an angle as a polynomial in its own form."""
-    if share is not None:
-        coefficients = [rational(0)] * share.polynomial.degree
-        for exponents, value in share.polynomial.monomials.items():
+    if polynomial is not None:
+        coefficients = [rational(0)] * polynomial.degree
+        for exponents, value in polynomial.monomials.items():
             if exponents[coordinate]:
                 coefficients[exponents[coordinate] - 1] += rational(value) * exponents[coordinate]
         return coefficients
@@ -159,10 +159,9 @@ def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
     """Replace functions in time-independent parts by Taylor polynomials of a degree at the point x (n,)."""
     nonlinear_shares: dict[int, NonlinearShare] = {}
     for s, share in parts.nonlinear_shares.items():
-        if isinstance(share, FunctionShare):
-            coordinates = share.term.coordinates
-            local = taylor_polynomial(share.term, x[coordinates], degree)
-            share = PolynomialShare(tuple(coordinates.tolist()), _expanded(local, x, coordinates.tolist()))
+        if share.term is not None:
+            local = taylor_polynomial(share.term, x[share.term.coordinates], degree)
+            share = GradientShare(share.coordinates, _expanded(local, x, share.coordinates))
         nonlinear_shares[s] = share
     return replace(parts, nonlinear_shares=nonlinear_shares)
 

@@ -16,7 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.commutation import few_parts, first_noncommuting
 from coadjoint.program.generators import NotSplittable
-from coadjoint.program.parts.part import FunctionShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.parts.quadratic_atoms import check_width, coupled_atoms, quadratic_atoms
 from coadjoint.program.separated_parts import joined_if_cancelling
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
@@ -36,7 +36,7 @@ def split(system: LiePoissonSystem, choice: Choice = "auto", terms: Sequence[Ter
     """Split the Hamiltonian of a system into parts with exact flows (section 4 of Reich 1993, generalised)."""
     algebra, terms = system.algebra, terms or system.hamiltonian.terms()
     cancels = cache(lambda: products_without_cancelling(algebra, terms) is not None)
-    if isinstance(choice, str) and choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
+    if choice == "auto" and system.dim <= MAX_PATTERN_SIZE:
         cached = _parts_by_pattern(terms, algebra)
         if cached is not None and not cancels():
             return cached
@@ -98,7 +98,7 @@ class _Atoms:
 
     def function(self, term: FunctionTerm) -> None:
         if first_noncommuting(self._system.algebra, term.coordinates.tolist()) is None:
-            self.collected.append(Parts.single(FunctionShare(term), term.coordinates.tolist(), term.timed))
+            self.collected.append(Parts.single(GradientShare(tuple(term.coordinates.tolist()), term=term), term.timed))
             return
         for summand in separated_terms(self._system, term):
             summand.describe_to(self)
@@ -136,7 +136,7 @@ def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, separate
     for k, cluster in members.items():
         terms = monomials[k]
         if first_noncommuting(system.algebra, cluster) is None and not (separate and len(cluster) > 1):
-            atoms.append(Parts.single(PolynomialShare(tuple(cluster), Polynomial(terms)), cluster))
+            atoms.append(Parts.single(GradientShare(tuple(cluster), Polynomial(terms))))
             continue
         low = {e: c for e, c in terms.items() if sum(e) <= 2}
         if low:
@@ -149,7 +149,7 @@ def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, separate
             if noncommuting is not None:
                 shown = short(in_coordinates_of(system, monomial))
                 raise _not_splittable(system, f"its monomial {shown}", noncommuting)
-            atoms.append(Parts.single(PolynomialShare(tuple(coordinates), monomial), coordinates))
+            atoms.append(Parts.single(GradientShare(tuple(coordinates), monomial)))
     return Parts.concatenate(atoms)
 
 

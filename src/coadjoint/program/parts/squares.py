@@ -17,7 +17,7 @@ from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.parts.part import NonlinearShare, Parts, PolynomialShare
+from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
 from coadjoint.program.sparse_rows import SparseRows, sparse_row
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.linear_term import PLACEHOLDER_COEFFICIENT
@@ -351,10 +351,10 @@ def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:
 
 
 def _without_placeholders(share: NonlinearShare) -> NonlinearShare:
-    if not isinstance(share, PolynomialShare):
+    if share.polynomial is None:
         return share
     monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PLACEHOLDER_COEFFICIENT}
-    return PolynomialShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
+    return GradientShare(share.coordinates, Polynomial(monomials, dim=share.polynomial.dim))
 
 
 def _inverse(rows: list[dict[int, Any]], coordinates: list[int]) -> ExactSums:

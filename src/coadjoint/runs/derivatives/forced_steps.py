@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.forced import FlowOfForce, Forced, flow_of_force, substeps_of
+from coadjoint.methods.forced import Forced, flow_of_force, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.stretches import Stretch, carry
@@ -74,7 +75,7 @@ class ForceFlows:
 
     def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
         """Return the cotangent (n,) before the flows; derivatives by the entries are added to `by_entries`."""
-        flows: list[tuple[int, Floats, FlowOfForce | OrbitFlow]] = []
+        flows: list[tuple[int, Floats, LinearizedStep | OrbitFlow]] = []
         for j in half.order:
             known = self._orbit_flow(j, x, half)
             flow = self._flow_with_derivative(j, x, half) if known is None else known
@@ -98,7 +99,7 @@ class ForceFlows:
         end = system.forces[j].flow_of_order(system.unforced, x, half.t, half.h, self._order)
         return np.asarray(end, dtype=np.float64)
 
-    def _flow_with_derivative(self, j: int, x: Floats, half: Half) -> FlowOfForce:
+    def _flow_with_derivative(self, j: int, x: Floats, half: Half) -> LinearizedStep:
         return flow_of_force(self._system.forces[j], self._system.unforced, x, half.t, half.h, self._order)
 
     def _parts(self, j: int) -> dict[str, Any]:

@@ -1,1 +1,0 @@
-"""Compilation of user-written steps in C++, and its cache."""
