@@ -11,6 +11,8 @@
 6. Own steps: tolerances are fitted, at most to the lowest cost so far.
 7. Rounding of each fit: summed with compensation if that is needed and allowed; fits that round too much are dropped.
 8. Confirmation: the cheapest fit is run over the window again and corrected, until it remains the cheapest.
+9. Other members: if the chosen scheme has larger errors in members of the ensemble outside the pilot, its step is
+   chosen again for a pilot of these.
 """
 
 from __future__ import annotations
@@ -34,18 +36,19 @@ from coadjoint.choosing.fitting import (
     fit_of_tolerance,
     least_roundoff,
 )
-from coadjoint.choosing.pilot import Pilot, sample_of
+from coadjoint.choosing.pilot import Pilot, sample_of, sample_of_scheme
 from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import candidate_schemes, reference_scheme
-from coadjoint.runs.start import start_of
+from coadjoint.runs.start import combined, start_of
 from coadjoint.runs.times import span_of
 from coadjoint.short_repr import short
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_vector_states
+from coadjoint.systems.system_checks import check_system, check_vector_states
 from coadjoint.validation import read_bool, read_list, read_number
 
 # Safety factor of the target error.
@@ -111,7 +114,7 @@ class Choice:
 @suggest_keywords
 @long_operation("choose")
 def choose(
-    system: System,
+    system: System | Batch,
     x0: Any,
     t_span: tuple[float, float],
     accuracy: float,
@@ -134,10 +137,11 @@ def choose(
 
     Parameters
     ----------
-    system : LiePoissonSystem or PoissonSystem
-        The system.
+    system : LiePoissonSystem, PoissonSystem or Batch
+        The system, or one for each member.
     x0 : array_like, shape (n,) or (members, n)
-        Initial momentum. For an ensemble, the choice serves the worst of four members, which a coarse run selects.
+        Initial momentum. For an ensemble or a batch, the choice serves the worst of four members, which a coarse run
+        selects; the step is chosen again if the chosen scheme has larger errors in others.
     t_span : (float, float)
         Start and end; the end may be the smaller one.
     accuracy : float
@@ -178,7 +182,10 @@ def choose(
     >>> co.choose(body, (1.0, 0.2, 0.5), (0, 100), 1e-9, methods=poisson).method.properties(body).poisson
     True
     """
-    check_vector_states(system, "give step= and method=, since the cost of a step of matrices is not known")
+    check_system(system)
+    advice = "give step= and method=, since the cost of a step of matrices is not known"
+    check_vector_states(system.of_member(0), advice)
+    system, x0 = combined(system, x0)
     required, processed = _read_accuracy(accuracy), read_bool(processed, "processed")
     if processed and methods is not None:
         raise TypeError(
@@ -191,7 +198,13 @@ def choose(
 
 
 def _choose(
-    system: System, x0: Any, span: tuple[float, float], required: float, attitude: Any, methods: Any, processed: bool
+    system: System | Batch,
+    x0: Any,
+    span: tuple[float, float],
+    required: float,
+    attitude: Any,
+    methods: Any,
+    processed: bool,
 ) -> Choice:
     t0, t1 = span
     momenta = start_of(system, reference_scheme(4), x0, False).momenta
@@ -199,7 +212,19 @@ def _choose(
     candidates = supported_candidates(system, schemes, x0, attitude, strict=methods is not None)
     if t0 == t1:
         return Choice(candidates[0].method, 1.0, required, 0.0, 0.0, 0.0)
-    pilot = Pilot(system, sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, required)
+    pilot = Pilot(*sample_of(system, momenta, t0, t1 - t0), t0, t1 - t0, required)
+    best, *others = _fits_of_sample(pilot, candidates, required)
+    choice = _choice_of_fit(best, required)
+    if len(momenta) > len(pilot.momenta) and not choice.method.own_steps:
+        unseen = sample_of_scheme(system, momenta, pilot, choice.method, choice.step)
+        if unseen is not None:
+            second, *_ = _fits_of_sample(Pilot(*unseen, t0, t1 - t0, required), [best.candidate], required)
+            choice = min(choice, _choice_of_fit(second, required), key=lambda each: each.step)
+    return replace(choice, others=tuple(_choice_of_fit(each, required) for each in others))
+
+
+def _fits_of_sample(pilot: Pilot, candidates: Sequence[Candidate], required: float) -> list[StepFit]:
+    """Return the fits for the members of a pilot, the cheapest first; raise ValueError if there are none."""
     if least_roundoff(pilot) >= ROUNDING_SHARE:
         raise _none_reached(candidates, abs(pilot.span))
     candidates = [with_measured_work(pilot, each) for each in candidates]
@@ -207,8 +232,7 @@ def _choose(
     fits = _fits_of_constant_steps(pilot, candidates, required, first_trials)
     fits += _fits_of_own_steps(pilot, required, first_trials, fits)
     accurate = _fits_with_acceptable_roundoff(pilot, candidates, required, fits)
-    best, *others = _confirmed_cheapest(pilot, candidates, accurate, required)
-    return replace(_choice_of_fit(best, required), others=tuple(_choice_of_fit(each, required) for each in others))
+    return _confirmed_cheapest(pilot, candidates, accurate, required)
 
 
 def _read_accuracy(accuracy: Any) -> float:

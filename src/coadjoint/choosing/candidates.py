@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial, cached_for_system, short_run
+from coadjoint.choosing.pilot import REFERENCE, SAMPLE_SIZE, Pilot, Trial, cached_for_system, short_run
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.composed import SubstepMethod
@@ -21,6 +21,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_method import CompiledStepMethod, StepMethod
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, representations_of, start_of
+from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
 
 # Least duration (seconds) and largest number of steps of a timed run.
@@ -88,10 +89,11 @@ class Candidate:
 
 
 def supported_candidates(
-    system: System, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool
+    system: System | Batch, schemes: Sequence[Method], x0: Any, attitude: Any, strict: bool
 ) -> list[Candidate]:
     """Return the schemes, at least one, that support a system; with `strict` the error of any other one is raised."""
-    members = len(momenta_of(system, x0)[0])
+    # Members of a batch have one structure, so the first system has the work of each; some more may be unsupported.
+    members, systems = len(momenta_of(system, x0)[0]), system.distinct[:SAMPLE_SIZE]
     in_lanes = members >= MIN_LANE_MEMBERS and system.dim <= limit("WIDEST")
     candidates: list[Candidate] = []
     first_error: Exception | None = None
@@ -102,9 +104,8 @@ def supported_candidates(
             if group is not None:
                 start_of(system, method, x0, attitude)  # validates the initial group element
             compensation_open = not strict or len(schemes) > 1
-            candidates.append(
-                Candidate(system, method, _work_of(system, method, group), compensation_open, in_lanes, group)
-            )
+            work, *_ = [_work_of(each, method, group) for each in systems]
+            candidates.append(Candidate(systems[0], method, work, compensation_open, in_lanes, group))
         except (ValueError, TypeError) as error:
             if strict:
                 raise
@@ -165,7 +166,7 @@ def _measured_cost(pilot: Pilot, method: Method) -> float | None:
         (_, own_count, own_seconds), (run, reference_count, seconds) = own, reference
         ratios.append((own_seconds / own_count) / (seconds / reference_count))
     iterations, evaluations = (int(run.state[name].sum()) / reference_count for name in ("iterations", "evaluations"))
-    return median(ratios) * REFERENCE.work(pilot.system).cost(iterations, evaluations)
+    return median(ratios) * REFERENCE.work(pilot.system.of_member(0)).cost(iterations, evaluations)
 
 
 def _timed(pilot: Pilot, method: Method, count: int) -> tuple[Run, int, float] | None:
@@ -175,7 +176,8 @@ def _timed(pilot: Pilot, method: Method, count: int) -> tuple[Run, int, float] |
     steps = min(count, max(1, math.floor(pilot.window / step)))
     copies = count // steps
     momenta, length = np.repeat(pilot.momenta[:1], copies, axis=0), math.copysign(steps * step, pilot.span)
-    run = short_run(pilot.system, method, momenta, pilot.t0, length, steps, steps, advanced=False)
+    system = pilot.system.of_member(0)
+    run = short_run(system, method, momenta, pilot.t0, length, steps, steps, advanced=False)
     begun = time.process_time()  # less disturbed by other programs than the time of a clock
     run.advance()
     seconds = time.process_time() - begun

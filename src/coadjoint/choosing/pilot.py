@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,13 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.loops.loops import Loops, loops_of_system
+from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.plan import Plan
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
+from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.system import System
 
 REFERENCE = reference_scheme(16)
@@ -69,8 +70,13 @@ SCREENING_SCHEME = reference_scheme(4)
 # Steps in the time in which the fastest member moves by its own size, and their total number.
 STEPS_PER_SIZE = 8
 SCREENING_STEPS = 128
+# Ratio of the largest error of the chosen scheme among all members to that in the pilot above which the latter is not
+# representative: schemes differ in their worst members. Below it, the safety factor of the target serves.
+UNSEEN_RATIO = 2.0
 
 ResultT = TypeVar("ResultT")
+AnySystem = TypeVar("AnySystem", System, Batch)
+Sample = tuple[AnySystem, NDArray[np.float64]]
 # Largest dimension that is cached: larger tables take much memory, and building them is cheap relative to the steps.
 MAX_CACHED_DIMENSION = 64
 # Entries per system, after which its cache is cleared, and number of systems (least recently used first out).
@@ -124,7 +130,7 @@ class Pilot:
     # `momenta` (members, n) are those of the sampled members; rounding far below `accuracy` is not measured again.
 
     def __init__(
-        self, system: System, momenta: NDArray[np.float64], t0: float, span: float, accuracy: float = 0.0
+        self, system: System | Batch, momenta: NDArray[np.float64], t0: float, span: float, accuracy: float = 0.0
     ) -> None:
         self.system, self.momenta, self.t0, self.span = system, momenta, t0, span
         self.natural_step = self._natural_step()
@@ -188,8 +194,7 @@ class Pilot:
 
     def _natural_step(self) -> float:
         """Return the largest step, among halves of the span, at which the reference is accurate from the start."""
-        fields = np.array([self.system.vector_field(x, self.t0) for x in self.momenta])
-        speeds = np.linalg.norm(fields, axis=1)
+        speeds = _speeds(self.system, self.momenta, self.t0)
         if not np.all(np.isfinite(speeds)):
             raise ValueError(
                 f"the vector field at x0 is not finite, so {self.system.name} cannot be integrated from it"
@@ -281,12 +286,8 @@ class Pilot:
     def _speed(self) -> float:
         """Return the largest speed relative to the size, over the window."""
         h = math.copysign(self.window / self.points, self.span)
-        speeds = [
-            np.linalg.norm(self.system.vector_field(x, self.t0 + k * h)) / size
-            for k in range(0, self.points + 1, self.points // 12)
-            for x, size in zip(self.reference[k], self.size, strict=True)
-        ]
-        return float(max(speeds))
+        every = range(0, self.points + 1, self.points // 12)
+        return max(float(np.max(_speeds(self.system, self.reference[k], self.t0 + k * h) / self.size)) for k in every)
 
 
 def _agree(full: NDArray[np.float64] | None, halves: NDArray[np.float64] | None) -> bool:
@@ -296,6 +297,11 @@ def _agree(full: NDArray[np.float64] | None, halves: NDArray[np.float64] | None)
     return bool(np.all(np.linalg.norm(full[-1] - halves[-1], axis=1) <= STEP_AGREEMENT * _largest(halves)))
 
 
+def _speeds(system: System | Batch, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
+    """Return the norms of the vector field at states (members, n), each of its own system."""
+    return np.array([np.linalg.norm(system.of_member(m).vector_field(x, t)) for m, x in enumerate(states)])
+
+
 def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the largest norm of each member in the run."""
     largest: NDArray[np.float64] = np.max(np.linalg.norm(states, axis=2), axis=0)
@@ -303,7 +309,7 @@ def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def short_run(
-    system: System,
+    system: System | Batch,
     method: Method,
     momenta: NDArray[np.float64],
     t0: float,
@@ -322,36 +328,74 @@ def short_run(
     return run
 
 
-def sample_of(system: System, momenta: NDArray[np.float64], t0: float, span: float) -> NDArray[np.float64]:
+def sample_of(system: AnySystem, momenta: NDArray[np.float64], t0: float, span: float) -> Sample[AnySystem]:
     """Return up to 4 members for a pilot, in order: the first, and those with the largest errors in a coarse run."""
-    members = len(momenta)
-    if members <= SAMPLE_SIZE:
-        return momenta
-    screened = np.unique(np.linspace(0, members - 1, min(members, MAX_SCREENED)).round().astype(np.int64))
-    states = momenta[screened]
-    sizes = np.linalg.norm(states, axis=1)
-    rates = np.array([np.linalg.norm(system.vector_field(x, t0)) for x in states]) / np.where(sizes > 0.0, sizes, 1.0)
-    # Members with a nonfinite field are selected first, so that the pilot reports them.
-    rates = np.where(np.isfinite(rates), rates, np.inf)
+    if len(momenta) <= SAMPLE_SIZE:
+        return system, momenta
+    screened, states = _screened(system, momenta)
+    rates = _rates(screened, states, t0)
     fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
     time = abs(span) if fastest == 0.0 else min(abs(span), SCREENING_STEPS / STEPS_PER_SIZE / fastest)
-    ends = [
-        short_run(system, SCREENING_SCHEME, states, t0, np.copysign(time, span), n)
-        for n in (SCREENING_STEPS, 2 * SCREENING_STEPS)
-    ]
-    failed = (ends[0].state["status"] != 0) | (ends[1].state["status"] != 0)
-    differences = np.max(np.linalg.norm(ends[0].saved["x"][1:] - ends[1].saved["x"][2::2], axis=2), axis=0)
-    errors = np.where(failed | ~np.isfinite(rates), np.inf, differences / np.where(sizes > 0.0, sizes, 1.0))
-    worst = screened[np.argsort(-errors, kind="stable")[: SAMPLE_SIZE - 1]]
-    return momenta[np.unique(np.concatenate([[0], worst]))]
+    errors = _errors_of_members(screened, states, t0, np.copysign(time, span), SCREENING_SCHEME, SCREENING_STEPS)
+    return _worst(screened, states, errors)
+
+
+def sample_of_scheme(
+    system: AnySystem, momenta: NDArray[np.float64], pilot: Pilot, method: Method, step: float
+) -> Sample[AnySystem] | None:
+    """Return the members with the largest errors of a scheme at a step; None if those of the pilot stand for them."""
+    # The whole window, since errors of some members grow late; with few steps, as they rank members alike.
+    steps = max(1, min(SCREENING_STEPS, round(pilot.window / step)))
+    time = math.copysign(pilot.window, pilot.span)
+    screened, states = _screened(system, momenta)
+    errors = _errors_of_members(screened, states, pilot.t0, time, method, steps)
+    known = _errors_of_members(pilot.system, pilot.momenta, pilot.t0, time, method, steps)
+    return _worst(screened, states, errors) if np.max(errors) > UNSEEN_RATIO * np.max(known) else None
+
+
+def _screened(system: AnySystem, momenta: NDArray[np.float64]) -> Sample[AnySystem]:
+    """Return a sample of at most `MAX_SCREENED` members, evenly over their numbers."""
+    members = len(momenta)
+    return _members(
+        system, momenta, np.unique(np.linspace(0, members - 1, min(members, MAX_SCREENED)).round().astype(np.int64))
+    )
+
+
+def _rates(system: System | Batch, states: NDArray[np.float64], t0: float) -> NDArray[np.float64]:
+    """Return the speeds relative to the states; inf where the field is not finite."""
+    sizes = np.linalg.norm(states, axis=1)
+    rates = _speeds(system, states, t0) / np.where(sizes > 0.0, sizes, 1.0)
+    return np.where(np.isfinite(rates), rates, np.inf)
+
+
+def _errors_of_members(
+    system: System | Batch, states: NDArray[np.float64], t0: float, time: float, method: Method, steps: int
+) -> NDArray[np.float64]:
+    """Return the largest difference of each member from a run with half the steps, relative to x0; inf if one fails."""
+    runs = [short_run(system, method, states, t0, time, n) for n in (steps, 2 * steps)]
+    failed = (runs[0].state["status"] != 0) | (runs[1].state["status"] != 0)
+    differences = np.max(np.linalg.norm(runs[0].saved["x"][1:] - runs[1].saved["x"][2::2], axis=2), axis=0)
+    sizes = np.linalg.norm(states, axis=1)
+    # Members with a nonfinite field are selected first, so that the pilot reports them.
+    unusable = failed | ~np.isfinite(_rates(system, states, t0))
+    return np.where(unusable, np.inf, differences / np.where(sizes > 0.0, sizes, 1.0))
+
+
+def _worst(system: AnySystem, states: NDArray[np.float64], errors: NDArray[np.float64]) -> Sample[AnySystem]:
+    worst = np.argsort(-errors, kind="stable")[: SAMPLE_SIZE - 1]
+    return _members(system, states, np.unique(np.concatenate([[0], worst])))
+
+
+def _members(system: AnySystem, momenta: NDArray[np.float64], members: NDArray[np.int64]) -> Sample[AnySystem]:
+    return cast(AnySystem, selected(system, members) if isinstance(system, Batch) else system), momenta[members]
 
 
 @lru_cache(maxsize=MAX_SYSTEMS)
-def _cache_of(system: System) -> dict[Hashable, Any]:
+def _cache_of(system: System | Batch) -> dict[Hashable, Any]:
     return {}
 
 
-def cached_for_system(system: System, key: Hashable, compute: Callable[[], ResultT]) -> ResultT:
+def cached_for_system(system: System | Batch, key: Hashable, compute: Callable[[], ResultT]) -> ResultT:
     """Return a result cached for an immutable system and a hashable key; callers must not modify it."""
     if system.dim > MAX_CACHED_DIMENSION:
         return compute()
@@ -368,10 +412,12 @@ def cached_for_system(system: System, key: Hashable, compute: Callable[[], Resul
     return result
 
 
-def loops_of(system: System, method: Method, h: float) -> Loops:
-    """Return the loops that record the energy alone, cached if they depend on neither the step nor user functions."""
+def loops_of(system: System | Batch, method: Method, h: float) -> Loops:
+    """Return the loops of a short run, cached if they depend on neither the step nor user functions."""
 
     def build() -> Loops:
+        if isinstance(system, Batch):
+            return loops_of_batch(system, method, h, [None] * len(system))
         return loops_of_system(system, method, h, casimirs={})
 
     return (
@@ -381,5 +427,5 @@ def loops_of(system: System, method: Method, h: float) -> Loops:
     )
 
 
-def _has_functions(system: System) -> bool:
-    return system.algebra is None or any(term.called for term in system.hamiltonian.terms())
+def _has_functions(system: System | Batch) -> bool:
+    return any(one.algebra is None or any(term.called for term in one.hamiltonian.terms()) for one in system.distinct)

@@ -66,13 +66,12 @@ class SampledRun(PreparedRun):
         threads: int | None,
     ) -> None:
         check_system(system)
-        if system.is_batch:
-            raise TypeError("accuracy chooses the step for one system, and this is a batch; prepare a run of a member")
         t0, t1 = span_of(t_span)
         if t0 == t1:
             raise ValueError(f"t_span is {[t0, t1]}; a prepared run needs a time longer than 0")
         momenta, _ = momenta_of(system, sample)
-        states = sample_of(cast(System, system), momenta, t0, t1 - t0)
+        # Runs of a batch have all its members.
+        states = momenta if system.is_batch else sample_of(cast(System, system), momenta, t0, t1 - t0)[1]
         attitude = read_attitude(attitude, system)
         # Runs may have another number of members than the sample, so stacked initial group elements are not passed on.
         self._attitude_option = True if np.ndim(attitude) == 3 else attitude
@@ -87,7 +86,7 @@ class SampledRun(PreparedRun):
         self._methods, self._time, self.signed_step = method, t1 - t0, math.copysign(step, t1 - t0)
         self._full_step_run = PreparedRun(system, self.choice.method, step, watch=False, threads=1)
         self._half_step_run = PreparedRun(system, self.choice.method, 0.5 * step, watch=False, threads=1)
-        self._time_dependent = bool(system.hamiltonian.timed)
+        self._time_dependent = any(one.hamiltonian.timed for one in system.distinct)
         self._one_step_span = 0.0, self.signed_step
         self._last_span: tuple[Any, float] = None, t0
         self._variable_steps, self._allowed = self.choice.method.own_steps, math.inf
@@ -200,7 +199,7 @@ class SampledRun(PreparedRun):
         """Return the largest difference along the motions from a sample, relative to the state."""
         steps = max(1, round(self._time / self.signed_step))
         solution = self._full_step_run.run(sample, (t0, t0 + self._time), max(1, steps // CHECKED_STEPS))
-        if self._time_dependent:
+        if self._time_dependent or self.system.is_batch:
             starts = zip(solution.x, solution.t.tolist(), strict=True)
             pairs = [(x, (t, t + self.signed_step)) for x, t in starts]
         else:

@@ -176,10 +176,8 @@ def integrate(
 def chosen_for(
     accuracy: float, system: Any, x0: Any, t_span: tuple[float, float], attitude: Any, method: Method | None
 ) -> Any:
-    """Return the `Choice` of `choose` for the arguments of `integrate`; a batch raises TypeError."""
+    """Return the `Choice` of `choose` for the arguments of `integrate`."""
     check_system(system)
-    if isinstance(system, Batch):
-        raise TypeError("accuracy chooses the step for one system, and this is a batch; choose for a member")
     return shortcut("choose")(cast(Any, system), x0, t_span, accuracy, attitude=attitude, methods=method)
 
 

@@ -62,7 +62,7 @@ def test_sample_contains_the_hardest_members(span, members):
     ensemble = sizes[:, None] * X0
     compared = np.unique(np.linspace(0, members - 1, min(members, 256)).round().astype(int))
     hardest = set(compared[np.argsort(-sizes[compared])[:2]].tolist())
-    found = sample_of(BODY, ensemble, 0.0, span)
+    _, found = sample_of(BODY, ensemble, 0.0, span)
     assert {int(np.flatnonzero(np.all(ensemble == x, axis=1))[0]) for x in found} >= {0, *hardest}
 
 
