@@ -16,8 +16,8 @@ class StageJacobians {
     typedef Lanes<MOST_STAGES> S;
     const bool used;
 
-    StageJacobians(StagePoints& at, bool transposed)
-        : used(suitable(at)), at(at), n(at.n), s(at.s), jacobians(used ? n * n : 0), scales(1), mixed(s), weights(s), outs(1),
+    StageJacobians(StagePoints& at, bool transposed, bool wanted)
+        : used(wanted && suitable(at)), at(at), n(at.n), s(at.s), jacobians(used ? n * n : 0), scales(1), mixed(s), weights(s), outs(1),
           continued(3 * s), exact(at.tables.solver == EXPLICIT ? (transposed ? s : 1) : 0), trusted(exact) {
         if (!used) return;
         find_coefficients();
