@@ -145,7 +145,7 @@ class StageTangents {
         });
     }
 
-    void add(int64_t i, double factor, const V* from, V* z) const {
+    INLINE void add(int64_t i, double factor, const V* from, V* z) const {
         for (int64_t b = 0; b < rows; ++b) z[i * rows + b] = fma(V(factor), from[b], z[i * rows + b]);
     }
 
