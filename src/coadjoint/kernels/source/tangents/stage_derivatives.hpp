@@ -285,6 +285,9 @@ class StageCotangents {
     EntriesOfTerms by_term;
     EntriesByColumn by_column, by_state;  // of the structure constants
 
+    // Whether threads share the products with structure constants.
+    bool is_shared() const { return team_of_this_thread && !at.field.nonlinear && n >= LEAST_SHARED; }
+
     // Function iterates backward; `of_points` are the cotangents of the last ones.
     void move_iterates(double* cotangents, const CoefficientCotangents<double>& coefficients) {
         const RungeKuttaTables& tables = at.tables;
@@ -316,15 +319,21 @@ class StageCotangents {
         const Field& field = at.field;
         const double *p = of_structure + j * n, *q = of_gradient + j * n, h = at.length_of(j);
         for (int64_t i = 0; i < n; ++i) w.at[i] = with_element ? of_gradients.at[j * n + i] : 0.0;
-        if (field.nonlinear) {
+        if (is_shared()) {
+            by_column.find(0, uint32_t(n), field.first, field.column, n);
+            by_column.add(w.at, [&](uint32_t e) { return h * (field.constant[e] * p[field.state[e]]); },
+                          [&](uint32_t i) { return y[i]; });
+        } else if (field.nonlinear) {
             structure(field, SharedConstants{}, p, at.fields);
             for (int64_t i = 0; i < n; ++i)
                 for (int64_t k = 0; k < n; ++k)
                     w.at[k] = fma(h * field.sign * at.fields.matrix.at[i * n + k], y[i], w.at[k]);
         } else {
-            by_column.find(0, uint32_t(n), field.first, field.column, n);
-            by_column.add(w.at, [&](uint32_t e) { return h * (field.constant[e] * p[field.state[e]]); },
-                          [&](uint32_t i) { return y[i]; });
+            for (int64_t i = 0; i < n; ++i)
+                for (uint32_t e = field.first[i]; e < field.first[i + 1]; ++e) {
+                    double& entry = w.at[field.column[e]];
+                    entry = fma(h * (field.constant[e] * p[field.state[e]]), y[i], entry);
+                }
         }
         const auto each_term = [&](const Terms& terms, bool of_coefficients_only,
                                    const CoefficientCotangents<double>& of) {
@@ -346,10 +355,18 @@ class StageCotangents {
     void pull_structure(int64_t j, const double* of_structure, const double* u, const double* y, double* out) {
         const Field& field = at.field;
         const double h = at.length_of(j);
-        if (!field.nonlinear) {
+        if (is_shared()) {
             by_state.find(0, uint32_t(n), field.first, field.state, n);
             return by_state.add(out, [&](uint32_t e) { return h * (field.constant[e] * u[field.column[e]]); },
                                 [&](uint32_t i) { return y[i]; });
+        }
+        if (!field.nonlinear) {
+            for (int64_t i = 0; i < n; ++i)
+                for (uint32_t e = field.first[i]; e < field.first[i + 1]; ++e) {
+                    double& entry = out[field.state[e]];
+                    entry = fma(h * (field.constant[e] * u[field.column[e]]), y[i], entry);
+                }
+            return;
         }
         call_function(SharedConstants{}, at.all.derivative, 0, of_structure + j * n, n, 0.0, derivative.data(), n * n * n,
                       calls.data());
