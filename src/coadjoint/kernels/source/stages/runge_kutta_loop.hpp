@@ -29,34 +29,49 @@ inline int64_t work_of_step(const RungeKuttaLoop& loop) {
 // If the first correction is NaN, a number overflowed; otherwise the iteration did not converge.
 INLINE int64_t failure_of(double residual) { return residual == residual ? NOT_CONVERGED : OVERFLOWED; }
 
-template <class Side, class C>
-void advance_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const C& constants) {
+// What moves along with a trajectory: nothing. After each substep with known slopes, and after each step, it is called, and
+// may end the run.
+struct NothingAlong {
+    int64_t work_of_step(int64_t of_trajectory) const { return of_trajectory; }
+    void begin(double*, bool) {}
+    bool substep(Single&, double, double) { return true; }
+    bool after(int64_t) { return true; }
+    void end(double*) {}
+};
+
+// Its memory is behind that of the trajectory.
+template <class Side, class C, class Along = NothingAlong>
+void advance_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, const C& constants, Along&& along = Along()) {
     const Schedule& schedule = loop.schedule;
     const Arrays& arrays = loop.arrays;
     const int64_t n = arrays.size, square = arrays.square;
     each_row(arrays, one.x, one.dx, one.g, one.dg, [&](const double* from, double* to, int64_t length) {
         std::copy_n(from + member * length, length, to);
     });
-    double* memory = loop.memory_of(member);
+    double *memory = loop.memory_of(member), *further = memory + memory_size(loop.tables);
     one.iterations = one.evaluations = 0;
-    if (arrays.memory_size > 0) {
+    if (further > memory) {
         one.newton = memory[0];
         one.read_slopes(memory + 1);
     }
+    along.begin(further, loop.k0 == 0);
     AlreadyFinished nothing;
     MemberRecorder<Side, C, AlreadyFinished> recorder(loop.watch, arrays, schedule, constants, nothing);
     recorder.begin(member, constants, loop.k0);
     SharedSteps shared_steps(schedule.threads, n);
-    const int64_t work = work_of_step(loop);
+    const int64_t work = along.work_of_step(work_of_step(loop));
     const double h = length_of(schedule, member);
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
         shared_steps.begin();
         const double start = start_of(schedule, member, k);
-        bool found = true;
-        for (int64_t part = 0; part < loop.tables.substeps && found; ++part) {
-            found = one.solve(start + loop.tables.moment[part] * h, loop.tables.fraction[part] * h, part);
-            if (found) one.add();
+        bool found = true, moved = true;
+        for (int64_t part = 0; part < loop.tables.substeps && found && moved; ++part) {
+            const double t = start + loop.tables.moment[part] * h, length = loop.tables.fraction[part] * h;
+            found = one.solve(t, length, part);
+            if (!found) break;
+            moved = along.substep(one, t, length);
+            one.add();
         }
         if (!found) {
             loop.fail(member, k, failure_of(one.residual), one.residual);
@@ -67,15 +82,20 @@ void advance_alone(const RungeKuttaLoop& loop, Single& one, int64_t member, cons
             break;
         }
         recorder.after(k, one.x, one.dx, [&](int64_t, double* to) { return std::copy_n(one.g, square, to), true; });
+        if (!moved || !along.after(k)) {
+            loop.fail(member, k, PARALLEL, std::numeric_limits<double>::quiet_NaN());
+            break;
+        }
         shared_steps.end();
     }
     recorder.flush();
+    along.end(further);
     loop.arrays.iterations[member] += one.iterations;
     loop.arrays.evaluations[member] += one.evaluations;
     each_row(arrays, one.x, one.dx, one.g, one.dg, [&](double* to, const double* from, int64_t length) {
         std::copy_n(from, length, to + member * length);
     });
-    if (arrays.memory_size > 0) {
+    if (further > memory) {
         memory[0] = one.newton;
         one.write_slopes(memory + 1);
     }

@@ -6,34 +6,6 @@
 
 namespace coadjoint {
 
-// Call `run(together, constants, first, count, interrupts)` for the members first to last - 1, `lanes` of them at a time or
-// each alone; return zero or the outcome.
-template <int64_t lanes, class Run>
-int64_t run_in_lanes(const FlowCotangents& tables, int64_t size, int64_t first, int64_t last, const int64_t* stop, Run run) {
-    InterruptCheck interrupts(stop);
-    return outcome_of([&]() -> int64_t {
-        while (first < last && (tables.stride || (size <= WIDEST && last - first >= MIN_LANES))) {
-            const int64_t count = std::min<int64_t>(lanes, last - first);
-            if (tables.stride)
-                run(std::true_type(), LaneConstants{tables.stride, first}, first, count, interrupts);
-            else
-                run(std::true_type(), SharedConstants{}, first, count, interrupts);
-            first += count;
-        }
-        for (; first < last; ++first) run(std::false_type(), SharedConstants{}, first, int64_t(1), interrupts);
-        return 0;
-    });
-}
-
-// Visitors of the numbers in lanes, which copy them from an array, or to it.
-inline auto read_entries(const double* from) {
-    return [from](auto& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); };
-}
-
-inline auto write_entries(double* to) {
-    return [to](auto& entry, int lane, int64_t position) { to[position] = lane_of(entry, lane); };
-}
-
 // Call `visit(a, i, component)` for each component i that D_a changes, of all angles a of a part: component(at) is that of
 // D_a x for the x with the components at(0), at(1), ... A constant is an N.
 template <class N, class C, class Visit>

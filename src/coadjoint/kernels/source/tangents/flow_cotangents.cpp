@@ -1,6 +1,7 @@
 // The loop over the steps of programs backward, for Python.
 #include "flows/compiled_rows.hpp"
 #include "tangents/flow_cotangents.hpp"
+#include "tangents/members.hpp"
 
 namespace coadjoint {
 
@@ -34,9 +35,8 @@ class StepsBackward {
   public:
     StepsBackward(const FlowCotangents& all, const C& constants, const BackwardRun& run, int64_t first, int64_t count,
                   InterruptCheck& interrupts)
-        : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), first(first),
-          used(of_members ? count : 1), size(run.size),
-          d(run.square > 0 ? tables.group.size : 0),
+        : all(all), tables(all.base), constants(constants), run(run), interrupts(interrupts), used(of_members ? count : 1),
+          members{first, used}, size(run.size), d(run.square > 0 ? tables.group.size : 0),
           rows(of_members ? d : (d + Numbers<G>::lanes - 1) / Numbers<G>::lanes), square(d * rows),
           steps(run.undone ? 0 : run.k1 - run.k0), coefficients(CoefficientCotangents<A>::count(tables.terms)),
           states((steps + 1) * size), x(2 * size), cotangents(size), finished(2 * size), added(size),
@@ -118,12 +118,12 @@ class StepsBackward {
             if (run.deviations && !run.undone) compare_with(states.at + (k - 1 - run.k0) * size);
             run.undone ? shared_steps.end() : shared_steps.end_as_measured();
         }
-        each_number(cotangents.at, size, used, write_entries(run.cotangents));
-        each_number(of_coefficients.at, coefficients, used,
+        members.each_number(cotangents.at, size, used, write_entries(run.cotangents));
+        members.each_number(of_coefficients.at, coefficients, used,
                     [&](A& entry, int lane, int64_t position) { run.coefficients[position] += lane_of(entry, lane); });
         each_entry(group_cotangents.at, used, write_entries(run.group_cotangents));
         for (int64_t lane = 0; run.deviations && lane < used; ++lane) {
-            double& deviation = run.deviations[member_of(lane)];
+            double& deviation = run.deviations[members.member_of(lane)];
             deviation = std::max(deviation, lane_of(largest_deviation, int(lane)));
         }
     }
@@ -137,7 +137,9 @@ class StepsBackward {
     const C constants;
     const BackwardRun& run;
     InterruptCheck& interrupts;
-    const int64_t first, used, size, d, rows, square, steps, coefficients;
+    const int64_t used;
+    const MembersOfRun<of_members> members;
+    const int64_t size, d, rows, square, steps, coefficients;
     AlignedArray<A> states, x, cotangents, finished, added, scratch, of_coefficients;
     AlignedArray<G> groups, group, group_cotangents, copies, group_added, group_scratch;
     AngleWorkspace<A> angles;
@@ -174,20 +176,13 @@ class StepsBackward {
             sweep<summation, false>(tables, constants, r, r + 1, momentum, element, t, run.h, angles);
     }
 
-    // Numbers of a member are contiguous; entries (i, r) of a group element are at i * rows + r, or in its lanes. The
-    // last member fills further `lanes`.
-    template <class Number, class Visit>
-    void each_number(Number* to, int64_t length, int64_t lanes, const Visit& visit) const {
-        for (int64_t lane = 0; lane < lanes; ++lane)
-            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), member_of(lane) * length + i);
-    }
-
+    // Entries (i, r) of a group element are at i * rows + r, or in its lanes.
     template <class Visit>
     void each_entry(G* to, int64_t lanes, const Visit& visit) const {
         for (int64_t lane = 0; lane < lanes; ++lane)
             for (int64_t i = 0; i < d; ++i)
                 for (int64_t r = 0; r < d; ++r) {
-                    const int64_t from = member_of(lane) * d * d + i * d + r;
+                    const int64_t from = members.member_of(lane) * d * d + i * d + r;
                     if constexpr (of_members)
                         visit(to[i * rows + r], int(lane), from);
                     else
@@ -195,10 +190,8 @@ class StepsBackward {
                 }
     }
 
-    int64_t member_of(int64_t lane) const { return first + std::min(lane, used - 1); }
-
     NOINLINE void read(A* to, const double* from) const {
-        each_number(to, size, Numbers<A>::lanes, read_entries(from));
+        members.each_number(to, size, Numbers<A>::lanes, read_entries(from));
     }
 
     NOINLINE void read_group(G* to, const double* from) const {

@@ -1,6 +1,7 @@
 // The loop over the steps of programs with tangent vectors that are saved, for Python.
 #include "flows/compiled_rows.hpp"
 #include "tangents/flow_tangents.hpp"
+#include "tangents/members.hpp"
 
 namespace coadjoint {
 
@@ -12,46 +13,28 @@ static void run_members(const FlowCotangents& all, const C& constants, const For
     constexpr bool of_members = Numbers<A>::lanes == Numbers<V>::lanes;
     constexpr int64_t per_block = of_members ? 1 : Numbers<V>::lanes;
     const int64_t size = run.size, side = run.square > 0 ? tables.group.size : 0, square = side * side;
-    const int64_t rows = (run.carried + per_block - 1) / per_block, used = of_members ? count : 1;
-    const int64_t coefficients = tables.terms.row[tables.terms.size] +
-                                 tables.terms.entry[tables.terms.row[tables.terms.size]] +
-                                 tables.terms.monomial[tables.terms.size];
+    const int64_t rows = (run.carried + per_block - 1) / per_block;
+    const int64_t coefficients = CoefficientCotangents<A>::count(tables.terms);
+    const MembersOfRun<of_members> members{first, of_members ? count : 1};
     AlignedArray<A> x(2 * size), finished(2 * size), group(square), finished_group(square);
     AlignedArray<V> vectors(size * rows), copies(size * rows), of_group(square * rows), copies_of_group(square * rows);
     AlignedArray<V> directions(coefficients * rows);
     FlowTangentState<A, V, C> tangents(tables, constants, all.hessians, size, rows);
-    // Numbers of members (members, length), or of their vectors (members, carried, length). Functions of the user are
-    // called for all lanes: the last member fills them.
-    const auto each_number = [&](A* to, int64_t length, auto&& visit) {
-        for (int64_t lane = 0; lane < Numbers<A>::lanes; ++lane)
-            for (int64_t i = 0; i < length; ++i)
-                visit(to[i], int(lane), (first + std::min(lane, used - 1)) * length + i);
+    // Functions of the user are called for all lanes.
+    const auto read_numbers = [&](A* to, int64_t length, const double* from) {
+        members.each_number(to, length, Numbers<A>::lanes, read_entries(from));
     };
     const auto each_component = [&](V* to, int64_t length, auto&& visit) {
-        for (int64_t lane = 0; lane < used; ++lane)
-            for (int64_t v = 0; v < run.carried; ++v)
-                for (int64_t i = 0; i < length; ++i)
-                    visit(to[i * rows + v / per_block], int(of_members ? lane : v % per_block),
-                          ((first + lane) * run.carried + v) * length + i);
+        members.each_component(to, length, run.carried, visit);
     };
-    each_number(x.at, size, read_entries(run.momenta));
-    each_number(x.at + size, size, read_entries(run.errors));
+    read_numbers(x.at, size, run.momenta);
+    read_numbers(x.at + size, size, run.errors);
     each_component(vectors.at, size, read_entries(run.tangents));
     if (square > 0) {
-        each_number(group.at, square, read_entries(run.groups));
+        read_numbers(group.at, square, run.groups);
         each_component(of_group.at, square, read_entries(run.group_tangents));
     }
-    const int64_t of_member = run.carried * coefficients;
-    bool directed = false;
-    for (int64_t lane = 0; lane < used; ++lane) {
-        const double* from = run.coefficients + (run.apart ? (first + lane) * of_member : 0);
-        for (int64_t v = 0; v < run.carried; ++v)
-            for (int64_t i = 0; i < coefficients; ++i, ++from) {
-                set_lane(directions.at[i * rows + v / per_block], int(of_members ? lane : v % per_block), *from);
-                directed = directed || *from != 0.0;
-            }
-    }
-    V* const of_coefficients = directed ? directions.at : nullptr;
+    V* const of_coefficients = members.read_directions(directions.at, coefficients, run) ? directions.at : nullptr;
     const FurtherTangents<A, V> further{square > 0 ? group.at : nullptr, of_group.at, of_coefficients, all.added};
     FlowsOfRows<typename C::template Constant<A>, C> flows_of(tables, constants, square > 0, true);
     const auto opening = flows_of(tables.section[0], tables.section[1]);

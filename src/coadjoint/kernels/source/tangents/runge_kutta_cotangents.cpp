@@ -1,4 +1,5 @@
 // The loops over steps of Runge-Kutta methods with tangent vectors that are saved, and backward, for Python.
+#include "tangents/members.hpp"
 #include "tangents/stage_derivatives.hpp"
 
 namespace coadjoint {
@@ -45,29 +46,22 @@ static int64_t work_of_step(const RungeKuttaTables& tables) {
 
 static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& run, int64_t first, int64_t last,
                             InterruptCheck& interrupts) {
-    typedef StageTangents::V V;
+    typedef Lanes<8> V;
     constexpr int64_t lanes = Numbers<V>::lanes;
     const RungeKuttaTables& tables = all.base;
     const int64_t n = run.size, square = run.square, rows = (run.carried + lanes - 1) / lanes;
     const int64_t count = CoefficientCotangents<double>::count(all.added);
     SteppedMember stepped(tables);
     StagePoints points(all);
-    StageTangents tangents(points, rows);
+    StageTangents<V> tangents(points, rows);
     AlignedArray<V> vectors(n * rows), of_group(square * rows), directions(count * rows);
-    const auto each = [&](V* to, int64_t length, int64_t first, auto&& visit) {
-        for (int64_t v = 0; v < run.carried; ++v)
-            for (int64_t i = 0; i < length; ++i)
-                visit(to[i * rows + v / lanes], int(v % lanes), (first + v) * length + i);
-    };
     const int64_t work = (2 + 4 * rows) * work_of_step(tables);
     for (int64_t member = first; member < last; ++member) {
-        const int64_t own = run.apart ? member * run.carried : 0;
-        const double* const of_coefficients = run.coefficients + own * count;
-        const bool directed = std::any_of(of_coefficients, of_coefficients + run.carried * count,
-                                          [](double direction) { return direction != 0.0; });
-        each(directions.at, count, own, read_entries(run.coefficients));
-        each(vectors.at, n, member * run.carried, read_entries(run.tangents));
-        if (square > 0) each(of_group.at, square, member * run.carried, read_entries(run.group_tangents));
+        const MembersOfRun<false> one{member, 1};
+        const auto each = [&](V* to, int64_t length, auto&& visit) { one.each_component(to, length, run.carried, visit); };
+        const bool directed = one.read_directions(directions.at, count, run);
+        each(vectors.at, n, read_entries(run.tangents));
+        if (square > 0) each(of_group.at, square, read_entries(run.group_tangents));
         stepped.begin(run, member);
         tangents.restart();
         int64_t mark = 0;
@@ -85,12 +79,12 @@ static void forward_members(const RungeKuttaCotangents& all, const ForwardRun& r
             }
             shared_steps.end();
             if (mark == run.marked || run.marks[mark] != k) continue;
-            const int64_t saved = (mark++ * run.members + member) * run.carried;
-            each(vectors.at, n, saved, write_entries(run.at_points));
-            if (square > 0) each(of_group.at, square, saved, write_entries(run.at_groups));
+            const int64_t saved = mark++ * run.members * run.carried;
+            each(vectors.at, n, write_entries(run.at_points + saved * n));
+            if (square > 0) each(of_group.at, square, write_entries(run.at_groups + saved * square));
         }
-        each(vectors.at, n, member * run.carried, write_entries(run.tangents));
-        if (square > 0) each(of_group.at, square, member * run.carried, write_entries(run.group_tangents));
+        each(vectors.at, n, write_entries(run.tangents));
+        if (square > 0) each(of_group.at, square, write_entries(run.group_tangents));
     }
 }
 

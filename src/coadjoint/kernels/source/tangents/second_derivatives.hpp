@@ -1,4 +1,4 @@
-// Changes of gradients and fields along tangent vectors side by side: exact second derivatives.
+// Changes of gradients along tangent vectors side by side: exact second derivatives.
 #pragma once
 
 #include "field/derivatives.hpp"
@@ -86,75 +86,5 @@ NOINLINE void gradient_changes(const Terms& terms, const C& constants, const int
             for (int64_t j = 0; j < count; ++j) add(i, workspace.matrix.at[i * count + j], terms.target[start + j]);
     }
 }
-
-// Changes of the field of one system: of the gradient of H, and of sign J(x) u.
-template <class V>
-class FieldChanges {
-  public:
-    FieldChanges(const Field& field, const Tangents& tangents, int64_t rows)
-        : field(field), tangents(tangents), rows(rows), workspace(field.terms), part(field.longest * rows),
-          second_derivative(field.size * rows), derivative(field.nonlinear ? field.size * field.size * field.size : 0),
-          calls(field.nonlinear ? field.size * (1 + field.size * field.size) : 0) {}
-
-    // Set out = factor * sign * J(z) H''(x, t) v.
-    void of_gradient(const double* z, const double* x, double t, const V* vectors, double factor, V* out,
-                     FieldWorkspace<double>& workspace_of_field) {
-        const Terms& terms = field.terms;
-        std::fill_n(second_derivative.at, field.size * rows, V(0.0));
-        for (int64_t k = 0; k < terms.size; ++k) {
-            const int64_t first = terms.row[k];
-            gradient_changes(terms, SharedConstants{}, tangents.hessians, k, x, t, vectors, rows, part.at, first,
-                             workspace);
-            for (int64_t row = first; row < int64_t(terms.row[k + 1]); ++row)
-                for (int64_t b = 0; b < rows; ++b)
-                    second_derivative.at[terms.target[row] * rows + b] += part.at[(row - first) * rows + b];
-        }
-        if (field.nonlinear) structure(field, SharedConstants{}, z, workspace_of_field);
-        share(field.size, [&](int64_t first, int64_t last) {
-            std::fill(out + first * rows, out + last * rows, V(0.0));
-            for (int64_t i = first; i < last; ++i) {
-                if (field.nonlinear)
-                    for (int64_t j = 0; j < field.size; ++j)
-                        add(i, factor * field.sign * workspace_of_field.matrix.at[i * field.size + j],
-                            second_derivative.at + j * rows, out);
-                else
-                    for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                        add(i, factor * (field.constant[q] * z[field.state[q]]),
-                            second_derivative.at + field.column[q] * rows, out);
-            }
-        });
-    }
-
-    // Add to out the factor times sign * (derivative of J at z along v) u.
-    void of_structure(const double* z, const double* u, const V* vectors, double factor, V* out) {
-        const int64_t n = field.size;
-        if (!field.nonlinear) {
-            return share(n, [&](int64_t first, int64_t last) {
-                for (int64_t i = first; i < last; ++i)
-                    for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                        add(i, factor * (field.constant[q] * u[field.column[q]]), vectors + field.state[q] * rows, out);
-            });
-        }
-        call_function(SharedConstants{}, tangents.derivative, 0, z, n, 0.0, derivative.data(), n * n * n, calls.data());
-        for (int64_t i = 0; i < n; ++i)
-            for (int64_t k = 0; k < n; ++k) {
-                double entry = 0.0;
-                for (int64_t j = 0; j < n; ++j) entry = fma(derivative[(i * n + j) * n + k], u[j], entry);
-                add(i, factor * (field.sign * entry), vectors + k * rows, out);
-            }
-    }
-
-  private:
-    const Field& field;
-    const Tangents& tangents;
-    const int64_t rows;
-    HessianWorkspace<double> workspace;
-    AlignedArray<V> part, second_derivative;
-    std::vector<double> derivative, calls;
-
-    void add(int64_t i, double factor, const V* from, V* out) const {
-        for (int64_t b = 0; b < rows; ++b) out[i * rows + b] = fma(V(factor), from[b], out[i * rows + b]);
-    }
-};
 
 }  // namespace coadjoint

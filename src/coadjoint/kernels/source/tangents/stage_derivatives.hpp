@@ -6,16 +6,17 @@
 
 namespace coadjoint {
 
-// Tangent vectors of one member, `rows` blocks of lanes, through a substep.
+// Tangent vectors of one member, `rows` blocks of lanes V, through a substep. The equations of its stages are solved by
+// iteration, or `by_factors`.
+template <class V>
 class StageTangents {
   public:
-    typedef Lanes<8> V;
-    StageTangents(StagePoints& at, int64_t rows)
-        : at(at), rows(rows), n(at.n), s(at.s), d(at.d), tangents{n, 0, 0, nullptr, at.all.hessians, at.all.derivative},
-          changes(at.field, tangents, rows), jacobians(at, false), momentum(at.tables, n, rows, false),
-          element(at.tables, at.square, rows, false), workspace(at.field.terms), of_added(at.all.added),
-          of_gradients(s * n * rows), of_iterates(s * n * rows), of_slopes(s * n * rows), part(longest() * rows),
-          found(jacobians.used ? 2 * s * n * rows : 0) {}
+    StageTangents(StagePoints& at, int64_t rows, bool by_factors = false)
+        : at(at), rows(rows), n(at.n), s(at.s), d(at.d), by_factors(by_factors), jacobians(at, false, !by_factors),
+          momentum(at.tables, n, rows, false), element(at.tables, at.square, rows, false), workspace(at.field.terms),
+          of_added(at.all.added), of_gradients(s * n * rows), of_iterates(s * n * rows), of_slopes(s * n * rows),
+          part(longest() * rows), found(jacobians.used ? 2 * s * n * rows : 0), spare(n),
+          derivative(at.field.nonlinear ? n * n * n : 0), calls(at.field.nonlinear ? n * (1 + n * n) : 0) {}
 
     // The next substep does not follow the last one.
     void restart() {
@@ -44,8 +45,8 @@ class StageTangents {
                 for (int64_t j = 0; j < s; ++j) {
                     const double* point = at.iterates_of(pass) + j * n;
                     set_gradient_change(j, point, of_iterates.at + j * count, directions);
-                    gradient(at.field, SharedConstants{}, point, at.time_of(j), scratch(), at.fields);
-                    slope(j, point, scratch(), of_iterates.at + j * count, of_slopes.at + j * count);
+                    gradient(at.field, SharedConstants{}, point, at.time_of(j), spare.data(), at.fields);
+                    slope(j, point, spare.data(), of_iterates.at + j * count, of_slopes.at + j * count);
                 }
                 for (int64_t i = 0; i < s; ++i) {
                     V* to = of_iterates.at + i * count;
@@ -56,20 +57,24 @@ class StageTangents {
                 }
             }
         const auto base = [&](int64_t, V* y) { std::copy_n(vectors, count, y); };
-        const auto apply = [&](int64_t j, const V* y, V* z) {
-            const V* frozen = of_iterates.at + j * count;
-            set_gradient_change(j, at.of_gradient() + j * n, at.tables.solver == GRADIENT ? frozen : y, directions);
-            slope(j, at.of_structure() + j * n, at.gradient_of(j), at.tables.solver == STRUCTURE ? frozen : y, z);
+        // Unless `linear`, with the effect of the frozen factor and of the coefficients.
+        const auto apply = [&](int64_t j, const V* y, V* z, bool linear) {
+            const V* frozen = linear ? nullptr : of_iterates.at + j * count;
+            set_gradient_change(j, at.of_gradient() + j * n, tables.solver == GRADIENT ? frozen : y,
+                                linear ? nullptr : directions);
+            slope(j, at.of_structure() + j * n, at.gradient_of(j), tables.solver == STRUCTURE ? frozen : y, z);
         };
         if (jacobians.used) {
-            momentum.solve(base, [&](int64_t j, const V* y, V* z) {
-                jacobians.multiply<false>(j, y, z, rows);
-                for (int64_t k = 0; directions && k < count; ++k) z[k] += of_slopes.at[j * count + k];
+            momentum.solve(base, [&](int64_t j, const V* y, V* z, bool linear) {
+                jacobians.template multiply<false>(j, y, z, rows);
+                for (int64_t k = 0; directions && !linear && k < count; ++k) z[k] += of_slopes.at[j * count + k];
             });
             for (int64_t j = 0; of_group && j < s; ++j)
                 set_gradient_change(j, at.of_gradient() + j * n, momentum.of_stage(j), directions);
         } else if (tables.solver == ITERATED) {
-            for (int64_t j = 0; j < s; ++j) apply(j, of_iterates.at + j * count, momentum.slope_of(j));
+            for (int64_t j = 0; j < s; ++j) apply(j, of_iterates.at + j * count, momentum.slope_of(j), false);
+        } else if (by_factors && tables.solver != EXPLICIT) {
+            momentum.solve_by_factors(base, apply, tables.solver == IMPLICIT && !directions);
         } else {
             momentum.solve(base, apply);
         }
@@ -81,15 +86,13 @@ class StageTangents {
   private:
     StagePoints& at;
     const int64_t rows, n, s, d;
-    const Tangents tangents;
-    FieldChanges<V> changes;
+    const bool by_factors;
     StageJacobians jacobians;
     StageEquations<V> momentum, element;
     HessianWorkspace<double> workspace, of_added;
     AlignedArray<V> of_gradients, of_iterates, of_slopes, part, found;
-    std::vector<double> spare;
+    std::vector<double> spare, derivative, calls;
 
-    double* scratch() { return spare.resize(n), spare.data(); }
     int64_t longest() const { return std::max(at.field.longest, at.longest_added()); }
 
     // Add the change of the rows of a term, in `part`, to that of grad H(Q_j).
@@ -111,12 +114,12 @@ class StageTangents {
         }
     }
 
-    // The change of grad H(Q_j) for a change of Q_j and of the coefficients.
+    // The change of grad H(Q_j) for a change of Q_j and of the coefficients; none of them for null pointers.
     void set_gradient_change(int64_t j, const double* point, const V* vectors, const V* directions) {
         V* to = of_gradients.at + j * n * rows;
         std::fill_n(to, n * rows, V(0.0));
         const Terms& terms = at.field.terms;
-        for (int64_t k = 0; k < terms.size; ++k) {
+        for (int64_t k = 0; vectors && k < terms.size; ++k) {
             gradient_changes(terms, SharedConstants{}, at.all.hessians, k, point, at.time_of(j), vectors, rows, part.at,
                              terms.row[k], workspace);
             add_rows(terms, k, to);
@@ -130,31 +133,49 @@ class StageTangents {
         const V* of_gradient = of_gradients.at + j * n * rows;
         const double h = at.length_of(j);
         if (field.nonlinear) structure(field, SharedConstants{}, point, at.fields);
-        const auto add = [&](int64_t i, double factor, int64_t k) {
-            for (int64_t b = 0; b < rows; ++b) z[i * rows + b] = fma(V(factor), of_gradient[k * rows + b], z[i * rows + b]);
-        };
         share(n, [&](int64_t first, int64_t last) {
             std::fill(z + first * rows, z + last * rows, V(0.0));
             for (int64_t i = first; i < last; ++i)
                 if (field.nonlinear)
-                    for (int64_t k = 0; k < n; ++k) add(i, h * field.sign * at.fields.matrix.at[i * n + k], k);
+                    for (int64_t k = 0; k < n; ++k)
+                        add(i, h * field.sign * at.fields.matrix.at[i * n + k], of_gradient + k * rows, z);
                 else
                     for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
-                        add(i, h * (field.constant[q] * point[field.state[q]]), field.column[q]);
+                        add(i, h * (field.constant[q] * point[field.state[q]]), of_gradient + field.column[q] * rows, z);
         });
     }
 
-    // The change of h_j J(P_j) u_j, with that of u_j in `of_gradients`.
+    INLINE void add(int64_t i, double factor, const V* from, V* z) const {
+        for (int64_t b = 0; b < rows; ++b) z[i * rows + b] = fma(V(factor), from[b], z[i * rows + b]);
+    }
+
+    // The change of h_j J(P_j) u_j for that of P_j, none for a null pointer, with that of u_j in `of_gradients`.
     void slope(int64_t j, const double* point, const double* u, const V* of_point, V* z) {
         of_product(j, point, z);
-        changes.of_structure(point, u, of_point, at.length_of(j), z);
+        if (!of_point) return;
+        const Field& field = at.field;
+        const double h = at.length_of(j);
+        if (!field.nonlinear) {
+            return share(n, [&](int64_t first, int64_t last) {
+                for (int64_t i = first; i < last; ++i)
+                    for (uint32_t q = field.first[i]; q < field.first[i + 1]; ++q)
+                        add(i, h * (field.constant[q] * u[field.column[q]]), of_point + field.state[q] * rows, z);
+            });
+        }
+        call_function(SharedConstants{}, at.all.derivative, 0, point, n, 0.0, derivative.data(), n * n * n, calls.data());
+        for (int64_t i = 0; i < n; ++i)
+            for (int64_t k = 0; k < n; ++k) {
+                double entry = 0.0;
+                for (int64_t l = 0; l < n; ++l) entry = fma(derivative[(i * n + l) * n + k], u[l], entry);
+                add(i, h * (field.sign * entry), of_point + k * rows, z);
+            }
     }
 
     void move_element(V* of_group) {
         const int64_t count = at.square * rows;
         const GroupField& group = at.group;
         element.solve([&](int64_t, V* y) { std::copy_n(of_group, count, y); },
-                      [&](int64_t j, const V* y, V* z) {
+                      [&](int64_t j, const V* y, V* z, bool linear) {
                           std::fill_n(z, count, V(0.0));
                           const double h = at.length_of(j);
                           for (int64_t q = 0; q < group.entries; ++q) {
@@ -163,7 +184,7 @@ class StageTangents {
                               const V* change = of_gradients.at + (j * n + group.element[q]) * rows;
                               for (int64_t r = 0; r < d; ++r) {
                                   const int64_t from = group.row[q] * d + r, to = (group.column[q] * d + r) * rows;
-                                  const V value(by * at.element_of(j)[from]);
+                                  const V value(linear ? 0.0 : by * at.element_of(j)[from]);
                                   for (int64_t b = 0; b < rows; ++b)
                                       z[to + b] = fma(y[from * rows + b], entry, fma(value, change[b], z[to + b]));
                               }
@@ -179,8 +200,8 @@ class StageTangents {
 class StageCotangents {
   public:
     explicit StageCotangents(StagePoints& at)
-        : at(at), n(at.n), s(at.s), d(at.d), jacobians(at, true), momentum(at.tables, n, 1, true), element(at.tables, at.square, 1, true),
-          workspace(at.field.terms), of_added(at.all.added), of_gradients(s * n), of_points(s * n),
+        : at(at), n(at.n), s(at.s), d(at.d), jacobians(at, true, true), momentum(at.tables, n, 1, true),
+          element(at.tables, at.square, 1, true), workspace(at.field.terms), of_added(at.all.added), of_gradients(s * n), of_points(s * n),
           of_slopes(s * n), none_of(s * n), w(n), of_rows(std::max(at.field.longest, at.longest_added())),
           unused(CoefficientCotangents<double>::count(at.field.terms)), none(at.field.terms, unused.at),
           by_stage(CoefficientCotangents<double>::count(at.all.added)),
@@ -213,9 +234,9 @@ class StageCotangents {
             });
         };
         // The slopes are those of the stages that vary; the frozen factor follows.
-        const auto apply = [&](int64_t j, const double* y, double* z) {
+        const auto apply = [&](int64_t j, const double* y, double* z, bool linear) {
             std::fill_n(z, n, 0.0);
-            if (tables.solver != GRADIENT) pull_gradient(j, at.of_structure(), at.of_gradient(), y, true, nullptr, z);
+            if (tables.solver != GRADIENT) pull_gradient(j, at.of_structure(), at.of_gradient(), y, !linear, nullptr, z);
             if (tables.solver != STRUCTURE) pull_structure(j, at.of_structure(), at.gradient_of(j), y, z);
         };
         if (jacobians.used) {
@@ -224,14 +245,14 @@ class StageCotangents {
             std::fill_n(none_of.at, s * n, 0.0);
             for (int64_t j = 0; of_group && j < s; ++j)
                 pull_gradient(j, at.of_structure(), at.of_gradient(), none_of.at, true, nullptr, of_points.at + j * n);
-            momentum.solve(base, [&](int64_t j, const double* y, double* z) {
+            momentum.solve(base, [&](int64_t j, const double* y, double* z, bool linear) {
                 jacobians.multiply<true>(j, y, z, 1);
-                for (int64_t i = 0; of_group && i < n; ++i) z[i] += of_points.at[j * n + i];
+                for (int64_t i = 0; of_group && !linear && i < n; ++i) z[i] += of_points.at[j * n + i];
             });
         } else if (tables.solver == ITERATED) {
             for (int64_t j = 0; j < s; ++j) {
                 base(j, momentum.of_stage(j));
-                apply(j, momentum.of_stage(j), of_points.at + j * n);
+                apply(j, momentum.of_stage(j), of_points.at + j * n, false);
             }
         } else {
             momentum.solve(base, apply);
@@ -327,17 +348,7 @@ class StageCotangents {
             }
         };
         if (out) each_term(field.terms, false, none);
-        if (!coefficients) return;
-        const Terms& added = at.all.added;
-        if (added.size > 1 || added.kind[0] != LINEAR) return each_term(added, true, *coefficients);
-        share(added.row[1], [&](int64_t first, int64_t last) {
-            for (uint32_t row = uint32_t(first), entry = added.entry[row]; row < last; ++row) {
-                const double of_row = w.at[added.target[row]];
-                coefficients->offset[row] += of_row;
-                for (const uint32_t stop = added.entry[row + 1]; entry < stop; ++entry)
-                    coefficients->weight[entry] = fma(of_row, q[added.column[entry]], coefficients->weight[entry]);
-            }
-        });
+        if (coefficients) each_term(at.all.added, true, *coefficients);
     }
 
     // Add to `out` the cotangent of P_j for that of h_j J(P_j) u.
@@ -370,7 +381,7 @@ class StageCotangents {
         element.solve([&](int64_t j, double* y) {
                           for (int64_t e = 0; e < at.square; ++e) y[e] = at.tables.out[j] * of_group[e];
                       },
-                      [&](int64_t j, const double* y, double* z) {
+                      [&](int64_t j, const double* y, double* z, bool) {
                           std::fill_n(z, at.square, 0.0);
                           for (int64_t q = 0; q < group.entries; ++q) {
                               const double by = at.length_of(j) * group.value[q] * at.gradient_of(j)[group.element[q]];

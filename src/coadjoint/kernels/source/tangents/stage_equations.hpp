@@ -137,7 +137,7 @@ class StageEquations {
     V* of_stage(int64_t i) { return y.at + i * size * copies; }
     V* slope_of(int64_t j) { return z.at + j * size * copies; }
 
-    // `base(i, y_i)` sets b_i; `apply(j, y_j, z_j)` sets z_j, and is affine in y_j.
+    // `base(i, y_i)` sets b_i; `apply(j, y_j, z_j, linear)` sets z_j, which is affine in y_j, or its linear part.
     template <class Base, class Apply>
     void solve(Base base, Apply apply) {
         const int64_t count = s * size * copies;
@@ -148,7 +148,7 @@ class StageEquations {
             shared_copy(z.at, count, before.at);
             for (int64_t j = 0; j < s; ++j) {
                 mix(j, 0, s, base);
-                apply(j, of_stage(j), slope_of(j));
+                apply(j, of_stage(j), slope_of(j), false);
             }
             V found[3] = {V(0.0), V(0.0), V(0.0)};
             shared_results<V>(
@@ -168,15 +168,61 @@ class StageEquations {
             if (converged(change, earlier, largest)) return;
             earlier = change;
         }
-        by_factors(base, apply);
+        if (s * size > LARGEST_FACTORED) throw NotSolved();
+        solve_by_factors(base, apply, false);
+    }
+
+    // With the matrix of `apply`, found from its values at unit vectors. If `linear`, it has no constant part.
+    NOINLINE void solve_by_factors(const Called<void(int64_t, V*)>& base,
+                                   const Called<void(int64_t, const V*, V*, bool)>& apply, bool linear) {
+        const int64_t edge = s * size, length = size * copies, width = copies * Numbers<V>::lanes;
+        InterruptCheck::of_this_call().after(edge * edge * (edge + width));
+        if (matrix.empty()) {
+            matrix.resize(edge * edge), pivots.resize(edge), blocks.resize(edge * size);
+            units.clear(length), image.clear(length);
+        }
+        double* unit = reinterpret_cast<double*>(units.at);
+        for (int64_t j = 0; j < s; ++j) {
+            if (linear)
+                std::fill_n(slope_of(j), length, V(0.0));
+            else
+                apply(j, units.at, slope_of(j), false);
+            for (int64_t first = 0; first < size; first += width) {
+                const int64_t count = std::min(width, size - first);
+                for (int64_t k = 0; k < count; ++k) unit[(first + k) * width + k] = 1.0;
+                apply(j, units.at, image.at, true);
+                for (int64_t k = 0; k < count; ++k) unit[(first + k) * width + k] = 0.0;
+                for (int64_t i = 0; i < size; ++i)
+                    std::copy_n(reinterpret_cast<const double*>(image.at) + i * width, count,
+                                blocks.data() + (j * size + i) * size + first);
+            }
+        }
+        for (int64_t i = 0; i < s; ++i)
+            for (int64_t j = 0; j < s; ++j)
+                for (int64_t a = 0; a < size; ++a)
+                    for (int64_t b = 0; b < size; ++b)
+                        matrix[(i * size + a) * edge + j * size + b] =
+                            fma(-weight(i, j), blocks[(j * size + a) * size + b], i == j && a == b ? 1.0 : 0.0);
+        if (!factorize(matrix.data(), edge, pivots.data())) throw NotSolved();
+        for (int64_t i = 0; i < s; ++i) mix(i, 0, s, base);
+        substitute(matrix.data(), edge, pivots.data(), reinterpret_cast<double*>(y.at), width);
+        for (int64_t row = 0; row < edge; ++row)
+            for (int64_t b = 0; b < size; ++b) {
+                const double entry = blocks[row * size + b];
+                if (entry == 0.0) continue;
+                const V *from = y.at + (row / size * size + b) * copies;
+                for (int64_t c = 0; c < copies; ++c)
+                    z.at[row * copies + c] = fma(V(entry), from[c], z.at[row * copies + c]);
+            }
     }
 
   private:
     const RungeKuttaTables& tables;
     const int64_t s, size, copies;
     const bool transposed;
-    AlignedArray<V> y, z, before;
+    AlignedArray<V> y, z, before, units{0}, image{0};
     const std::vector<double> forecast;
+    std::vector<double> matrix, pivots, blocks;  // of factors, if they were needed
 
     // Begin with the solution of the last step, continued, or with zero.
     void extrapolate(int64_t count) {
@@ -218,39 +264,8 @@ class StageEquations {
         for (int64_t position = 0; position < s; ++position) {
             const int64_t j = transposed ? s - 1 - position : position;
             transposed ? mix(j, j + 1, s, base) : mix(j, 0, j, base);
-            apply(j, of_stage(j), slope_of(j));
+            apply(j, of_stage(j), slope_of(j), false);
         }
-    }
-
-    // With the matrix of `apply`, found from its values at unit vectors.
-    NOINLINE void by_factors(const Called<void(int64_t, V*)>& base, const Called<void(int64_t, V*, V*)>& apply) {
-        const int64_t edge = s * size, lanes = Numbers<V>::lanes;
-        if (edge > LARGEST_FACTORED) throw NotSolved();
-        InterruptCheck::of_this_call().after(edge * edge * edge);
-        AlignedArray<double> matrix(edge * edge), pivots(edge), blocks(s * size * size);
-        AlignedArray<V> zero(size * copies), constant(s * size * copies), image(size * copies);
-        for (int64_t j = 0; j < s; ++j) {
-            apply(j, zero.at, constant.at + j * size * copies);
-            for (int64_t k = 0; k < size; ++k) {
-                for (int64_t c = 0; c < copies; ++c) zero.at[k * copies + c] = V(1.0);
-                apply(j, zero.at, image.at);
-                for (int64_t c = 0; c < copies; ++c) zero.at[k * copies + c] = V(0.0);
-                for (int64_t i = 0; i < size; ++i)
-                    blocks.at[(j * size + i) * size + k] =
-                        lane_of(image.at[i * copies] - constant.at[(j * size + i) * copies], 0);
-            }
-        }
-        for (int64_t i = 0; i < s; ++i)
-            for (int64_t j = 0; j < s; ++j)
-                for (int64_t a = 0; a < size; ++a)
-                    for (int64_t b = 0; b < size; ++b)
-                        matrix.at[(i * size + a) * edge + j * size + b] =
-                            fma(-weight(i, j), blocks.at[(j * size + a) * size + b], i == j && a == b ? 1.0 : 0.0);
-        if (!factorize(matrix.at, edge, pivots.at)) throw NotSolved();
-        std::copy_n(constant.at, s * size * copies, z.at);
-        for (int64_t i = 0; i < s; ++i) mix(i, 0, s, base);
-        substitute(matrix.at, edge, pivots.at, reinterpret_cast<double*>(y.at), copies * lanes);
-        for (int64_t j = 0; j < s; ++j) apply(j, of_stage(j), slope_of(j));
     }
 };
 

@@ -16,8 +16,8 @@ class StageJacobians {
     typedef Lanes<MOST_STAGES> S;
     const bool used;
 
-    StageJacobians(StagePoints& at, bool transposed)
-        : used(suitable(at)), at(at), n(at.n), s(at.s), jacobians(used ? n * n : 0), scales(1), mixed(s), weights(s), outs(1),
+    StageJacobians(StagePoints& at, bool transposed, bool wanted)
+        : used(wanted && suitable(at)), at(at), n(at.n), s(at.s), jacobians(used ? n * n : 0), scales(1), mixed(s), weights(s), outs(1),
           continued(3 * s), exact(at.tables.solver == EXPLICIT ? (transposed ? s : 1) : 0), trusted(exact) {
         if (!used) return;
         find_coefficients();
@@ -75,11 +75,10 @@ class StageJacobians {
     // `added` to `of_coefficients`, stage by stage. False if the iteration does not converge; then nothing has changed.
     bool pull(double* cotangents, const Terms& added, S* of_coefficients) {
         S y[LARGEST_DENSE_STAGE], z[LARGEST_DENSE_STAGE];
-        // Loops of known length are unrolled.
-        const bool solved = n == 3   ? solve_transposed(std::integral_constant<int64_t, 3>(), cotangents, y, z)
-                            : n == 6 ? solve_transposed(std::integral_constant<int64_t, 6>(), cotangents, y, z)
-                                     : solve_transposed(n, cotangents, y, z);
-        if (!solved) return false;
+        const auto solve = [&](auto size) __attribute__((always_inline)) {
+            return solve_transposed(size, cotangents, y, z);
+        };
+        if (!of_size(solve)) return false;
         for (int64_t c = 0; c < n; ++c)
             for (int j = 0; j < s; ++j) cotangents[c] += lane_of(z[c], j);
         if (added.size == 0) return true;
@@ -109,11 +108,10 @@ class StageJacobians {
     bool push(V* vectors, const V* further, int64_t rows, V* found) {
         for (int64_t b = 0; b < rows; ++b) {
             V* z = found + 2 * b * s * n;
-            const bool solved =
-                n == 3   ? solve_along(std::integral_constant<int64_t, 3>(), vectors + b, further ? further + b : nullptr, rows, z)
-                : n == 6 ? solve_along(std::integral_constant<int64_t, 6>(), vectors + b, further ? further + b : nullptr, rows, z)
-                         : solve_along(n, vectors + b, further ? further + b : nullptr, rows, z);
-            if (!solved) return false;
+            const auto solve = [&](auto size) __attribute__((always_inline)) {
+                return solve_along(size, vectors + b, further ? further + b : nullptr, rows, z);
+            };
+            if (!of_size(solve)) return false;
         }
         for (int64_t b = 0; b < rows; ++b)
             for (int64_t j = 0; j < s; ++j)
@@ -171,6 +169,32 @@ class StageJacobians {
         }
     }
 
+    // Call `solve(size)`; loops of known length are unrolled.
+    template <class Solve>
+    INLINE bool of_size(const Solve& solve) {
+        if (n == 3) return solve(std::integral_constant<int64_t, 3>());
+        if (n == 6) return solve(std::integral_constant<int64_t, 6>());
+        return solve(n);
+    }
+
+    // Call `pass(measured, change, largest)` until nothing changes; the first passes are trusted and not `measured`. False
+    // if the iteration does not converge.
+    template <class V, class Pass>
+    INLINE bool iterate(const Pass& pass) {
+        double earlier = 0.0;
+        for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
+            V change_of(0.0), largest_of(0.0);
+            pass(passed >= trusted, change_of, largest_of);
+            if (passed + 1 == exact) return true;
+            if (passed < trusted) continue;
+            const double change = largest_lane(change_of), largest = largest_lane(largest_of);
+            if (!(largest - largest == 0.0)) break;
+            if (converged(change, earlier, largest)) return trusted = std::max<int64_t>(0, passed - 1), true;
+            earlier = change;
+        }
+        return false;
+    }
+
     // y_j = out_j cotangents + sum_i mix_ij z_i, z_j = the transposed Jacobian times y_j: all stages at once.
     template <class Size>
     INLINE bool solve_transposed(Size size, const double* cotangents, S* y, S* z) {
@@ -186,29 +210,21 @@ class StageJacobians {
         if (both) mix(continued.at + 2 * s, 1, z);
         for (int64_t c = 0; c < size; ++c) std::copy_n(solution[0][c], MOST_STAGES, solution[1][c]);
         keep();
-        double earlier = 0.0;
-        for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
+        const bool solved = iterate<S>([&](bool measured, S& change_of, S& largest_of) __attribute__((always_inline)) {
             for (int64_t c = 0; c < size; ++c) y[c] = base[c];
             mix(weights.at, 0, y);
-            S change_of(0.0), largest_of(0.0);
             for (int64_t c = 0; c < size; ++c) {
                 S total(0.0);
                 for (int64_t k = 0; k < size; ++k) total = fma(jacobians.at[k * size + c], y[k], total);
-                if (passed >= trusted) {
+                if (measured) {
                     change_of = change_of + absolute(total - z[c]);
                     largest_of = largest_of + absolute(total);
                 }
                 z[c] = total;
             }
             keep();
-            if (passed + 1 == exact) return true;
-            if (passed < trusted) continue;
-            const double change = largest_lane(change_of), largest = largest_lane(largest_of);
-            if (!(largest - largest == 0.0)) break;
-            if (converged(change, earlier, largest)) return trusted = std::max<int64_t>(0, passed - 1), true;
-            earlier = change;
-        }
-        return restart(), false;
+        });
+        return solved || (restart(), false);
     }
 
     // For one vector, whose components are at a distance of `rows`: each stage with the latest slopes.
@@ -226,9 +242,7 @@ class StageJacobians {
             }
             for (int64_t c = 0; c < size; ++c) z[i * size + c] = y[c];
         }
-        double earlier = 0.0;
-        for (int64_t passed = 0; passed < MOST_DERIVATIVE_ITERATIONS; ++passed) {
-            V change_of(0.0), largest_of(0.0);
+        const bool solved = iterate<V>([&](bool measured, V& change_of, V& largest_of) __attribute__((always_inline)) {
             for (int64_t j = 0; j < s; ++j) {
                 for (int64_t c = 0; c < size; ++c) y[c] = vector[c * rows];
                 for (int64_t i = 0; i < s; ++i) {
@@ -238,22 +252,16 @@ class StageJacobians {
                 for (int64_t c = 0; c < size; ++c) {
                     V total = further ? further[(j * size + c) * rows] : V(0.0);
                     for (int64_t k = 0; k < size; ++k) total = fma(V(number(c * size + k, j)), y[k], total);
-                    if (passed >= trusted) {
+                    if (measured) {
                         change_of = change_of + absolute(total - z[j * size + c]);
                         largest_of = largest_of + absolute(total);
                     }
                     z[j * size + c] = total;
                 }
             }
-            if (passed + 1 == exact) return true;
-            if (passed < trusted) continue;
-            const double change = largest_lane(change_of), largest = largest_lane(largest_of);
-            if (!(largest - largest == 0.0)) break;
-            if (converged(change, earlier, largest)) return trusted = std::max<int64_t>(0, passed - 1), true;
-            earlier = change;
-        }
-        std::fill_n(z, 2 * s * size, V(0.0));
-        return trusted = exact, false;
+        });
+        if (!solved) std::fill_n(z, 2 * s * size, V(0.0)), trusted = exact;
+        return solved;
     }
 
     double lane(const AlignedArray<S>& from, int64_t position, int64_t j) const {

@@ -1,0 +1,77 @@
+// The members of a call with derivatives, as lanes or one after the other, and the numbers in the arrays of their run.
+#pragma once
+
+#include "boundary/loop.hpp"
+#include "numbers/constants.hpp"
+
+namespace coadjoint {
+
+// Call `run(together, constants, first, count, interrupts)` for the members first to last - 1, `lanes` of them at a time or
+// each alone; return zero or the outcome.
+template <int64_t lanes, class Run>
+int64_t run_in_lanes(const FlowCotangents& tables, int64_t size, int64_t first, int64_t last, const int64_t* stop, Run run) {
+    InterruptCheck interrupts(stop);
+    return outcome_of([&]() -> int64_t {
+        while (first < last && (tables.stride || (size <= WIDEST && last - first >= MIN_LANES))) {
+            const int64_t count = std::min<int64_t>(lanes, last - first);
+            if (tables.stride)
+                run(std::true_type(), LaneConstants{tables.stride, first}, first, count, interrupts);
+            else
+                run(std::true_type(), SharedConstants{}, first, count, interrupts);
+            first += count;
+        }
+        for (; first < last; ++first) run(std::false_type(), SharedConstants{}, first, int64_t(1), interrupts);
+        return 0;
+    });
+}
+
+// Visitors of the numbers in lanes, which copy them from an array, or to it.
+inline auto read_entries(const double* from) {
+    return [from](auto& entry, int lane, int64_t position) { set_lane(entry, lane, from[position]); };
+}
+
+inline auto write_entries(double* to) {
+    return [to](auto& entry, int lane, int64_t position) { to[position] = lane_of(entry, lane); };
+}
+
+// Members of a run as lanes, or one of them, the lanes of whose tangent vectors are vectors.
+template <bool together>
+struct MembersOfRun {
+    int64_t first, used;
+
+    // The last member fills further lanes.
+    int64_t member_of(int64_t lane) const { return first + std::min(lane, used - 1); }
+
+    // Numbers of a member are contiguous, (members, length).
+    template <class A, class Visit>
+    void each_number(A* to, int64_t length, int64_t lanes, const Visit& visit) const {
+        for (int64_t lane = 0; lane < lanes; ++lane)
+            for (int64_t i = 0; i < length; ++i) visit(to[i], int(lane), member_of(lane) * length + i);
+    }
+
+    // Components of vectors, (members, carried, length), or if all members have the same, (carried, length). Component i of
+    // a block of vectors is at i * rows + block.
+    template <class V, class Visit>
+    void each_component(V* to, int64_t length, int64_t carried, const Visit& visit, bool own = true) const {
+        constexpr int64_t per_block = together ? 1 : Numbers<V>::lanes;
+        const int64_t rows = (carried + per_block - 1) / per_block;
+        for (int64_t lane = 0; lane < used; ++lane)
+            for (int64_t v = 0; v < carried; ++v)
+                for (int64_t i = 0; i < length; ++i)
+                    visit(to[i * rows + v / per_block], int(together ? lane : v % per_block),
+                          ((own ? first + lane : 0) * carried + v) * length + i);
+    }
+
+    // Load directions of coefficients; return whether some are not zero.
+    template <class V>
+    bool read_directions(V* to, int64_t length, const ForwardRun& run) const {
+        bool directed = false;
+        each_component(to, length, run.carried, [&](V& entry, int lane, int64_t position) {
+            set_lane(entry, lane, run.coefficients[position]);
+            directed = directed || run.coefficients[position] != 0.0;
+        }, run.apart);
+        return directed;
+    }
+};
+
+}  // namespace coadjoint
