@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -258,25 +258,25 @@ def _matrix_algebra_record(algebra: MatrixAlgebra) -> dict[str, Any]:
     return {"kind": algebra.kind, "N": algebra.N, "q": algebra.q}
 
 
+STREAMS: Mapping[type, Callable[[Any], dict[str, Any]]] = {
+    Weights: lambda stream: {"weights": stream.weights.tolist()},
+    DiagonalSolve: lambda stream: {
+        "main": stream.main.tolist(),
+        "beside": stream.beside.tolist(),
+        "factor": float(stream.factor),
+    },
+    Inverse: lambda stream: {"inverse of": STREAMS[DiagonalSolve](stream.of)},
+    Circulants: lambda stream: {"spectrum": stream.spectrum.tolist()},
+}
+"""Class of a stream -> its record; of derived classes nothing is known."""
+
+
 def _stream_entries(key: str, stream: Any, missing: list[str]) -> dict[str, Any]:
     """Return the entry of a stream; streams that are functions are not stored."""
-    record = _stream_record(stream)
+    record = STREAMS.get(type(stream))
     if record is None:
         missing += _named_functions(STREAM, getattr(stream, "function", stream))
-    return {} if record is None else {key: record}
-
-
-def _stream_record(stream: Any) -> dict[str, Any] | None:
-    match stream:
-        case Weights():
-            return {"weights": stream.weights.tolist()}
-        case DiagonalSolve():
-            return {"main": stream.main.tolist(), "beside": stream.beside.tolist(), "factor": float(stream.factor)}
-        case Inverse():
-            return {"inverse of": _stream_record(stream.of)}
-        case Circulants():
-            return {"spectrum": stream.spectrum.tolist()}
-    return None
+    return {} if record is None else {key: record(stream)}
 
 
 def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
