@@ -34,7 +34,7 @@ from coadjoint.files.archives.archive import (
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, BlockSink, unwritten_archive
+from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables
 from coadjoint.keyword_hints import suggest_keywords
@@ -339,7 +339,7 @@ def run_block(
         x0, attitude = (_start_of(store, name, block) for name in ("x0", "attitude0"))
         of_block, marker = prepared.among(first, last, threads), read_marker(store.folder, block)
         head, stored = marker or ({FINISHED: 0}, None)
-        sink = BlockSink(store, block, head)
+        sink = ArchiveSink(store, head, block)
         run = PiecewiseRun(of_block, times, of_block.start(x0, attitude), arrays[TIME].chunk[0], stored)
         if marker is None:
             run.advance(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, model_validator
@@ -37,15 +38,19 @@ def _depth(value: Any) -> int | None:
     return depth + 1 if depth in (1, 2, 3) and len({len(row) for row in value}) == 1 else None
 
 
-def _numbers(*depths: int) -> AfterValidator:
+def _must_be(rule: str, valid: Callable[[Any], bool], hint: str = "") -> AfterValidator:
+    """Return a validator of values that `valid` accepts; the error is that a value must be `rule`, and the hint."""
+
     def check(value: Any) -> Any:
-        if _depth(value) not in depths:
-            raise ValueError(
-                f"must be {' or '.join(SHAPES[depth] for depth in depths)}, not {short(value, MAX_SHOWN_LENGTH)}"
-            )
+        if not valid(value):
+            raise ValueError(f"must be {rule}, not {short(value, MAX_SHOWN_LENGTH)}{hint}")
         return value
 
     return AfterValidator(check)
+
+
+def _numbers(*depths: int) -> AfterValidator:
+    return _must_be(" or ".join(SHAPES[depth] for depth in depths), lambda value: _depth(value) in depths)
 
 
 def nested_schema(*depths: int, **more: int) -> WithJsonSchema:
@@ -63,56 +68,12 @@ def union_schema(*schemas: dict[str, Any]) -> dict[str, Any]:
     return schemas[0] if len(schemas) == 1 else {"anyOf": list(schemas)}
 
 
-def _attitude(value: Any) -> Any:
-    if not (isinstance(value, bool) or value == "coadjoint" or _depth(value) in (1, 2)):
-        raise ValueError(
-            "must be true, false, 'coadjoint', or the initial group element, a matrix or a quaternion, not "
-            f"{short(value, MAX_SHOWN_LENGTH)}"
-        )
-    return value
+def _is_attitude(value: Any) -> bool:
+    return isinstance(value, bool) or value == "coadjoint" or _depth(value) in (1, 2)
 
 
-def _states(value: Any) -> Any:
-    named = isinstance(value, str) and value.endswith(".npy")
-    if not (named or _depth(value) in (1, 2, 3, 4)):
-        raise ValueError(
-            f"must be {SHAPES[1]} or {SHAPES[2]}, not {short(value, MAX_SHOWN_LENGTH)}; matrices may be lists of "
-            "these, or in a file .npy"
-        )
-    return value
-
-
-def _polynomial(value: Any) -> Any:
-    if not isinstance(value, str | list):
-        raise ValueError(
-            "must be text such as '0.5*x1^2 + x2*x3' or a list of [coefficient, [exponents]], "
-            f"not {short(value, MAX_SHOWN_LENGTH)}"
-        )
-    return value
-
-
-def _sign(value: Any) -> Any:
-    if isinstance(value, bool) or value not in (1, -1):
-        raise ValueError(f"must be 1 or -1, not {short(value, MAX_SHOWN_LENGTH)}")
-    return value
-
-
-def _name(value: str) -> str:
-    if not value.isprintable():
-        raise ValueError(f"must be printable characters in one line, not {short(value, MAX_SHOWN_LENGTH)}")
-    return value
-
-
-def _two(value: Any) -> Any:
-    if not isinstance(value, list) or len(value) != 2:
-        raise ValueError(f"must be a list of two, not {short(value, MAX_SHOWN_LENGTH)}")
-    return value
-
-
-def _positive(value: Any) -> Any:
-    if not is_real(value) or not fits(value) or value <= 0:
-        raise ValueError(f"must be a positive number, not {short(value, MAX_SHOWN_LENGTH)}")
-    return value
+def _are_states(value: Any) -> bool:
+    return (isinstance(value, str) and value.endswith(".npy")) or _depth(value) in (1, 2, 3, 4)
 
 
 def file_name_schema(*suffixes: str) -> WithJsonSchema:
@@ -130,18 +91,45 @@ FORMULA = union_schema({"type": "string"}, {"type": "array", "items": {**TERM, "
 FILE = {"type": "string", "pattern": r"\.npy$"}
 ANY_ATTITUDE = union_schema({"type": "boolean"}, {"const": "coadjoint"}, list_schema(1), list_schema(2))
 
-Name = Annotated[str, AfterValidator(_name)]
+Name = Annotated[str, _must_be("printable characters in one line", str.isprintable)]
 Number = Annotated[Any, _numbers(0), nested_schema(0)]
 Vector = Annotated[Any, _numbers(1), nested_schema(1)]
 Span = Annotated[Any, _numbers(1), nested_schema(1, minItems=2, maxItems=2)]
 Matrix = Annotated[Any, _numbers(0, 1, 2), nested_schema(0, 1, 2)]
-Sign = Annotated[Any, AfterValidator(_sign), WithJsonSchema({"enum": [1, -1]})]
-States = Annotated[Any, AfterValidator(_states), WithJsonSchema(union_schema(*map(list_schema, (1, 2, 3, 4)), FILE))]
-Attitude = Annotated[Any, AfterValidator(_attitude), WithJsonSchema(ANY_ATTITUDE)]
-PolynomialValue = Annotated[Any, AfterValidator(_polynomial), WithJsonSchema(FORMULA)]
+Sign = Annotated[
+    Any,
+    _must_be("1 or -1", lambda value: not isinstance(value, bool) and value in (1, -1)),
+    WithJsonSchema({"enum": [1, -1]}),
+]
+States = Annotated[
+    Any,
+    _must_be(f"{SHAPES[1]} or {SHAPES[2]}", _are_states, "; matrices may be lists of these, or in a file .npy"),
+    WithJsonSchema(union_schema(*map(list_schema, (1, 2, 3, 4)), FILE)),
+]
+Attitude = Annotated[
+    Any,
+    _must_be("true, false, 'coadjoint', or the initial group element, a matrix or a quaternion", _is_attitude),
+    WithJsonSchema(ANY_ATTITUDE),
+]
+PolynomialValue = Annotated[
+    Any,
+    _must_be(
+        "text such as '0.5*x1^2 + x2*x3' or a list of [coefficient, [exponents]]",
+        lambda value: isinstance(value, str | list),
+    ),
+    WithJsonSchema(FORMULA),
+]
 WholeNumber = Annotated[int, Field(ge=1)]
-Two = Annotated[Any, AfterValidator(_two), WithJsonSchema({"type": "array", "minItems": 2, "maxItems": 2})]
-Positive = Annotated[Any, AfterValidator(_positive), WithJsonSchema({"type": "number", "exclusiveMinimum": 0})]
+Two = Annotated[
+    Any,
+    _must_be("a list of two", lambda value: isinstance(value, list) and len(value) == 2),
+    WithJsonSchema({"type": "array", "minItems": 2, "maxItems": 2}),
+]
+Positive = Annotated[
+    Any,
+    _must_be("a positive number", lambda value: is_real(value) and fits(value) and value > 0),
+    WithJsonSchema({"type": "number", "exclusiveMinimum": 0}),
+]
 
 GRIDS = ("linear", "logarithmic")
 DISTRIBUTIONS = ("uniform", "normal", "sphere", "orbit")
