@@ -345,7 +345,7 @@ def run_block(
             run.advance(0)
         if not head[FINISHED]:
             run.advance_into(sink)
-        return sink.head
+        return dict(sink.head)
     except ArchiveUnwritten:
         raise
     except OSError as reason:
