@@ -30,40 +30,33 @@ class ArchivedArray(BackendArray):
             self.dims = (*self.dims[:k], *axes, *self.dims[k + 1 :])
 
     def __getitem__(self, key: Any) -> Any:
-        part = self._part_of_axes if self._lengths else self._part
-        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, part)
-
-    def _part_of_axes(self, key: tuple[Any, ...]) -> NDArray[Any]:
-        """Read a part along the axes: for each combination of all axes but the last a range of members."""
-        k, count = self.array.dims.index(MEMBER), len(self._lengths)
-        axes = [range(size)[index] for index, size in zip(key[k : k + count], self._lengths, strict=True)]
-        lengths = [len(chosen) for chosen in axes if isinstance(chosen, range)]
-        outer = [chosen if isinstance(chosen, range) else (chosen,) for chosen in axes[:-1]]
-        last, pieces = axes[-1], []
-        for combination in product(*outer):
-            first = int(np.ravel_multi_index((*combination, 0), self._lengths))
-            inner = range(last, last + 1) if isinstance(last, int) else last
-            stop = first + inner.stop
-            members = slice(first + inner.start, stop if stop >= 0 else None, inner.step)
-            pieces.append(self._part((*key[:k], members, *key[k + count :])))
-        # The members follow the dimensions before them that have not been reduced by an integer.
-        position = sum(isinstance(index, slice) for index in key[:k])
-        values = np.concatenate(pieces, axis=position)
-        return values.reshape(*values.shape[:position], *lengths, *values.shape[position + 1 :])
+        return indexing.explicit_indexing_adapter(key, self.shape, indexing.IndexingSupport.BASIC, self._part)
 
     def _part(self, key: tuple[Any, ...]) -> NDArray[Any]:
         """Read a part given by integers and slices."""
+        is_slice = [isinstance(index, slice) for index in key]
         ranges = [
-            range(size)[index] if isinstance(index, slice) else range(index, index + 1)
-            for index, size in zip(key, self.array.shape, strict=True)
+            range(size)[index] if several else range(index, index + 1)
+            for index, size, several in zip(key, self.shape, is_slice, strict=True)
         ]
-        ascending = [index if index.step > 0 else index[::-1] for index in ranges]
+        values = self._along_axes(ranges) if self._lengths else self._along_members(ranges)
+        return np.asarray(values[tuple(slice(None) if several else 0 for several in is_slice)])
+
+    def _along_axes(self, ranges: list[range]) -> NDArray[Any]:
+        """Read ranges along the axes: for each combination of all axes but the last a range of members."""
+        k, count = self.array.dims.index(MEMBER), len(self._lengths)
+        before, (*outer, last), after = ranges[:k], ranges[k : k + count], ranges[k + count :]
+        pieces = []
+        for combination in product(*outer):
+            first = int(np.ravel_multi_index((*combination, 0), self._lengths))
+            members = range(first + last.start, first + last.stop, last.step)
+            pieces.append(self._along_members([*before, members, *after]))
+        return np.concatenate(pieces, axis=k).reshape(tuple(map(len, ranges)))
+
+    def _along_members(self, ranges: list[range]) -> NDArray[Any]:
+        ascending = [chosen if chosen.step > 0 else chosen[::-1] for chosen in ranges]
         values = self.archive.read(self.name, ascending)
-        restored = (
-            slice(None, None, 1 if chosen.step > 0 else -1) if isinstance(index, slice) else 0
-            for index, chosen in zip(key, ranges, strict=True)
-        )
-        return np.asarray(values[tuple(restored)])
+        return values[tuple(slice(None, None, 1 if chosen.step > 0 else -1) for chosen in ranges)]
 
 
 def variable(array: ArchivedArray) -> xarray.Variable:

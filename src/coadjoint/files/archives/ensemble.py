@@ -20,9 +20,7 @@ import numpy as np
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archive import (
-    ACCOUNTS_ATTRIBUTE,
     FINISHED,
-    FIRST_STEP,
     HIDDEN_FOLDER,
     ArchiveError,
     MemberBlock,
@@ -36,10 +34,9 @@ from coadjoint.files.archives.archive import (
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, BlockSink, unwritten_archive
+from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
-from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables, start_variables
-from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE, same_fingerprint
+from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
@@ -59,23 +56,6 @@ if TYPE_CHECKING:
 
 
 BUSY = {"busy": True}
-IDENTITY_ATTRIBUTES = {
-    "system": "the system",
-    "sign": "the sign of the system",
-    "method": "the scheme",
-    "t_span": "t_span",
-    "step": "the step",
-    "save_every": "save_every",
-    "watch": "watch",
-    "attitude_carried": "the attitude",
-    OBSERVED_ATTRIBUTE: "observe",
-    ACCOUNTS_ATTRIBUTE: "the forces",
-    "coadjoint_version": "the version of coadjoint",
-    FIRST_STEP: "the first step, by a function or a number that is not stored,",
-}
-"""Attributes that an archive must share with a run that continues it, and their names in messages."""
-START_NAMES = {"x0": "x0", "attitude0": "the initial attitude"}
-
 INSECURE_PROTOCOLS = ("tcp", "ws", "ucx", "ucxx")
 """Dask protocols without authentication."""
 
@@ -294,7 +274,7 @@ def _run_unfinished(
             remaining = store.blocks
         else:
             check_archive(store)
-            check_same_run(planned, store)
+            planned.check_same_run(store)
             remaining = unfinished_blocks(store)
         if pool.client is None and pool.workers is None:
             _run_serially(store, remaining, prepared, progress)
@@ -359,13 +339,13 @@ def run_block(
         x0, attitude = (_start_of(store, name, block) for name in ("x0", "attitude0"))
         of_block, marker = prepared.among(first, last, threads), read_marker(store.folder, block)
         head, stored = marker or ({FINISHED: 0}, None)
-        sink = BlockSink(store, block, head)
+        sink = ArchiveSink(store, head, block)
         run = PiecewiseRun(of_block, times, of_block.start(x0, attitude), arrays[TIME].chunk[0], stored)
         if marker is None:
             run.advance(0)
         if not head[FINISHED]:
             run.advance_into(sink)
-        return sink.head
+        return dict(sink.head)
     except ArchiveUnwritten:
         raise
     except OSError as reason:
@@ -384,38 +364,6 @@ def _start_of(store: ArchiveStore, name: str, block: MemberBlock) -> Any:
     array = store.arrays[name]
     values = store.read(name, [range(block.first, block.last), *map(range, array.shape[1:])])
     return values[..., 0] + 1j * values[..., 1] if array.dims[-1] == "part" else values
-
-
-def check_same_run(planned: PlannedRun, store: ArchiveStore) -> None:
-    """Raise ArchiveError if the archive is that of another run, with the first difference."""
-    start_solution, stored = planned.at_start().piece(), store.attributes
-    own = planned.attributes(start_solution)
-    if not store.has_blocks:
-        raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
-    differences = [
-        f"{START_NAMES[name]} differs"
-        for name, (_, values, _) in start_variables(start_solution).items()
-        if not _is_stored(store, name, np.asarray(values))
-    ]
-    fingerprints = [json.loads(attributes[FUNCTIONS_ATTRIBUTE]) for attributes in (stored, own)]
-    differences += [
-        f"the code or the numbers of functions of {name} differ"
-        for name in fingerprints[0].keys() | fingerprints[1].keys()
-        if not same_fingerprint(*(functions.get(name, {}) for functions in fingerprints))
-    ]
-    differences += [f"{what} differs" for key, what in IDENTITY_ATTRIBUTES.items() if own.get(key) != stored.get(key)]
-    if differences:
-        raise ArchiveError(f"{store.path}: is the archive of another ensemble: {differences[0]}; give another name")
-
-
-def _is_stored(store: ArchiveStore, name: str, values: Any) -> bool:
-    """Whether the archive has an array of these bits; it is read chunk by chunk."""
-    if name not in store.arrays or store.arrays[name].shape != values.shape:
-        return False
-    return all(
-        store.chunk(store.folder, name, indices)[inside].tobytes() == np.ascontiguousarray(values[outside]).tobytes()
-        for indices, inside, outside in store.arrays[name].chunks_in(list(map(range, values.shape)))
-    )
 
 
 def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:

@@ -1,4 +1,4 @@
-"""Creation of archives, of runs and of ensembles, before the first step."""
+"""Creation of archives, of runs and of ensembles, before the first step, and comparison with those that exist."""
 
 from __future__ import annotations
 
@@ -45,7 +45,12 @@ from coadjoint.files.datasets.variables import (
     time_variables,
 )
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
-from coadjoint.files.records.required_functions import function_attributes
+from coadjoint.files.records.required_functions import (
+    FUNCTIONS_ATTRIBUTE,
+    OBSERVED_ATTRIBUTE,
+    function_attributes,
+    same_fingerprint,
+)
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
@@ -62,6 +67,23 @@ STATUS_ATTRIBUTES = {
     "flag_values": [PENDING, DONE, FAILED],
     "flag_meanings": "not_computed done failed",
 }
+
+IDENTITY_ATTRIBUTES = {
+    "system": "the system",
+    "sign": "the sign of the system",
+    "method": "the scheme",
+    "t_span": "t_span",
+    "step": "the step",
+    "save_every": "save_every",
+    "watch": "watch",
+    "attitude_carried": "the attitude",
+    OBSERVED_ATTRIBUTE: "observe",
+    ACCOUNTS_ATTRIBUTE: "the forces",
+    "coadjoint_version": "the version of coadjoint",
+    FIRST_STEP: "the first step, by a function or a number that is not stored,",
+}
+"""Attributes that an archive must share with a run that continues it, and their names in messages."""
+START_NAMES = {"x0": "x0", "attitude0": "the initial attitude"}
 
 
 class PlannedRun(NamedTuple):
@@ -95,6 +117,39 @@ class PlannedRun(NamedTuple):
             **function_attributes(self.prepared),
             FIRST_STEP: self.first_step(),
         }
+
+    def check_same_run(self, store: ArchiveStore) -> None:
+        """Raise ArchiveError if the archive is that of another run, with the first difference."""
+        start_solution, stored = self.at_start().piece(), store.attributes
+        own = self.attributes(start_solution)
+        if not store.has_blocks:
+            raise ArchiveError(f"{store.path}: is the archive of one run, not of an ensemble; give another name")
+        differences = [
+            f"{START_NAMES[name]} differs"
+            for name, (_, values, _) in start_variables(start_solution).items()
+            if not _is_stored(store, name, np.asarray(values))
+        ]
+        fingerprints = [json.loads(attributes[FUNCTIONS_ATTRIBUTE]) for attributes in (stored, own)]
+        differences += [
+            f"the code or the numbers of functions of {name} differ"
+            for name in fingerprints[0].keys() | fingerprints[1].keys()
+            if not same_fingerprint(*(functions.get(name, {}) for functions in fingerprints))
+        ]
+        differences += [
+            f"{what} differs" for key, what in IDENTITY_ATTRIBUTES.items() if own.get(key) != stored.get(key)
+        ]
+        if differences:
+            raise ArchiveError(f"{store.path}: is the archive of another ensemble: {differences[0]}; give another name")
+
+
+def _is_stored(store: ArchiveStore, name: str, values: Any) -> bool:
+    """Whether the archive has an array of these bits; it is read chunk by chunk."""
+    if name not in store.arrays or store.arrays[name].shape != values.shape:
+        return False
+    return all(
+        store.chunk(store.folder, name, indices)[inside].tobytes() == np.ascontiguousarray(values[outside]).tobytes()
+        for indices, inside, outside in store.arrays[name].chunks_in(list(map(range, values.shape)))
+    )
 
 
 def size_of_blocks(members: int, numbers: int, workers: int) -> int:

@@ -197,7 +197,7 @@ def _continue_run(
     with closing(store, planned.prepared.system):
         with as_archive_errors(store.path):
             run = planned.in_pieces(store.arrays["time"].chunk[0], stored)
-            sink = ArchiveSink(store, began)
+            sink = ArchiveSink(store, store.attributes, began=began)
         run.advance_into(sink, until, progress)
     return raise_if_failed(open_archive(store.path, planned.prepared.system))
 

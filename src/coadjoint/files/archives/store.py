@@ -287,40 +287,74 @@ BLOCKS, MIN_STATE_BYTES = 64, 2**24
 
 
 class ArchiveSink(Sink):
-    """An archive that takes the pieces of a run; `began` is the time at which the call of the run began."""
+    """Takes the pieces of a run into an archive, whose root has its progress; or of a `block`, with its own marker.
 
-    def __init__(self, store: ArchiveStore, began: float) -> None:
-        self.store, self._began, self._states = store, began, store.states
-        self._seconds, self._elapsed = (float(store.attributes.get(name, 0.0)) for name in ("seconds", "elapsed"))
+    `head` is the progress as last committed; `began` is the time at which the call of a run began.
+    """
+
+    def __init__(
+        self, store: ArchiveStore, head: Mapping[str, Any], block: MemberBlock | None = None, began: float = 0.0
+    ) -> None:
+        self.store, self.head, self.block, self._began = store, head, block, began
+        self._states = [] if block else store.states
+        self._seconds, self._elapsed = (float(head.get(name, 0.0)) for name in ("seconds", "elapsed"))
 
     def take(self, run: PiecewiseRun) -> None:
         """Commit the steps computed so far; ArchiveUnwritten if that fails: the archive holds the last commit."""
-        store = self.store
-        if run.number == store.attributes[STEPS]:
+        if run.number == self.head.get(STEPS):
             return
         piece: Solution | None = None
         try:
             piece = run.piece()
-            for name, (_, values, _) in {**time_variables(piece), **time_coordinate(piece.t)}.items():
-                store.write(name, values, (run.first,))
-            for name, (_, values, _) in summary_variables(piece).items():
-                store.write(name, values)
-            progress = progress_of(run, piece, self._seconds)
-            lengths = {"time": run.first + run.points_held}
-            states = self._store_states(run, lengths)
-            elapsed = self._elapsed + time.perf_counter() - self._began
-            store.commit({**progress, STATES: json.dumps(states), "elapsed": elapsed}, lengths, states)
-            self._states = states
+            self._write(run, piece)
+            if self.block is None:
+                self._commit_run(run, progress_of(run, piece, self._seconds))
+            else:
+                self._commit_block(self.block, run, piece)
         except (OSError, ArchiveError) as reason:
-            steps = store.attributes.get(STEPS, 0)
+            if self.block is not None:
+                raise
+            steps = self.store.attributes.get(STEPS, 0)
             error = unwritten_archive(
-                store.path,
+                self.store.path,
                 reason,
                 f"the run was written up to step {steps}, and the new content of this path was not changed",
                 f"it holds the run up to step {steps}, from which co.resume continues",
             )
             error.partial = None if steps == run.number else piece
             raise error from reason
+
+    def _write(self, run: PiecewiseRun, piece: Solution) -> None:
+        """Write the points of a piece; the times of an ensemble are written when its archive is begun."""
+        members = () if self.block is None else (self.block.first,)
+        series = time_variables(piece) | (time_coordinate(piece.t) if self.block is None else {})
+        for name, (_, values, _) in series.items():
+            self.store.write(name, values, (run.first, *members))
+        for name, (_, values, _) in summary_variables(piece).items():
+            self.store.write(name, values, members)
+
+    def _commit_run(self, run: PiecewiseRun, progress: dict[str, Any]) -> None:
+        lengths = {"time": run.first + run.points_held}
+        states = self._store_states(run, lengths)
+        elapsed = self._elapsed + time.perf_counter() - self._began
+        self.store.commit({**progress, STATES: json.dumps(states), "elapsed": elapsed}, lengths, states)
+        self._states, self.head = states, self.store.attributes
+
+    def _commit_block(self, block: MemberBlock, run: PiecewiseRun, piece: Solution) -> None:
+        failed = np.asarray(piece.failed)
+        status = np.where(failed, FAILED, DONE) if run.is_over else np.full(len(failed), PENDING)
+        self.store.write(STATUS, status, (block.first,))
+        self.head = {
+            **progress_of(run, piece, self._seconds),
+            "failed": int(failed.sum()),
+            "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
+            "rows": run.first + run.points_held,
+        }
+        if "failed_reason" in self.head:
+            # Members are numbered within the block here; the ensemble adds the member that failed.
+            failed_members = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
+            self.head["failed_reason"] = self.head["failed_reason"].replace(failed_members, "")
+        self.store.write_marker(block, self.head, run.stored())
 
     def _store_states(self, run: PiecewiseRun, lengths: Mapping[str, int]) -> list[StoredState]:
         """Store the state; return the states to retain: those at block starts, and the last of an unfinished run."""
@@ -342,38 +376,6 @@ class ArchiveSink(Sink):
         if run.is_over and not self._states[-1].about["block"]:
             blocks.append(self._states[-1])
         return [*blocks, state]
-
-
-class BlockSink(Sink):
-    """The chunks and the marker of a block, which take the pieces of its run; `head` is the head of the marker."""
-
-    def __init__(self, store: ArchiveStore, block: MemberBlock, head: dict[str, Any]) -> None:
-        self.store, self.block, self.head = store, block, head
-        self._seconds = float(head.get("seconds", 0.0))
-
-    def take(self, run: PiecewiseRun) -> None:
-        """Commit the steps of the block computed so far."""
-        store, block = self.store, self.block
-        if run.number == self.head.get(STEPS):
-            return
-        piece = run.piece()
-        failed = np.asarray(piece.failed)
-        status = np.where(failed, FAILED, DONE) if run.is_over else np.full(len(failed), PENDING)
-        for name, (_, values, _) in time_variables(piece).items():
-            store.write(name, values, (run.first, block.first))
-        for name, (_, values, _) in {**summary_variables(piece), STATUS: ((), status, {})}.items():
-            store.write(name, values, (block.first,))
-        self.head = {
-            **progress_of(run, piece, self._seconds),
-            "failed": int(failed.sum()),
-            "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
-            "rows": run.first + run.points_held,
-        }
-        if "failed_reason" in self.head:
-            # Members are numbered within the block here; the ensemble adds the member that failed.
-            failed_members = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
-            self.head["failed_reason"] = self.head["failed_reason"].replace(failed_members, "")
-        store.write_marker(block, self.head, run.stored())
 
 
 def progress_of(run: PiecewiseRun, piece: Solution, earlier_seconds: float) -> dict[str, Any]:

@@ -314,7 +314,7 @@ def check_named(name: str, file: File) -> None:
 
 def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
     """Return the state named in ``states_by_name`` of its system, or None if the file names none."""
-    from coadjoint.files.configuration.models import keys_by_table, unknown_key
+    from coadjoint.files.configuration.parsing import keys_by_table, unknown_key
 
     if table.kind is None:
         return None

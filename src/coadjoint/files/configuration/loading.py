@@ -24,8 +24,8 @@ from coadjoint.files.configuration.construction import (
     state_by_name,
     system_of_file,
 )
-from coadjoint.files.configuration.models import File, OutputTable, SweepOnly, all_errors
-from coadjoint.files.configuration.parsing import ValidTables, parse_toml, read_utf8, valid_tables
+from coadjoint.files.configuration.models import File, OutputTable, SweepOnly
+from coadjoint.files.configuration.parsing import ValidTables, all_errors, parse_toml, read_utf8, valid_tables
 from coadjoint.files.configuration.sweeps import SettingsSweep, read_sweep, swept_states, swept_system
 from coadjoint.files.datasets.variables import ExtraMetadata, Variables, over_members
 from coadjoint.files.datasets.writers import CHECKSUM

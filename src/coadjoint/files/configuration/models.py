@@ -1,33 +1,135 @@
-"""Models of configuration files: the keys, their types, and the errors of validation."""
+"""Models of configuration files: the keys, the types of their values, and the schemas of these types."""
 
 from __future__ import annotations
 
-import types
-import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, WithJsonSchema, model_validator
 
-from coadjoint.errors import in_one_line, nearest
-from coadjoint.files.configuration.values import (
-    MAX_SHOWN_LENGTH,
-    Attitude,
-    Matrix,
-    Name,
-    Number,
-    PolynomialValue,
-    Positive,
-    Sign,
-    Span,
-    States,
-    Two,
-    Vector,
-    WholeNumber,
-    file_name_schema,
-)
-from coadjoint.keyword_hints import KEYWORDS
+from coadjoint.algebra.exact.numbers import fits
 from coadjoint.short_repr import short
+from coadjoint.validation import is_real
+
+MAX_SHOWN_LENGTH = 60  # characters of a value in an error, most of a line
+SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long lists of numbers"}
+
+
+def _number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    if not fits(value):
+        raise ValueError(
+            f"every number must be finite, and {value} is not"
+            if isinstance(value, float)
+            else f"{short(value)} is too large; every number must be finite in float64"
+        )
+    return True
+
+
+def _depth(value: Any) -> int | None:
+    """Nesting depth, at most 4, of equally long lists of numbers; None for anything else."""
+    if not isinstance(value, list):
+        return 0 if _number(value) else None
+    inner = {_depth(entry) for entry in value}
+    if inner == {0}:
+        return 1
+    depth = inner.pop() if len(inner) == 1 else None
+    return depth + 1 if depth in (1, 2, 3) and len({len(row) for row in value}) == 1 else None
+
+
+def _must_be(rule: str, valid: Callable[[Any], bool], hint: str = "") -> AfterValidator:
+    """Return a validator of values that `valid` accepts; the error is that a value must be `rule`, and the hint."""
+
+    def check(value: Any) -> Any:
+        if not valid(value):
+            raise ValueError(f"must be {rule}, not {short(value, MAX_SHOWN_LENGTH)}{hint}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _numbers(*depths: int) -> AfterValidator:
+    return _must_be(" or ".join(SHAPES[depth] for depth in depths), lambda value: _depth(value) in depths)
+
+
+def nested_schema(*depths: int, **more: int) -> WithJsonSchema:
+    """Return the schema of numbers nested in lists to one of these depths."""
+    return WithJsonSchema({**union_schema(*map(list_schema, depths)), **more})
+
+
+def list_schema(depth: int) -> dict[str, Any]:
+    """Return the schema of numbers nested in lists."""
+    return {"type": "array", "items": list_schema(depth - 1), "minItems": 1} if depth else {"type": "number"}
+
+
+def union_schema(*schemas: dict[str, Any]) -> dict[str, Any]:
+    """Return the schema of a union."""
+    return schemas[0] if len(schemas) == 1 else {"anyOf": list(schemas)}
+
+
+def _is_attitude(value: Any) -> bool:
+    return isinstance(value, bool) or value == "coadjoint" or _depth(value) in (1, 2)
+
+
+def _are_states(value: Any) -> bool:
+    return (isinstance(value, str) and value.endswith(".npy")) or _depth(value) in (1, 2, 3, 4)
+
+
+def file_name_schema(*suffixes: str) -> WithJsonSchema:
+    """Return the schema of a file name with one of these suffixes; the commands validate the name."""
+    endings = "|".join(suffix.removeprefix(".") for suffix in suffixes)
+    return WithJsonSchema({"type": "string", "pattern": rf"\.({endings})(/\.?)*$"})
+
+
+TERM = {
+    "type": "array",
+    "prefixItems": [list_schema(0), {"type": "array", "items": {"type": "integer"}}],
+    "minItems": 2,
+}
+FORMULA = union_schema({"type": "string"}, {"type": "array", "items": {**TERM, "maxItems": 2}})
+FILE = {"type": "string", "pattern": r"\.npy$"}
+ANY_ATTITUDE = union_schema({"type": "boolean"}, {"const": "coadjoint"}, list_schema(1), list_schema(2))
+
+Name = Annotated[str, _must_be("printable characters in one line", str.isprintable)]
+Number = Annotated[Any, _numbers(0), nested_schema(0)]
+Vector = Annotated[Any, _numbers(1), nested_schema(1)]
+Span = Annotated[Any, _numbers(1), nested_schema(1, minItems=2, maxItems=2)]
+Matrix = Annotated[Any, _numbers(0, 1, 2), nested_schema(0, 1, 2)]
+Sign = Annotated[
+    Any,
+    _must_be("1 or -1", lambda value: not isinstance(value, bool) and value in (1, -1)),
+    WithJsonSchema({"enum": [1, -1]}),
+]
+States = Annotated[
+    Any,
+    _must_be(f"{SHAPES[1]} or {SHAPES[2]}", _are_states, "; matrices may be lists of these, or in a file .npy"),
+    WithJsonSchema(union_schema(*map(list_schema, (1, 2, 3, 4)), FILE)),
+]
+Attitude = Annotated[
+    Any,
+    _must_be("true, false, 'coadjoint', or the initial group element, a matrix or a quaternion", _is_attitude),
+    WithJsonSchema(ANY_ATTITUDE),
+]
+PolynomialValue = Annotated[
+    Any,
+    _must_be(
+        "text such as '0.5*x1^2 + x2*x3' or a list of [coefficient, [exponents]]",
+        lambda value: isinstance(value, str | list),
+    ),
+    WithJsonSchema(FORMULA),
+]
+WholeNumber = Annotated[int, Field(ge=1)]
+Two = Annotated[
+    Any,
+    _must_be("a list of two", lambda value: isinstance(value, list) and len(value) == 2),
+    WithJsonSchema({"type": "array", "minItems": 2, "maxItems": 2}),
+]
+Positive = Annotated[
+    Any,
+    _must_be("a positive number", lambda value: is_real(value) and fits(value) and value > 0),
+    WithJsonSchema({"type": "number", "exclusiveMinimum": 0}),
+]
 
 GRIDS = ("linear", "logarithmic")
 DISTRIBUTIONS = ("uniform", "normal", "sphere", "orbit")
@@ -272,175 +374,3 @@ class SweepOnly(BaseModel):
     """The table of a sweep alone; it generates the rest of the file."""
 
     sweep: SweepTable
-
-
-CLOSE = 0.75
-"""Smallest similarity of an unknown key and the key of another table that is suggested."""
-NO_TABLES: Mapping[str, Iterable[str]] = types.MappingProxyType({})
-
-
-def keys_by_table() -> dict[str, Iterable[str]]:
-    """Return the keys of each table of a file; names and parameters, which several have, are omitted."""
-    tables: dict[str, Iterable[str]] = {"the top of the file": ["sign"], "[[forces]]": []}
-    tables |= {f"[{key}]": [] for key in File.model_fields if key not in ("name", "sign", "forces")}
-    for key in ("algebra", "hamiltonian", "initial", "run", "output"):
-        tables[f"[{key}]"] = [name for name in known_keys((key,)) if name not in ("name", "parameters")]
-    return tables
-
-
-def places_of(key: str, elsewhere: Mapping[str, Iterable[str]]) -> tuple[str | None, list[str]]:
-    """Return the table of this name, and the tables that have a key of this name."""
-    own_table = next((table for table in elsewhere if table.strip("[]") == key), None)
-    return own_table, [table for table, keys in elsewhere.items() if key in keys]
-
-
-PLACES: Mapping[str, str] = types.MappingProxyType(
-    {
-        "x0": "[initial] x",
-        "system": "[system] name",
-        "method": "[method] name",
-        "t_span": "[run] t_span",
-        "step": "[run] step",
-        "accuracy": "[run] accuracy",
-        "t_eval": "[run] t_eval",
-        "save_every": "[run] save_every",
-        "threads": "[run] threads",
-        "events": "[events.NAME] g",
-        "observe": "[observe] NAME",
-        "archive": "[output] archive",
-        "inertia": "[system.parameters] inertia",
-        "parameters": "[system.parameters]",
-        "file": "[output] file",
-        "figure": "[output] figure",
-        "movie": "[output] movie",
-        "polynomial": "[hamiltonian] polynomial",
-        "samples": "[sweep] samples",
-    }
-)
-"""Argument of `integrate`, or key of a file -> its place in a file."""
-OTHER_NAMES: Mapping[str, str] = types.MappingProxyType(
-    {
-        **dict.fromkeys(("params", "args", "p"), "parameters"),
-        **dict.fromkeys(("out", "output_file", "filename", "netcdf", "results"), "file"),
-        **dict.fromkeys(("plot", "picture", "image"), "figure"),
-        **dict.fromkeys(("animation", "video"), "movie"),
-        **dict.fromkeys(("H", "energy", "formula"), "polynomial"),
-        **dict.fromkeys(("observables", "outputs"), "observe"),
-        **dict.fromkeys(("members", "ensemble", "count"), "samples"),
-        **dict.fromkeys(("duration", "end"), "t_span"),
-        **dict.fromkeys(("rtol", "atol"), "accuracy"),
-    }
-)
-"""Usual name of a key -> the argument or key of `PLACES`, beside the names of `keyword_hints.KEYWORDS`."""
-
-
-def place_meant(key: str) -> str | None:
-    """Return the place in a file of what an argument or a usual name means, or None."""
-    argument = OTHER_NAMES.get(key) or KEYWORDS.get(key, key).partition("=")[0]
-    return PLACES.get(argument)
-
-
-def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> str:
-    """Describe an unknown key, with its place, the nearest known one, or all known ones if none is near."""
-    own_table, tables = places_of(key, elsewhere)
-    if own_table is not None:
-        return f"unknown key; {key!r} is a table of its own, {own_table}"
-    if tables:
-        return f"unknown key; {key!r} belongs to {' or '.join(tables)}"
-    if (place := place_meant(key)) is not None:
-        return f"unknown key; give {place}"
-    names = sorted(known)
-    near = nearest(key, names)
-    if near is not None:
-        return f"unknown key; did you mean {near!r}?"
-    for table, keys in elsewhere.items():
-        near = nearest(key, keys, CLOSE)
-        if near is not None:
-            return f"unknown key; did you mean {near!r}, which belongs to {table}?"
-    return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
-
-
-def known_keys(table_path: Sequence[str | int], value: Any = None) -> list[str]:
-    """Return the keys that a table of a file may have; in the file itself those of tables, if the value is one."""
-    is_table = not table_path and isinstance(value, Mapping)
-    return [key for key in _table_at(table_path).model_fields if not is_table or key not in ("name", "sign")]
-
-
-def all_errors(error: ValidationError, elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> list[str]:
-    """Return the errors in the tables of a file, dotted key and reason: unknown keys first."""
-    # A missing key is omitted if an unknown one is its misspelling.
-    rank = {"extra_forbidden": 0, "missing": 2}
-    entries = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
-    messages: dict[str, str] = {}
-    elsewhere = elsewhere or keys_by_table()
-    for entry in entries:
-        # pydantic appends "[key]" for an invalid key of a table.
-        key_path = [key for key in entry["loc"] if key != "[key]"]
-        path = "".join(
-            f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, MAX_SHOWN_LENGTH)}" for key in key_path
-        )
-        path = path.lstrip(".")
-        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), key_path, elsewhere)
-        misspelled = entry["type"] == "missing" and _is_named(key_path, messages.values())
-        # For a union, pydantic lists one error per alternative; report the first.
-        if not misspelled:
-            messages.setdefault(".".join(map(str, key_path[:2])), f"{path}: {reason}" if path else f": {reason}")
-    return list(messages.values())
-
-
-def _is_named(key_path: Sequence[int | str], messages: Iterable[str]) -> bool:
-    """Return whether messages about unknown keys name a missing key or table as the one that is meant."""
-    path = ".".join(map(str, key_path))
-    table, _, key = path.rpartition(".")
-    names = (f"did you mean {key!r}?", f"give [{table}] {key}", f"give [{path}] ")
-    return any(name in message for name in names for message in messages)
-
-
-def _reason(
-    kind: str,
-    message: str,
-    value: Any,
-    context: Mapping[str, Any],
-    key_path: list[int | str],
-    elsewhere: Mapping[str, Iterable[str]],
-) -> str:
-    if kind == "extra_forbidden":
-        return unknown_key(str(key_path[-1]), known_keys(key_path[:-1], value), elsewhere)
-    if kind == "missing":
-        return "is missing; give it"
-    if kind == "value_error":
-        return str(context["error"])
-    expected = {
-        "string_type": "text in quotes",
-        "int_type": "a whole number",
-        "int_from_float": "a whole number",
-        "float_type": "a number",
-        "bool_type": "true or false",
-        "list_type": "a list",
-        "dict_type": "a table",
-        "model_type": "a table",
-        "model_attributes_type": "a table",
-        "greater_than": f"greater than {context.get('gt')}",
-        "greater_than_equal": f"{context.get('ge')} or more",
-        "finite_number": "finite",
-    }.get(kind)
-    # A name in place of a table.
-    place = PLACES.get(str(key_path[-1])) if expected == "a table" and isinstance(value, str) and key_path else None
-    return (
-        f"must be {expected}, not {short(value, MAX_SHOWN_LENGTH)}" + (f"; give {place}" if place else "")
-        if expected
-        else f"{message[:1].lower()}{message[1:]}, not {short(value, MAX_SHOWN_LENGTH)}"
-    )
-
-
-def _table_at(table_path: Sequence[int | str]) -> type[BaseModel]:
-    table: type[BaseModel] = File
-    keys = iter(table_path)
-    for key in keys:
-        annotation: Any = table.model_fields[str(key)].annotation
-        if typing.get_origin(annotation) is dict:  # tables by name
-            next(keys)
-            annotation = typing.get_args(annotation)[1]
-        options = typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
-        table = next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
-    return table

@@ -260,7 +260,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     entries = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
     x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
     method_entry = parsed(attributes["method"], "method")
-    description = {key: entry.plain() for key, entry in method_entry.table().items()}
+    description = method_entry.plain_table()
     _check_registered(description)
     with as_value_errors(method_entry):
         method = registry.from_description(description)

@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from textwrap import fill
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
 from coadjoint.errors import in_one_line
-from coadjoint.files.exports.c_flows import ATTITUDE, PartsInC
-from coadjoint.files.exports.c_stages import StagesInC
+from coadjoint.files.exports.c_flows import splitting
+from coadjoint.files.exports.c_stages import stages
 from coadjoint.files.exports.c_statements import (
     FREE_BODY,
+    INDENT,
     VECTORS,
     WIDTH,
     DeclaredInputs,
-    Value,
+    Exported,
+    TableNumbers,
     block,
     function,
-    includes,
     repeated,
     runtime,
-    wrapped,
 )
 from coadjoint.files.output.output_files import HEADERS, write_text
 from coadjoint.kernels.interface import codes, limit
@@ -37,7 +37,6 @@ from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.forced import Forced
 from coadjoint.program.blocks import BlockKind
-from coadjoint.program.term_table import FUNCTION, Terms
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
@@ -45,10 +44,6 @@ from coadjoint.validation import read_bool, read_path
 
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 """Names of C functions; longer ones are not distinguished by all linkers."""
-FIELDS = ("offset", "coefficient")
-"""The numbers of terms that may be inputs."""
-MOST_NUMBERS = 2**22
-"""Numbers of the tables; a file of more would take compilers minutes and gigabytes."""
 
 
 @suggest_keywords
@@ -112,21 +107,6 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
     return target
 
 
-class Exported(NamedTuple):
-    """Statements of a step, of all steps of a run, and of the derivative of a step; `lines` define what they call."""
-
-    # `resumable`: functions for the first step and all others, which take the errors of `compensated` sums.
-
-    lines: list[str]
-    step: list[str]
-    steps: list[str]
-    change: list[str]
-    widest: int = 0
-    resumable: bool = False
-    compensated: bool = False
-    side: int = 0
-
-
 def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
     """Return the text of the header of `export_c`."""
     if type(name) is not str or not IDENTIFIER.fullmatch(name) or name.lower() == "coadjoint":
@@ -151,11 +131,55 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
     if "COADJOINT_WIDEST" in called:
         defined.append(f"#define COADJOINT_WIDEST {exported.widest}")
     defined += [f"typedef {kind} coadjoint_index;"] if "coadjoint_index" in body else []
-    code = "\n".join([includes(defined), called, body, END])
+    code = "\n".join([INCLUDES, *defined, "", called, body, END])
     code = code.replace("coadjoint_", f"{name}_").replace("COADJOINT_", f"{name.upper()}_")
-    return _comment(prepared, name, tangent, exported) + "\n".join(map(wrapped, code.split("\n")))
+    return _comment(prepared, name, tangent, exported) + "\n".join(map(_wrapped, code.split("\n")))
 
 
+def _wrapped(line: str) -> str:
+    """Return a line of code, broken at spaces if it is too long."""
+    if len(line) <= WIDTH or line.startswith(("#", "/*")):
+        return line
+    start = line[: len(line) - len(line.lstrip())]
+    return fill(
+        line.strip(),
+        WIDTH,
+        initial_indent=start,
+        subsequent_indent=start + 2 * INDENT,
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+
+
+INCLUDES = """#ifndef COADJOINT_H
+#define COADJOINT_H
+#include <float.h>
+#include <stdint.h>
+#if !defined(__STDC_HOSTED__) || __STDC_HOSTED__
+#include <math.h>
+#else /* freestanding: the program that links this provides sqrt, and fma if the processor has it */
+#ifdef __cplusplus
+extern "C" {
+#endif
+double sqrt(double x);
+double fma(double a, double b, double c);
+#ifdef __cplusplus
+}
+#endif
+#endif
+#if DBL_MANT_DIG != 53 || (defined(FLT_EVAL_METHOD) && (FLT_EVAL_METHOD < 0 || FLT_EVAL_METHOD == 2))
+#error "double must have 53 bits, without excess precision: for 32-bit x86 give -msse2 -mfpmath=sse"
+#endif
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
+#error "-ffast-math changes the meaning of sums; compile without it"
+#endif
+#if defined(__clang__) /* a product and a sum are fused only where this is written */
+#pragma STDC FP_CONTRACT OFF
+#elif defined(__GNUC__)
+#pragma GCC push_options
+#pragma GCC optimize("fp-contract=off")
+#endif
+"""
 END = """
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT DEFAULT
@@ -171,36 +195,7 @@ def _largest(body: str) -> int:
     return max(map(int, re.findall(r"(?<![\w.])\d+(?![\w.])", body)), default=0)
 
 
-class _Numbers:
-    """The numbers of tables: written out, or the inputs that each call sets."""
-
-    def __init__(self, entries: dict[tuple[int, str, int], int]) -> None:
-        self._entries = entries
-
-    def of(self, table: Any, field: str, values: Any) -> list[Value]:
-        """Return the numbers of a field of a table."""
-        found: list[Value] = values.tolist()
-        for (owner, name, position), index in self._entries.items():
-            if owner == id(table) and name == field:
-                found[position] = f"u[{index}]"
-        return found
-
-    def of_terms(self, table: Any, prefix: str, terms: Terms) -> Any:
-        """Return the function of numbers of terms, for `gradient`."""
-        known = {
-            field: self.of(table, prefix + field, getattr(terms, field))
-            for field in ("offset", "weight", "coefficient")
-        }
-        return lambda field, position: known[field][position]
-
-    def check_constant(self, table: Any, fields: Sequence[str], why: str) -> None:
-        """Raise TypeError if numbers that are not in `fields` of a table are inputs."""
-        for owner, name, _ in self._entries:
-            if owner == id(table) and name not in fields:
-                raise TypeError(f"{why} has inputs in {name}, which cannot be exported; prepare it without inputs")
-
-
-def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
+def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, TableNumbers]:
     """Return the loop of a run of step 1, whose flows have the lengths of the coefficients, and its numbers."""
     if not isinstance(prepared, PreparedRun):
         raise TypeError(f"{short(prepared)} is no prepared run; give co.prepare(system, method, step)")
@@ -220,10 +215,10 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, _Numbers]:
     if system.forces:  # substeps multiply the step, as those of the library
         scheme = Forced(cast(Forced, scheme).inner)
     if prepared.inputs is None:
-        return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], _Numbers({})
+        return loops_of_system(system, scheme, 1.0, prepared.representation).compiled[0], TableNumbers({})
     loops = prepared.inputs.loops(scheme, 1.0, prepared.representation)
     assert loops.writable is not None
-    return loops.compiled[0], _Numbers(_entries(prepared, loops.writable))
+    return loops.compiled[0], TableNumbers(_entries(prepared, loops.writable))
 
 
 def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, str, int], int]:
@@ -243,9 +238,14 @@ def _entries(prepared: PreparedRun, tables: WritableTables) -> dict[tuple[int, s
 
 
 def _exported(
-    prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool, forced: bool
+    prepared: PreparedRun,
+    loop: CompiledLoop,
+    numbers: TableNumbers,
+    inputs: DeclaredInputs,
+    tangent: bool,
+    forced: bool,
 ) -> Exported:
-    exporters: dict[Any, Callable[..., Exported]] = {FlowTables: _splitting, RungeKuttaTables: _stages}
+    exporters: dict[Any, Callable[..., Exported]] = {FlowTables: splitting, RungeKuttaTables: stages}
     export = exporters.get(type(loop.tables))
     if prepared.representation is not None:
         _check_attitude(prepared, loop)
@@ -278,98 +278,8 @@ def _check_attitude(prepared: PreparedRun, loop: CompiledLoop) -> None:
     )
 
 
-def check_terms(prepared: PreparedRun, terms: Terms) -> None:
-    """Raise TypeError for energies with functions, or with more numbers than are exported."""
-    if (terms.kind == FUNCTION).any():
-        raise TypeError(
-            f"the energy of {prepared.system.name} has a function that is no polynomial and cannot be exported; give "
-            "a polynomial near it, or call the run from Python"
-        )
-    size = len(terms.weight) + len(terms.coefficient)
-    if size > MOST_NUMBERS:
-        raise TypeError(
-            f"the energy of {prepared.system.name} has {size} numbers, and at most {MOST_NUMBERS} are exported; give a "
-            "smaller system"
-        )
-
-
-def _splitting(
-    prepared: PreparedRun, tables: FlowTables, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool
-) -> Exported:
-    terms = tables.terms
-    check_terms(prepared, terms)
-    numbers.check_constant(tables, [f"terms.{field}" for field in FIELDS], str(prepared.method))
-    parts = PartsInC(tables, numbers.of_terms(tables, "terms.", terms), inputs)
-    begin, first, every, end = (int(row) for row in tables.section)
-    lines = parts.functions(tangent)
-    state, x = f"{parts.state.declared}{inputs.declared}, double h", f"{parts.state.passed}{inputs.passed}, h"
-    n = tables.state.size
-    zeros = [f"double error[{n}];", f"for (unsigned long i = 0; i < {n}; ++i) error[i] = 0.0;"]
-    errors = zeros if tables.compensated else []
-    lines += function("first", state, parts.rows(begin, first))
-    lines += function("next", state, parts.rows(first, every))
-    lines += function("finish", state, parts.rows(every, end))
-    finish = f"coadjoint_finish({x});"
-    steps = [
-        *errors,
-        "if (steps == 0) return;",
-        f"coadjoint_first({x});",
-        f"while (--steps > 0) coadjoint_next({x});",
-        finish,
-    ]
-    change = [line for ends in ((begin, first), (every, end)) for line in parts.rows(*ends, "_with_tangents")]
-    if parts.side:
-        lines += _attitude_functions(parts, zeros)
-    step = [*errors, f"coadjoint_first({x});", finish]
-    return Exported(lines, step, steps, [*errors, *change], parts.widest, True, tables.compensated, parts.side)
-
-
-def _attitude_functions(parts: PartsInC, zeros: Sequence[str]) -> list[str]:
-    """Return the functions of runs that also move a group element, whose sums are always compensated."""
-    tables, u, count = parts.tables, parts.inputs, parts.side**2
-    begin, first, every, end = (int(row) for row in tables.section)
-    state, x = f"{parts.state.declared}, {ATTITUDE}{u.declared}, double h", f"{parts.state.passed}, A, E{u.passed}, h"
-    lines: list[str] = []
-    for name, ends in {"first": (begin, first), "next": (first, every), "finish": (every, end)}.items():
-        lines += function(f"{name}_with_attitude", state, parts.rows(*ends, "_with_attitude"))
-    run = [
-        f"double E[{count}];",
-        *(zeros if tables.compensated else []),
-        f"for (unsigned long i = 0; i < {count}; ++i) E[i] = 0.0;",
-        "if (steps == 0) return;",
-        f"coadjoint_first_with_attitude({x});",
-        f"while (--steps > 0) coadjoint_next_with_attitude({x});",
-        f"coadjoint_finish_with_attitude({x});",
-    ]
-    return lines + function(
-        "run_with_attitude", f"double *x, double *A{u.declared}, double h, unsigned long steps", run
-    )
-
-
-def _stages(
-    prepared: PreparedRun, tables: RungeKuttaTables, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool
-) -> Exported:
-    solver = {value: key for key, value in codes("Solver").items()}[tables.solver]
-    if solver not in ("EXPLICIT", "ITERATED"):
-        raise TypeError(
-            f"{prepared.method} solves equations in each step, so it cannot be exported; take Splitting or "
-            "ExplicitRungeKutta"
-        )
-    terms = tables.field.terms
-    check_terms(prepared, terms)
-    numbers.check_constant(tables, [f"field.terms.{field}" for field in FIELDS], str(prepared.method))
-    stages = StagesInC(tables, numbers.of_terms(tables, "field.terms.", terms), inputs, solver == "EXPLICIT")
-    n = tables.field.size
-    lines = stages.functions(tangent)
-    error = [f"double error[{n}];", f"for (unsigned long i = 0; i < {n}; ++i) error[i] = 0.0;"]
-    step = stages.substeps()
-    steps = [*error, *block("for (; steps > 0; --steps)", step)]
-    change = [*error, *stages.substeps(tangent=True)] if tangent else []
-    return Exported(lines, [*error, *step], steps, change)
-
-
 def _forced(
-    prepared: PreparedRun, loop: CompiledLoop, numbers: _Numbers, inputs: DeclaredInputs, tangent: bool
+    prepared: PreparedRun, loop: CompiledLoop, numbers: TableNumbers, inputs: DeclaredInputs, tangent: bool
 ) -> Exported:
     """Half flows of the forces, a step of the scheme, and half flows in reversed order, at fractions of the step."""
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
@@ -405,7 +315,7 @@ def _forced(
     return Exported(lines, step, steps, changed, inner.widest)
 
 
-def _flow_of_force(label: str, table: ForceTable, numbers: _Numbers, n: int) -> tuple[list[str], list[str]]:
+def _flow_of_force(label: str, table: ForceTable, numbers: TableNumbers, n: int) -> tuple[list[str], list[str]]:
     """Return the statements of the flow of a force, and those of its derivative."""
     kinds, shapes = codes("ForceKind"), codes("Shape")
     aim = numbers.of(table, "aim", table.aim)

@@ -5,12 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 from coadjoint.files.exports.c_statements import (
+    FIELDS,
     LONGEST_CHAIN,
     VECTORS,
     DeclaredInputs,
+    Exported,
     Numbers,
+    TableNumbers,
     block,
     chain_of,
+    check_terms,
     function,
     gradient,
     numbers,
@@ -18,9 +22,11 @@ from coadjoint.files.exports.c_statements import (
     rows_of,
     runs_of,
 )
+from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.field import Field
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.program.term_table import LINEAR
+from coadjoint.runs.prepared_run import PreparedRun
 
 
 class StagesInC:
@@ -155,3 +161,26 @@ def _products(field: Field, state: str, gradient_name: str, before: str = "") ->
         factors = [(f"{{c{q}}} * {state}[{{s{q}}}]", f"{gradient_name}[{{u{q}}}]") for q in range(length)]
         lines += repeated(f"f[{{i}}] = {before}length * {chain_of(factors, '0.0')};", found)
     return lines
+
+
+def stages(
+    prepared: PreparedRun, tables: RungeKuttaTables, numbers: TableNumbers, inputs: DeclaredInputs, tangent: bool
+) -> Exported:
+    """Return the statements of a scheme with stages, and the functions that they call."""
+    solver = {value: key for key, value in codes("Solver").items()}[tables.solver]
+    if solver not in ("EXPLICIT", "ITERATED"):
+        raise TypeError(
+            f"{prepared.method} solves equations in each step, so it cannot be exported; take Splitting or "
+            "ExplicitRungeKutta"
+        )
+    terms = tables.field.terms
+    check_terms(prepared.system.name, terms)
+    numbers.check_constant(tables, [f"field.terms.{field}" for field in FIELDS], str(prepared.method))
+    written = StagesInC(tables, numbers.of_terms(tables, "field.terms.", terms), inputs, solver == "EXPLICIT")
+    n = tables.field.size
+    lines = written.functions(tangent)
+    error = [f"double error[{n}];", f"for (unsigned long i = 0; i < {n}; ++i) error[i] = 0.0;"]
+    step = written.substeps()
+    steps = [*error, *block("for (; steps > 0; --steps)", step)]
+    change = [*error, *written.substeps(tangent=True)] if tangent else []
+    return Exported(lines, [*error, *step], steps, change)

@@ -10,7 +10,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, NamedTuple
 
-from coadjoint.program.term_table import LINEAR, Terms
+from coadjoint.program.term_table import FUNCTION, LINEAR, Terms
 
 FEW = 8
 """Statements that are written out; more of them are a loop."""
@@ -19,36 +19,6 @@ VECTORS = "double *v, unsigned long vectors"
 INDENT = "    "
 SECTION = re.compile(r"^/\* \[(\w+)\] \*/\n", re.MULTILINE)
 NAME = re.compile(r"\bcoadjoint_\w+")
-INCLUDES = """#ifndef COADJOINT_H
-#define COADJOINT_H
-#include <float.h>
-#include <stdint.h>
-#if !defined(__STDC_HOSTED__) || __STDC_HOSTED__
-#include <math.h>
-#else /* freestanding: the program that links this provides sqrt, and fma if the processor has it */
-#ifdef __cplusplus
-extern "C" {
-#endif
-double sqrt(double x);
-double fma(double a, double b, double c);
-#ifdef __cplusplus
-}
-#endif
-#endif
-#if DBL_MANT_DIG != 53 || (defined(FLT_EVAL_METHOD) && (FLT_EVAL_METHOD < 0 || FLT_EVAL_METHOD == 2))
-#error "double must have 53 bits, without excess precision: for 32-bit x86 give -msse2 -mfpmath=sse"
-#endif
-#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
-#error "-ffast-math changes the meaning of sums; compile without it"
-#endif
-#if defined(__clang__) /* a product and a sum are fused only where this is written */
-#pragma STDC FP_CONTRACT OFF
-#elif defined(__GNUC__)
-#pragma GCC push_options
-#pragma GCC optimize("fp-contract=off")
-#endif
-"""
-
 FREE_BODY = Path(__file__).with_name("coadjoint.h")
 
 Value = int | float | str
@@ -162,21 +132,6 @@ def _formula(values: Sequence[Value]) -> str | None:
     return product if start == 0 else f"{start} + {product}"
 
 
-def wrapped(line: str) -> str:
-    """Return a line of code, broken at spaces if it is too long."""
-    if len(line) <= WIDTH or line.startswith(("#", "/*")):
-        return line
-    start = line[: len(line) - len(line.lstrip())]
-    return fill(
-        line.strip(),
-        WIDTH,
-        initial_indent=start,
-        subsequent_indent=start + 2 * INDENT,
-        break_on_hyphens=False,
-        break_long_words=False,
-    )
-
-
 def runs_of(keys: Sequence[Any]) -> Iterator[tuple[int, int]]:
     """Yield the ranges of equal neighbours."""
     first = 0
@@ -184,11 +139,6 @@ def runs_of(keys: Sequence[Any]) -> Iterator[tuple[int, int]]:
         if position == len(keys) or keys[position] != keys[first]:
             yield first, position
             first = position
-
-
-def includes(defined: Sequence[str]) -> str:
-    """Return the beginning of the code, with definitions."""
-    return "\n".join([INCLUDES, *defined, ""])
 
 
 @cache
@@ -235,6 +185,70 @@ def free_body_header(name: str = FREE_BODY.name) -> str:
     if not name.isprintable() or any(sign in name for sign in '"\\'):
         raise ValueError(f"{name!r} cannot be included; give a name without quotes, backslashes and control characters")
     return FREE_BODY.read_text(encoding="utf-8").replace(f'#include "{FREE_BODY.name}"', f'#include "{name}"')
+
+
+FIELDS = ("offset", "coefficient")
+"""The numbers of terms that may be inputs."""
+MOST_NUMBERS = 2**22
+"""Numbers of the tables; a file of more would take compilers minutes and gigabytes."""
+
+
+class Exported(NamedTuple):
+    """Statements of a step, of all steps of a run, and of the derivative of a step; `lines` define what they call."""
+
+    # `resumable`: functions for the first step and all others, which take the errors of `compensated` sums.
+
+    lines: list[str]
+    step: list[str]
+    steps: list[str]
+    change: list[str]
+    widest: int = 0
+    resumable: bool = False
+    compensated: bool = False
+    side: int = 0
+
+
+class TableNumbers:
+    """The numbers of tables: written out, or the inputs that each call sets."""
+
+    def __init__(self, entries: dict[tuple[int, str, int], int]) -> None:
+        self._entries = entries
+
+    def of(self, table: Any, field: str, values: Any) -> list[Value]:
+        """Return the numbers of a field of a table."""
+        found: list[Value] = values.tolist()
+        for (owner, name, position), index in self._entries.items():
+            if owner == id(table) and name == field:
+                found[position] = f"u[{index}]"
+        return found
+
+    def of_terms(self, table: Any, prefix: str, terms: Terms) -> Any:
+        """Return the function of numbers of terms, for `gradient`."""
+        known = {
+            field: self.of(table, prefix + field, getattr(terms, field))
+            for field in ("offset", "weight", "coefficient")
+        }
+        return lambda field, position: known[field][position]
+
+    def check_constant(self, table: Any, fields: Sequence[str], why: str) -> None:
+        """Raise TypeError if numbers that are not in `fields` of a table are inputs."""
+        for owner, name, _ in self._entries:
+            if owner == id(table) and name not in fields:
+                raise TypeError(f"{why} has inputs in {name}, which cannot be exported; prepare it without inputs")
+
+
+def check_terms(system: str, terms: Terms) -> None:
+    """Raise TypeError for energies with functions, or with more numbers than are exported."""
+    if (terms.kind == FUNCTION).any():
+        raise TypeError(
+            f"the energy of {system} has a function that is no polynomial and cannot be exported; give "
+            "a polynomial near it, or call the run from Python"
+        )
+    size = len(terms.weight) + len(terms.coefficient)
+    if size > MOST_NUMBERS:
+        raise TypeError(
+            f"the energy of {system} has {size} numbers, and at most {MOST_NUMBERS} are exported; give a smaller system"
+        )
 
 
 LONGEST_CHAIN = 6

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from coadjoint.errors import in_one_line
-from coadjoint.files.exports.c_export import check_terms, loop_of_run
+from coadjoint.files.exports.c_export import loop_of_run
+from coadjoint.files.exports.c_statements import check_terms
 from coadjoint.files.output.atomic_output import PendingOutput
 from coadjoint.files.output.output_files import OutputError, write_text
 from coadjoint.kernels.library import SOURCE, SUFFIX, kernels
@@ -80,7 +81,7 @@ def table_text(prepared: PreparedRun) -> str:
     if type(loop.tables) is not FlowTables:
         raise TypeError(f"{prepared.method} is not made of exact flows, so it has no table; take Splitting")
     program = scheme.program(system)
-    check_terms(prepared, program.terms)
+    check_terms(prepared.system.name, program.terms)
     compensated = loop.tables.compensated
     tables = flow_cotangents(program, system, None, prepared.step, compensated, None).tables
     table = program.to_mapping() | {

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import fits
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
+from coadjoint.validation import is_integer, is_real
 
 # Prefixes of missing functions without which a run can be repeated, since they do not affect the motion.
 CASIMIR, EXACT, INTEGRAL = "casimir: ", "exact solution: ", "integral: "
@@ -116,19 +117,17 @@ class Entry:
 
     def integer(self, minimum: int = 0, maximum: int = MAX_INTEGER) -> int:
         """Return the value as an integer between bounds."""
-        value = self.value.item() if isinstance(self.value, np.generic) else self.value
-        if isinstance(value, bool) or not isinstance(value, int) or not minimum <= value <= maximum:
+        if not is_integer(self.value) or not minimum <= self.value <= maximum:
             raise self.invalid_error(
                 f"a whole number from {minimum} " + ("up" if maximum == MAX_INTEGER else f"to {maximum}")
             )
-        return value
+        return int(self.value)
 
     def number(self) -> float:
         """Return the value as a finite float."""
-        value = self.value.item() if isinstance(self.value, np.generic) else self.value
-        if isinstance(value, bool) or not isinstance(value, int | float) or not fits(value):
+        if not is_real(self.value) or not fits(self.value):
             raise self.invalid_error("a finite number")
-        return float(value)
+        return float(self.value)
 
     def exact(self) -> int | float | Fraction:
         """Return the value as an exact number: an integer, a float, or a quotient of integers."""
@@ -152,18 +151,23 @@ class Entry:
 
     def plain(self) -> Any:
         """Return the value unconverted: tables, lists, text, booleans and finite numbers, of limited depth."""
-        if isinstance(self.value, dict):
-            return {key: entry.plain() for key, entry in self.table().items()}
-        if isinstance(self.value, list):
-            return [entry.plain() for entry in self.entries()]
-        if isinstance(self.value, bool) or self.value is None:
-            return self.value
-        if isinstance(self.value, str):
-            return self.text()
-        if isinstance(self.value, int):
-            return self.integer(-MAX_INTEGER)
+        match self.value:
+            case dict():
+                return self.plain_table()
+            case list():
+                return [entry.plain() for entry in self.entries()]
+            case str():
+                return self.text()
+            case bool() | None:
+                return self.value
+            case int():
+                return self.integer(-MAX_INTEGER)
         self.number()
         return self.value
+
+    def plain_table(self) -> dict[str, Any]:
+        """Return a table unconverted, as `plain` does."""
+        return {key: entry.plain() for key, entry in self.table().items()}
 
 
 def parsed(value: Any, path: str) -> Entry:

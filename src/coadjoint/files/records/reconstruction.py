@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import prod
 from typing import Any
 
@@ -83,9 +83,8 @@ def _system_of(record: Entry, dim: int | None) -> System:
     _check_stored(record, record["name"].text())
     forces = []
     for force in record["forces"].entries():
-        parameters = {key: entry.plain() for key, entry in force.table().items()}
         with as_value_errors(force):
-            forces.append(from_description("force", described.kinds(), parameters))
+            forces.append(from_description("force", described.kinds(), force.plain()))
     system = _unforced_system_of(record["system"], dim)
     with as_value_errors(record["forces"]):
         return system.with_forces(*forces)
@@ -95,7 +94,7 @@ def _unforced_system_of(record: Entry, dim: int | None) -> Any:
     name = record["name"].text()
     if "parameters" in record:
         record.reject_unknown("name", "parameters")
-        parameters = {key: entry.plain() for key, entry in record["parameters"].table().items()}
+        parameters = record["parameters"].plain_table()
         with as_value_errors(record["parameters"]):
             system = importlib.import_module("coadjoint.systems").get(name, **parameters)
         _check_dimension(record, system.dim, dim)
@@ -113,7 +112,7 @@ def _unforced_system_of(record: Entry, dim: int | None) -> Any:
     casimirs = invariants_of(record["casimirs"], algebra.dim)
     integrals = invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
     representation = _matrices_of(record["representation"], algebra.dim) if "representation" in record else None
-    layout = {key: entry.plain() for key, entry in record["layout"].table().items()} if "layout" in record else None
+    layout = record["layout"].plain_table() if "layout" in record else None
     sign = record["sign"].integer(-1, 1)
     with as_value_errors(record):
         return LiePoissonSystem(
@@ -207,19 +206,11 @@ def _polynomial_of(record: Entry, dim: int) -> Polynomial:
 
 def _hamiltonian_of(record: Entry, dim: int) -> Any:
     kind = record["kind"].text()
-    if kind == "split":
-        return _split_of(record, dim)
-    if kind == "sum":
-        return _sum_of(record, dim)
-    if record["dim"].integer(1) != dim:
+    if kind not in HAMILTONIANS:
+        raise record["kind"].invalid_error("'quadratic', 'polynomial', 'formula', 'split' or 'sum'")
+    if kind not in ("split", "sum") and record["dim"].integer(1) != dim:
         raise record["dim"].invalid_error(f"{dim}, the number of its coordinates")
-    if kind == "polynomial":
-        return _polynomial_of(record.reject_unknown("kind", "dim", "monomials")["monomials"], dim)
-    if kind == "quadratic":
-        return _quadratic_of(record, dim)
-    if kind == "formula":
-        return _function_of(record, dim)
-    raise record["kind"].invalid_error("'quadratic', 'polynomial', 'formula', 'split' or 'sum'")
+    return HAMILTONIANS[kind](record, dim)
 
 
 def _function_of(record: Entry, dim: int) -> Hamiltonian:
@@ -268,6 +259,18 @@ def _quadratic_of(record: Entry, dim: int) -> Quadratic:
     with as_value_errors(record):
         values = np.concatenate([values, values[indices[:, 0] < indices[:, 1]]])
         return Quadratic(coo_array((values, (rows, columns)), shape=(dim, dim)), linear=linear, constant=constant)
+
+
+HAMILTONIANS: Mapping[str, Callable[[Entry, int], Any]] = {
+    "polynomial": lambda record, dim: _polynomial_of(
+        record.reject_unknown("kind", "dim", "monomials")["monomials"], dim
+    ),
+    "quadratic": _quadratic_of,
+    "formula": _function_of,
+    "split": _split_of,
+    "sum": _sum_of,
+}
+"""Kind of a Hamiltonian -> the function that rebuilds it."""
 
 
 def matrix_system_of(record: Entry) -> MatrixSystem:

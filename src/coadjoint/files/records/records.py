@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,6 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
-from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.system import System
 
 __all__ = ["record_of", "safe_name", "system_of"]
@@ -44,34 +43,39 @@ STORABLE_TYPES = (Polynomial, Quadratic)
 def record_of(system: System | Batch) -> dict[str, Any]:
     """Return a system as plain numbers, lists and text for `json`; `system_of` rebuilds it, bitwise."""
     # A ready-made system is its name and parameters; functions of Python are listed under "not_stored".
-    if isinstance(system, Batch):
-        return _batch_record(system)
+    missing: list[str] = []
+    record: dict[str, Any] = {"name": system.name, **_entries(system, missing)}
+    return {**record, "not_stored": missing} if missing else record
+
+
+def _entries(system: Any, missing: list[str]) -> dict[str, Any]:
+    """Return the entries of a record beside the name; append the functions that cannot be stored to `missing`."""
+    if system.is_batch:
+        return _batch_entries(system, missing)
     if system.forces:
-        return _forced_record(system)
-    ready_made = importlib.import_module("coadjoint.systems").names()
+        return _forced_entries(system, missing)
     parameters = system.parameters
-    if parameters is not None and system.name in ready_made:
+    if parameters is not None and system.name in importlib.import_module("coadjoint.systems").names():
         functions = [f"{system.name}: {key}" for key, value in parameters.items() if callable(value)]
-        if functions:
-            return {"name": system.name, "not_stored": functions}
-        return {"name": system.name, "parameters": {key: plain(value) for key, value in parameters.items()}}
-    if isinstance(system, MatrixSystem):
-        return matrix_record(system)
-    if not isinstance(system, LiePoissonSystem):
-        function = system.structure_function
-        source = f"class {type(system).__qualname__}" if function is None else _function_name(function)
-        return {"name": system.name, "not_stored": [f"structure matrix: {source}"]}
-    hamiltonian, missing = _hamiltonian_record(system.hamiltonian)
+        missing += functions
+        return {} if functions else {"parameters": {key: plain(value) for key, value in parameters.items()}}
+    match system:
+        case MatrixSystem():
+            return _matrix_entries(system, missing)
+        case LiePoissonSystem():
+            return _lie_poisson_entries(system, missing)
+    function = system.structure_function
+    source = f"class {type(system).__qualname__}" if function is None else _function_name(function)
+    missing.append(f"structure matrix: {source}")
+    return {}
+
+
+def _lie_poisson_entries(system: LiePoissonSystem, missing: list[str]) -> dict[str, Any]:
     casimirs = system.casimirs
-    without_record = dict.fromkeys([*_functions_in(casimirs), *_functions_in(system.algebra.casimirs_known)])
-    missing += [f"{CASIMIR}{name}" for name in without_record]
-    missing += [f"{INTEGRAL}{name}" for name in _functions_in(system.integrals)]
-    missing += [] if system.closed_form is None else [f"{EXACT}{_function_name(system.closed_form)}"]
     record: dict[str, Any] = {
-        "name": system.name,
         "sign": system.sign,
         "algebra": _algebra_record(system.algebra),
-        "hamiltonian": hamiltonian,
+        "hamiltonian": _hamiltonian_record(system.hamiltonian, missing),
         "casimirs": invariants_record(casimirs),
     }
     if system.representation is not None and system.representation is not system.algebra.representation:
@@ -80,8 +84,10 @@ def record_of(system: System | Batch) -> dict[str, Any]:
         record["integrals"] = invariants_record(system.integrals)
     if system.layout:
         record["layout"] = {key: plain(value) for key, value in system.layout.items()}
-    if missing:
-        record["not_stored"] = missing
+    without_record = dict.fromkeys([*_functions_in(casimirs), *_functions_in(system.algebra.casimirs_known)])
+    missing += [f"{CASIMIR}{name}" for name in without_record]
+    missing += [f"{INTEGRAL}{name}" for name in _functions_in(system.integrals)]
+    missing += _named_functions(EXACT, system.closed_form)
     return record
 
 
@@ -119,35 +125,24 @@ def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _batch_record(batch: Batch) -> dict[str, Any]:
+def _batch_entries(batch: Batch, missing: list[str]) -> dict[str, Any]:
     members, firsts = [record_of(member) for member in batch.distinct], np.unique(batch.owners, return_index=True)[1]
-    missing = [
-        f"{what} (member {m})"
-        for m, record in zip(firsts.tolist(), members, strict=True)
-        for what in record.get("not_stored", [])
-    ]
-    record: dict[str, Any] = {"name": batch.name, "members": members}
+    for m, record in zip(firsts.tolist(), members, strict=True):
+        missing += [f"{what} (member {m})" for what in record.get("not_stored", [])]
+    entries: dict[str, Any] = {"members": members}
     if len(members) < len(batch):
         edges = np.flatnonzero(np.diff(batch.owners, prepend=-1))
         counts = np.diff(edges, append=len(batch))
-        record["repeated"] = [list(pair) for pair in zip(batch.owners[edges].tolist(), counts.tolist(), strict=True)]
-    if batch.axes:
-        record["axes"] = axes_record(batch.axes)
-    return {**record, "not_stored": missing} if missing else record
+        entries["repeated"] = [list(pair) for pair in zip(batch.owners[edges].tolist(), counts.tolist(), strict=True)]
+    return {**entries, "axes": axes_record(batch.axes)} if batch.axes else entries
 
 
-def _forced_record(system: System) -> dict[str, Any]:
+def _forced_entries(system: System, missing: list[str]) -> dict[str, Any]:
     """Return the Hamiltonian part, and the forces by name and parameters."""
-    inner, forces, missing = record_of(system.unforced), [], []
-    for label, force in system.labelled_forces:
-        described_force = _force_record(force)
-        if described_force is None:
-            missing.append(f"force: {label}")
-        else:
-            forces.append(described_force)
-    missing = [*inner.get("not_stored", ()), *missing]
-    record: dict[str, Any] = {"name": system.name, "forces": forces, "system": inner}
-    return {**record, "not_stored": missing} if missing else record
+    inner, forces = record_of(system.unforced), {label: _force_record(force) for label, force in system.labelled_forces}
+    missing += inner.get("not_stored", ())
+    missing += [f"force: {label}" for label, force in forces.items() if force is None]
+    return {"forces": [force for force in forces.values() if force is not None], "system": inner}
 
 
 def _force_record(force: Force) -> dict[str, Any] | None:
@@ -167,29 +162,33 @@ def _function_name(function: Any) -> str:
     return str(getattr(function, "__name__", type(function).__name__))
 
 
+def _named_functions(prefix: str, function: Any) -> list[str]:
+    """Return the name of a function that cannot be stored, with a prefix; nothing if there is none."""
+    return [] if function is None else [f"{prefix}{_function_name(function)}"]
+
+
 def _monomials(polynomial: Polynomial) -> list[list[Any]]:
     return [[plain(value), list(exponents)] for exponents, value in polynomial.monomials.items()]
 
 
-def _hamiltonian_record(H: HamiltonianLike) -> tuple[dict[str, Any], list[str]]:
-    """Return the record of a Hamiltonian, and its functions that cannot be stored."""
-    if isinstance(H, PolynomialHamiltonian):
-        return _polynomial_record(H.polynomial), []
-    if isinstance(H, Quadratic):
-        return _form_record(H), []
+def _hamiltonian_record(H: HamiltonianLike, missing: list[str]) -> dict[str, Any]:
+    match H:
+        case PolynomialHamiltonian():
+            return _polynomial_record(H.polynomial)
+        case Quadratic():
+            return _form_record(H)
+        case SplitHamiltonian():
+            inner = [_hamiltonian_record(piece, missing) for piece in H.pieces]
+            pieces = [list(pair) for pair in zip(map(list, H.coordinates), inner, strict=True)]
+            return {"kind": "split", "pieces": pieces}
+        case SumOfHamiltonians():
+            return {"kind": "sum", "summands": [_hamiltonian_record(summand, missing) for summand in H.summands]}
     formula = formula_of(H)
     if formula is not None:
-        return _formula_record(*formula), []
-    if isinstance(H, SplitHamiltonian):
-        inner = [_hamiltonian_record(piece) for piece in H.pieces]
-        pieces = [[list(coordinates), record] for coordinates, (record, _) in zip(H.coordinates, inner, strict=True)]
-        return {"kind": "split", "pieces": pieces}, [name for _, names in inner for name in names]
-    if isinstance(H, SumOfHamiltonians):
-        parts = [_hamiltonian_record(summand) for summand in H.summands]
-        missing = [name for _, names in parts for name in names]
-        return {"kind": "sum", "summands": [record for record, _ in parts]}, missing
+        return _formula_record(*formula)
     names = [_function_name(term.value) for term in H.terms() if isinstance(term, FunctionTerm)]
-    return {"kind": type(H).__name__}, [f"hamiltonian: {name}" for name in names or [type(H).__name__]]
+    missing += [f"hamiltonian: {name}" for name in names or [type(H).__name__]]
+    return {"kind": type(H).__name__}
 
 
 def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
@@ -237,35 +236,21 @@ def axes_record(axes: Mapping[str, Axis]) -> list[list[Any]]:
     return [[name, axis.length, None if axis.values is None else axis.values.tolist()] for name, axis in axes.items()]
 
 
-def matrix_record(system: MatrixSystem) -> dict[str, Any]:
-    """Return a matrix system as plain numbers, lists and text; streams that are functions are not stored."""
+def _matrix_entries(system: MatrixSystem, missing: list[str]) -> dict[str, Any]:
     record: dict[str, Any] = {
-        "name": system.name,
         "matrices": _matrix_algebra_record(system.algebra),
         "energy_sign": system.energy_sign,
         "powers": system.powers,
     }
-    missing = []
-    stream = _stream_record(system.stream)
-    if stream is None:
-        missing.append(f"{STREAM}{_function_name(getattr(system.stream, 'function', system.stream))}")
-    else:
-        record["stream"] = stream
-    if isinstance(system, TwoLayerSystem):
+    record |= _stream_entries("stream", system.stream, missing)
+    if len(system.shape) > 2:
         record["layers"] = 2
-        second = None if system.second_stream is None else _stream_record(system.second_stream)
-        if second is not None:
-            record["second_stream"] = second
-        elif system.second_stream is not None:
-            missing.append(f"{STREAM}{type(system.second_stream).__name__}")
+        record |= _stream_entries("second_stream", system.second_stream, missing)
     if system.linear is not None:
         parts = [system.linear.real, system.linear.imag] if np.iscomplexobj(system.linear) else [system.linear]
         record["linear"] = [part.tolist() for part in parts]
-    if system.energy_function is not None:
-        missing.append(f"{ENERGY}{_function_name(system.energy_function)}")
-    if system.closed_form is not None:
-        missing.append(f"{EXACT}{_function_name(system.closed_form)}")
-    return {**record, "not_stored": missing} if missing else record
+    missing += [*_named_functions(ENERGY, system.energy_function), *_named_functions(EXACT, system.closed_form)]
+    return record
 
 
 def _matrix_algebra_record(algebra: MatrixAlgebra) -> dict[str, Any]:
@@ -274,16 +259,25 @@ def _matrix_algebra_record(algebra: MatrixAlgebra) -> dict[str, Any]:
     return {"kind": algebra.kind, "N": algebra.N, "q": algebra.q}
 
 
-def _stream_record(stream: Any) -> dict[str, Any] | None:
-    if type(stream) is Weights:
-        return {"weights": stream.weights.tolist()}
-    if type(stream) is DiagonalSolve:
-        return {"main": stream.main.tolist(), "beside": stream.beside.tolist(), "factor": float(stream.factor)}
-    if type(stream) is Inverse:
-        return {"inverse of": _stream_record(stream.of)}
-    if type(stream) is Circulants:
-        return {"spectrum": stream.spectrum.tolist()}
-    return None
+STREAMS: Mapping[type, Callable[[Any], dict[str, Any]]] = {
+    Weights: lambda stream: {"weights": stream.weights.tolist()},
+    DiagonalSolve: lambda stream: {
+        "main": stream.main.tolist(),
+        "beside": stream.beside.tolist(),
+        "factor": float(stream.factor),
+    },
+    Inverse: lambda stream: {"inverse of": STREAMS[DiagonalSolve](stream.of)},
+    Circulants: lambda stream: {"spectrum": stream.spectrum.tolist()},
+}
+"""Class of a stream -> its record; of derived classes nothing is known."""
+
+
+def _stream_entries(key: str, stream: Any, missing: list[str]) -> dict[str, Any]:
+    """Return the entry of a stream; streams that are functions are not stored."""
+    record = STREAMS.get(type(stream))
+    if record is None:
+        missing += _named_functions(STREAM, getattr(stream, "function", stream))
+    return {} if record is None else {key: record(stream)}
 
 
 def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
