@@ -86,8 +86,8 @@ def perform(arguments: Sequence[str] | None, began: float | None = None) -> tupl
 
 
 def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
+    from coadjoint.errors import ConfigurationError
     from coadjoint.files.archives.archive import ArchiveError
-    from coadjoint.files.configuration.construction import ConfigurationError
     from coadjoint.files.output.output_files import OutputError
 
     try:

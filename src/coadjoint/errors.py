@@ -95,6 +95,13 @@ class OneLineError(ValueError):
         super().__init__(in_one_line(message, MAX_MESSAGE_LENGTH))
 
 
+class ConfigurationError(OneLineError):
+    """A configuration file is invalid; the message has the file, the key, and the correction."""
+
+    error_lines: tuple[str, ...] = ()
+    """One line for each error, if there are several."""
+
+
 MAX_MESSAGE_LENGTH = 900  # characters: some lines of a terminal, whatever the value that is named
 MAX_LISTED_NAMES = 50
 """Maximum number of names listed in a message."""

@@ -214,7 +214,7 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
     from coadjoint.analysis.certificates.certify import certify
-    from coadjoint.files.configuration.construction import ConfigurationError
+    from coadjoint.errors import ConfigurationError
     from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
 

@@ -22,7 +22,7 @@ from coadjoint.algebra.polynomials.formulas import add_term, too_high
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
-from coadjoint.errors import OneLineError, in_one_line
+from coadjoint.errors import ConfigurationError, in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
@@ -69,13 +69,6 @@ BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measure
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.models import AlgebraTable, File, HamiltonianTable, InitialTable
-
-
-class ConfigurationError(OneLineError):
-    """A configuration file is invalid; the message has the file, the key, and the correction."""
-
-    error_lines: tuple[str, ...] = ()
-    """One line for each error, if there are several."""
 
 
 @contextmanager

@@ -12,8 +12,8 @@ from pydantic import BaseModel, ValidationError
 
 from coadjoint import systems
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.errors import ConfigurationError
 from coadjoint.files.configuration.construction import (
-    ConfigurationError,
     ErrorCollector,
     check_named,
     initial_state,

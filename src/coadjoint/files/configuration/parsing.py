@@ -14,8 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from coadjoint.errors import in_one_line, nearest
-from coadjoint.files.configuration.construction import ConfigurationError
+from coadjoint.errors import ConfigurationError, in_one_line, nearest
 from coadjoint.files.configuration.models import MAX_SHOWN_LENGTH, File
 from coadjoint.keyword_hints import KEYWORDS
 from coadjoint.methods import registry

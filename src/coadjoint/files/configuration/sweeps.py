@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import in_one_line
+from coadjoint.errors import ConfigurationError, in_one_line
 from coadjoint.files.configuration.construction import (
-    ConfigurationError,
     ErrorCollector,
     array_of_file,
     initial_state,
