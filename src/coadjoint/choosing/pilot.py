@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,8 +75,7 @@ SCREENING_STEPS = 128
 UNSEEN_RATIO = 2.0
 
 ResultT = TypeVar("ResultT")
-AnySystem = TypeVar("AnySystem", System, Batch)
-Sample = tuple[AnySystem, NDArray[np.float64]]
+Sample = tuple[System | Batch, NDArray[np.float64]]
 # Largest dimension that is cached: larger tables take much memory, and building them is cheap relative to the steps.
 MAX_CACHED_DIMENSION = 64
 # Entries per system, after which its cache is cleared, and number of systems (least recently used first out).
@@ -328,7 +327,7 @@ def short_run(
     return run
 
 
-def sample_of(system: AnySystem, momenta: NDArray[np.float64], t0: float, span: float) -> Sample[AnySystem]:
+def sample_of(system: System | Batch, momenta: NDArray[np.float64], t0: float, span: float) -> Sample:
     """Return up to 4 members for a pilot, in order: the first, and those with the largest errors in a coarse run."""
     if len(momenta) <= SAMPLE_SIZE:
         return system, momenta
@@ -341,8 +340,8 @@ def sample_of(system: AnySystem, momenta: NDArray[np.float64], t0: float, span: 
 
 
 def sample_of_scheme(
-    system: AnySystem, momenta: NDArray[np.float64], pilot: Pilot, method: Method, step: float
-) -> Sample[AnySystem] | None:
+    system: System | Batch, momenta: NDArray[np.float64], pilot: Pilot, method: Method, step: float
+) -> Sample | None:
     """Return the members with the largest errors of a scheme at a step; None if those of the pilot stand for them."""
     # The whole window, since errors of some members grow late; with few steps, as they rank members alike.
     steps = max(1, min(SCREENING_STEPS, round(pilot.window / step)))
@@ -353,7 +352,7 @@ def sample_of_scheme(
     return _worst(screened, states, errors) if np.max(errors) > UNSEEN_RATIO * np.max(known) else None
 
 
-def _screened(system: AnySystem, momenta: NDArray[np.float64]) -> Sample[AnySystem]:
+def _screened(system: System | Batch, momenta: NDArray[np.float64]) -> Sample:
     """Return a sample of at most `MAX_SCREENED` members, evenly over their numbers."""
     members = len(momenta)
     return _members(
@@ -381,13 +380,13 @@ def _errors_of_members(
     return np.where(unusable, np.inf, differences / np.where(sizes > 0.0, sizes, 1.0))
 
 
-def _worst(system: AnySystem, states: NDArray[np.float64], errors: NDArray[np.float64]) -> Sample[AnySystem]:
+def _worst(system: System | Batch, states: NDArray[np.float64], errors: NDArray[np.float64]) -> Sample:
     worst = np.argsort(-errors, kind="stable")[: SAMPLE_SIZE - 1]
     return _members(system, states, np.unique(np.concatenate([[0], worst])))
 
 
-def _members(system: AnySystem, momenta: NDArray[np.float64], members: NDArray[np.int64]) -> Sample[AnySystem]:
-    return cast(AnySystem, selected(system, members) if isinstance(system, Batch) else system), momenta[members]
+def _members(system: System | Batch, momenta: NDArray[np.float64], members: NDArray[np.int64]) -> Sample:
+    return (selected(system, members) if isinstance(system, Batch) else system), momenta[members]
 
 
 @lru_cache(maxsize=MAX_SYSTEMS)

@@ -22,7 +22,6 @@ from coadjoint.runs.short_runs import ENDS_ONLY
 from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import accumulated_rounding, span_of
 from coadjoint.short_repr import distinct
-from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 
 # Allowed ratio of the error of the first step to the worst one of the sample; for variable steps, of the number of
@@ -71,7 +70,7 @@ class SampledRun(PreparedRun):
             raise ValueError(f"t_span is {[t0, t1]}; a prepared run needs a time longer than 0")
         momenta, _ = momenta_of(system, sample)
         # Runs of a batch have all its members.
-        states = momenta if system.is_batch else sample_of(cast(System, system), momenta, t0, t1 - t0)[1]
+        states = momenta if system.is_batch else sample_of(system, momenta, t0, t1 - t0)[1]
         attitude = read_attitude(attitude, system)
         # Runs may have another number of members than the sample, so stacked initial group elements are not passed on.
         self._attitude_option = True if np.ndim(attitude) == 3 else attitude
