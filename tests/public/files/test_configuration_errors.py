@@ -71,9 +71,6 @@ REFUSED = {
     "a step and an accuracy": (ready(STEP, f"{STEP}\naccuracy = 1e-8"), "run", ("step and accuracy",)),
     "an accuracy of one": (ready(STEP, "accuracy = 1.0"), "run.accuracy", ("1.0",), True),
     "an accuracy beyond rounding": (ready(STEP, "accuracy = 1e-19"), "run.accuracy", ("1e-19",)),
-    "an accuracy of a sweep": (
-        swept('"system.parameters.inertia[2]" = [2.5, 3.0]').replace(STEP, "accuracy = 1e-8"),
-        "run.accuracy", ("batch",)),
     "a step as text": (ready(STEP, 'step = "0.1"'), "run.step", ("'0.1'",), True),
     "a step backward": (ready(STEP, "step = -0.1"), "run.step", ("-0.1",), True),
     "a step of zero": (ready(STEP, "step = 0"), "run.step", ("0",), True),

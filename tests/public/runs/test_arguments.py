@@ -326,8 +326,6 @@ def test_powers_of_steps_stay_within_float64():
 def test_batches_are_refused_where_one_system_is_needed():
     batch = co.batch([BODY, BODY])
     for wrong in (
-        lambda: co.choose(batch, X, (0, 1), 1e-3),
-        lambda: co.integrate(batch, X, (0, 1), accuracy=1e-3),
         lambda: co.stepper(batch, co.Splitting(), 0.1),
         lambda: co.Splitting.tuned(batch, X),
         lambda: co.Splitting().describe(batch),
