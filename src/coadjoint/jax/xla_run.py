@@ -19,6 +19,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
+from coadjoint.program.generators import given_matrices, group_side
 from coadjoint.program.public_table import energy_and_parameters
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -122,11 +123,7 @@ class XlaRun:
         group, initial = prepared.representation, prepared.initial_attitude
         if group is None:
             return None
-        return (
-            initial
-            if isinstance(initial, np.ndarray)
-            else np.eye(prepared.system.dim if isinstance(group, str) else group.shape[-1])
-        )
+        return initial if isinstance(initial, np.ndarray) else np.eye(group_side(prepared.system.dim, group))
 
     # The coefficients of the energy.
 
@@ -343,8 +340,7 @@ def _of_group(program: Any, group: Any) -> tuple[int | None, list[Any]]:
     """Return the size of a group element, and the tables of the generators of subtracted Casimirs."""
     if group is None:
         return None, []
-    system, rho = program.system, None if isinstance(group, str) else group
-    side = system.dim if rho is None else rho.shape[-1]
+    system, rho, side = program.system, given_matrices(group), group_side(program.system.dim, group)
     return side, [unshift_tables(system.algebra, rho, system.sign, ((casimir, 1.0),)) for casimir, _ in program.shift]
 
 

@@ -39,6 +39,7 @@ from coadjoint.methods.protocol.cost_model import (
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
+from coadjoint.program.generators import group_side
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
@@ -195,7 +196,7 @@ class Taylor(CompiledStepMethod):
     ) -> CompiledLoop:
         """Return the loop over steps, with the series of the group element if requested."""
         if representation is not None:
-            size = system.dim if isinstance(representation, str) else representation.shape[1]
+            size = group_side(system.dim, representation)
             # The matrix of the group equation and a coefficient of the element for each order, and for orders beyond.
             need = 8 * (2 * self.order + MAX_EXTRA_TERMS) * size**2
             check_available_memory(need, f"the series of group elements of {size} x {size} numbers")

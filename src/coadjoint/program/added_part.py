@@ -16,7 +16,7 @@ from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.polynomials.monomials import exponents_of, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
-from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.generators import BasisMatrices, given_matrices
 from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.sources import monomials_in, products_of
@@ -79,8 +79,7 @@ def with_added_part(
     counts = np.array([[len(one.offset), len(one.weight), len(one.coefficient)] for one in (program.terms, added)])
     of_group = None
     if program.group is not None:
-        representation = None if isinstance(group, str) else group
-        of_group = extended(program.group, BasisMatrices.on_group(system.algebra, representation))
+        of_group = extended(program.group, BasisMatrices.on_group(system.algebra, given_matrices(group)))
     return AddedPart(
         rows=_rows(program, method, _position(program, G)),
         terms=terms,

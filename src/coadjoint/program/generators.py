@@ -106,6 +106,18 @@ class BasisMatrices:
             yield Generators(angle[first_index], row[first_index], column[first_index], total[nonzero])
 
 
+def given_matrices(representation: Any) -> NDArray[Any] | None:
+    """Return the matrices of a representation; None for "coadjoint", whose matrices are those of the algebra."""
+    return None if isinstance(representation, str) else representation
+
+
+def group_side(dim: int, representation: NDArray[Any] | str | None) -> int:
+    """Return the number of rows of a group element in a representation of an algebra; 0 for None."""
+    if representation is None:
+        return 0
+    return dim if isinstance(representation, str) else int(representation.shape[-1])
+
+
 class Components(NamedTuple):
     """Connected sets of coordinates by columns."""
 

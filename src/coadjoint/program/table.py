@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action, copied_action
-from coadjoint.program.generators import BasisMatrices, NotSplittable
+from coadjoint.program.generators import BasisMatrices, NotSplittable, given_matrices
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.decompose import ChosenParts, decompose
 from coadjoint.program.parts.part import Parts
@@ -220,5 +220,4 @@ def _built_action(algebra: LieAlgebra, parts: Parts, omitted: NDArray[np.int64],
 def _group_action(system: LiePoissonSystem, group: Any, parts: Parts, number: Number) -> Action | None:
     if group is None:
         return None
-    representation = None if isinstance(group, str) else group
-    return build_action(BasisMatrices.on_group(system.algebra, representation), parts, number)
+    return build_action(BasisMatrices.on_group(system.algebra, given_matrices(group)), parts, number)

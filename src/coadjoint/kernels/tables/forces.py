@@ -99,10 +99,14 @@ def accounts_of(system: Any) -> tuple[Account, ...]:
 
 
 class _ForceTableBuilder:
-    """Builder of the table of a force in schemes of an order; `keepalive` holds the machine code of its function."""
+    """Builder of the table of a force in schemes of an order, with the Python function `called` by it.
 
-    def __init__(self, system: Any, account: int, accounts: int, order: int) -> None:
-        self.n, self._accounts, self._order = system.dim, (account, accounts), order
+    `keepalive` holds the machine code of the function, which is only read if it is not to be compiled.
+    """
+
+    def __init__(self, system: Any, account: int, accounts: int, order: int, compiles: bool = True) -> None:
+        self.called: Callable[..., Any] | None = None
+        self._compiles, self.n, self._accounts, self._order = compiles, system.dim, (account, accounts), order
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
         self.keepalive: tuple[CompiledFunction, ...] = ()
 
@@ -168,6 +172,9 @@ class _ForceTableBuilder:
         )
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
+        self.called = function
+        if not self._compiles:
+            return
         require_packages(f"{what}, a Python function,", "numba")
         timed = arguments != "x"
         adapted = _adapted_arguments(function, arguments, self._shape)
@@ -272,15 +279,6 @@ def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int)
     return Sources({"aim": Multiples(position, first + position, np.ones(system.dim))})
 
 
-class _FunctionReader(_ForceTableBuilder):
-    """Reader of the function of a force, which is not compiled."""
-
-    read: Callable[..., Any] | None = None
-
-    def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
-        self.read = function
-
-
 def linear_coefficients_in(force: Force, system: Any) -> list[int]:
     """Return the coordinates of the linear term of H whose coefficients the compiled function of a force contains."""
     if not force.uses_energy or not len(CoefficientNumbers.of(system.hamiltonian.terms()).number):
@@ -288,9 +286,9 @@ def linear_coefficients_in(force: Force, system: Any) -> list[int]:
     n = system.dim
 
     def key_at(linear: NDArray[np.float64]) -> Any:
-        reader = _FunctionReader(system, 0, 0, 2)
+        reader = _ForceTableBuilder(system, 0, 0, 2, compiles=False)
         force.describe_to(reader, with_linear(system, linear))
-        return None if reader.read is None else compilation_key(reader.read)
+        return None if reader.called is None else compilation_key(reader.called)
 
     try:
         linear = linear_of(system.hamiltonian)

@@ -24,6 +24,7 @@ from coadjoint.kernels.tables.field import (
 from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.program.generators import given_matrices
 from coadjoint.program.multiples import Multiples
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.sources import CoefficientNumbers, Sources
@@ -141,7 +142,7 @@ def inner_loop_integers(inner: CompiledLoop, system: System, representation: Any
     structure, watch = as_structure(inner.tables), as_structure(no_invariants.tables)
     keepalive, shift_address = (*no_invariants.keepalive, *inner.keepalive, inner, structure, watch), 0
     if inner.shift and representation is not None and system.algebra is not None:
-        rho = None if isinstance(representation, str) else representation
+        rho = given_matrices(representation)
         shift_tables = as_structure(unshift_tables(system.algebra, rho, system.sign, inner.shift))
         keepalive, shift_address = (*keepalive, shift_tables), ctypes.addressof(shift_tables)
     return [loop or 0, ctypes.addressof(structure), ctypes.addressof(watch), inner.memory, shift_address], keepalive

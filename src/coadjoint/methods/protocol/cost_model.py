@@ -12,6 +12,7 @@ import numpy as np
 from coadjoint.kernels.interface import limit
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
+from coadjoint.program.generators import group_side
 from coadjoint.program.table import Program
 from coadjoint.systems.system import System
 
@@ -116,7 +117,7 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
     vectors = multiplications + stages * system.dim
     if group is not None and system.has_structure_constants:
         entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
-        edge = system.dim if isinstance(group, str) else group.shape[1]
+        edge = group_side(system.dim, group)
         vectors += edge * entries + stages * edge * edge
     elif stages <= LANES and _fits_in_registers(system):
         vectors *= REGISTER_FACTOR

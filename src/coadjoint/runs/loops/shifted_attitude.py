@@ -14,6 +14,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
+from coadjoint.program.generators import given_matrices
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
@@ -61,7 +62,7 @@ class ShiftCorrection:
             # The factor of a single Casimir scales the time: a scan over factors shares the tables.
             ((casimir, rate),) = shift
             shift = ((casimir, 1.0),)
-        rho = None if isinstance(self._representation, str) else self._representation
+        rho = given_matrices(self._representation)
         assert system.algebra is not None
         return CompiledShiftCorrection(unshift_tables(system.algebra, rho, system.sign, shift), rate)
 
