@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from coadjoint.choosing.candidates import Candidate
-from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial
+from coadjoint.choosing.pilot import LARGE_ERROR, REFERENCE, Pilot, Trial
 from coadjoint.rounding import UNIT_ROUNDOFF
 
 MAX_TRIALS = 10  # runs of one scheme; most take two or three
@@ -24,8 +24,6 @@ MEASURABLE_RATIO = 16.0
 ACCEPTED_RATIO = 2.0
 # Errors up to this multiple of the expected rounding may be rounding.
 ROUNDING_MULTIPLE = 4.0
-# Relative error above which the order does not predict the error.
-LARGE_ERROR = 0.05
 # Factor on the number of steps at which an unstable scheme fails, with which it mostly succeeds.
 UNSTABLE_STEP_FACTOR = 1.5
 # Relative errors at the end from which on no extrapolation to smaller steps is possible.

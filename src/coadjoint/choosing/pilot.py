@@ -73,6 +73,8 @@ SCREENING_STEPS = 128
 # Ratio of the largest error of the chosen scheme among all members to that in the pilot above which the latter is not
 # representative: schemes differ in their worst members. Below it, the safety factor of the target serves.
 UNSEEN_RATIO = 2.0
+# Relative error above which the order does not predict the error.
+LARGE_ERROR = 0.05
 
 ResultT = TypeVar("ResultT")
 Sample = tuple[System | Batch, NDArray[np.float64]]
@@ -89,6 +91,13 @@ class PilotErrors(NamedTuple):
     quarter: float
     half: float
     whole: float
+
+    @classmethod
+    def of_run(cls, errors: NDArray[np.float64]) -> PilotErrors:
+        """Return those of errors at evenly spaced points of a window, without its start."""
+        count = len(errors)
+        parts = (errors[count * k // 8 : count * k // 4] for k in (1, 2, 4))
+        return cls(*(float(np.max(part, initial=0.0)) for part in parts))
 
     def factor(self, windows: float, min_power: float = 1.0) -> float:
         """Return the ratio (>= 1, or inf) of the error after `windows` >= 1 windows to that after one."""
@@ -188,8 +197,7 @@ class Pilot:
         reference = self.reference if motion is None else motion
         differences = np.linalg.norm(states - reference[:: self.points // count], axis=2) / self.size
         worst = np.max(differences, axis=1)
-        parts = (worst[count * k // 8 + 1 : count * k // 4 + 1] for k in (1, 2, 4))
-        return PilotErrors(*(float(np.max(part, initial=0.0)) for part in parts))
+        return PilotErrors.of_run(worst[1:])
 
     def _natural_step(self) -> float:
         """Return the largest step, among halves of the span, at which the reference is accurate from the start."""
@@ -336,19 +344,26 @@ def sample_of(system: System | Batch, momenta: NDArray[np.float64], t0: float, s
     fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
     time = abs(span) if fastest == 0.0 else min(abs(span), SCREENING_STEPS / STEPS_PER_SIZE / fastest)
     errors = _errors_of_members(screened, states, t0, np.copysign(time, span), SCREENING_SCHEME, SCREENING_STEPS)
-    return _worst(screened, states, errors)
+    return _worst(screened, states, np.max(errors, axis=0))
 
 
 def sample_of_scheme(
     system: System | Batch, momenta: NDArray[np.float64], pilot: Pilot, method: Method, step: float
 ) -> Sample | None:
-    """Return the members with the largest errors of a scheme at a step; None if those of the pilot stand for them."""
-    # The whole window, since errors of some members grow late; with few steps, as they rank members alike.
-    steps = max(1, min(SCREENING_STEPS, round(pilot.window / step)))
-    time = math.copysign(pilot.window, pilot.span)
+    """Return the members with the largest errors of a scheme at the end; None if those of the pilot stand for them."""
+    # The whole window, since errors of some members grow late. Few steps rank members alike, unless errors saturate.
+    all_steps = max(1, round(pilot.window / step))
+    steps = min(SCREENING_STEPS, all_steps)
+
+    def at_end(system: System | Batch, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        time = math.copysign(pilot.window, pilot.span)
+        growth = map(PilotErrors.of_run, _errors_of_members(system, states, pilot.t0, time, method, steps).T)
+        return np.array([each.whole * each.factor(pilot.windows) for each in growth])
+
     screened, states = _screened(system, momenta)
-    errors = _errors_of_members(screened, states, pilot.t0, time, method, steps)
-    known = _errors_of_members(pilot.system, pilot.momenta, pilot.t0, time, method, steps)
+    while np.max(errors := at_end(screened, states)) > LARGE_ERROR and steps < all_steps:
+        steps = min(4 * steps, all_steps)
+    known = at_end(pilot.system, pilot.momenta)
     return _worst(screened, states, errors) if np.max(errors) > UNSEEN_RATIO * np.max(known) else None
 
 
@@ -370,10 +385,10 @@ def _rates(system: System | Batch, states: NDArray[np.float64], t0: float) -> ND
 def _errors_of_members(
     system: System | Batch, states: NDArray[np.float64], t0: float, time: float, method: Method, steps: int
 ) -> NDArray[np.float64]:
-    """Return the largest difference of each member from a run with half the steps, relative to x0; inf if one fails."""
+    """Return the differences (steps, members) from a run with half the step, relative to x0; inf if one fails."""
     runs = [short_run(system, method, states, t0, time, n) for n in (steps, 2 * steps)]
     failed = (runs[0].state["status"] != 0) | (runs[1].state["status"] != 0)
-    differences = np.max(np.linalg.norm(runs[0].saved["x"][1:] - runs[1].saved["x"][2::2], axis=2), axis=0)
+    differences = np.linalg.norm(runs[0].saved["x"][1:] - runs[1].saved["x"][2::2], axis=2)
     sizes = np.linalg.norm(states, axis=1)
     # Members with a nonfinite field are selected first, so that the pilot reports them.
     unusable = failed | ~np.isfinite(_rates(system, states, t0))
