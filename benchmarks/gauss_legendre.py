@@ -194,7 +194,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Gauss-Legendre methods: coadjoint and hand-written C")
     parser.add_argument("--rounds", type=int, default=21)
     given = parser.parse_args()
-    print(against_c(given.rounds), alone(given.rounds), chain(given.rounds), sep="\n\n")
+    print(against_c(given.rounds), "<!-- details -->", alone(given.rounds), chain(given.rounds), sep="\n\n")
 
 
 if __name__ == "__main__":

@@ -82,10 +82,10 @@ NEXT = "Next: [User-defined systems, Hamiltonians and forces](extending.md)."
 
 
 def section(name: str, title: str) -> str:
-    """Return a stored section, with the command that prints it."""
+    """Return a stored section, which begins with a date, with the command that prints it."""
     stored = (REPORT / f"{name}.md").read_text(encoding="utf-8").strip()
     shown, _, details = stored.partition(f"\n\n{DETAILS}")
-    command = f"`python benchmarks/{name}.py`\n\n" if (HERE / f"{name}.py").exists() else ""
+    command = f"`python benchmarks/{name}.py`, " if (HERE / f"{name}.py").exists() else ""
     more = f"\n\n`benchmarks/report/{name}.md` has the details." if details else ""
     return f"### {title}\n\n{command}{shown}{more}"
 

@@ -1,4 +1,4 @@
-"""Draw `docs/slew.png`, the run of `docs/satellite_pointing.md` with reaction wheels: ``python docs/draw_slew.py``."""
+"""Draw `docs/slew.png`, the run of `docs/satellite.md` with reaction wheels: ``python docs/draw_slew.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Kalman filter on the coadjoint orbit of a heavy top, and a test of its consistency (docs/sensitivity.md)."""
+"""A Kalman filter on the coadjoint orbit of a heavy top, and a test of its consistency (docs/derivatives.md)."""
 
 import numpy as np
 from scipy.linalg import expm

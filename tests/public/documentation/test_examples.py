@@ -9,7 +9,16 @@ import pytest
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
 
-@pytest.mark.parametrize("name", ["kalman_filter", pytest.param("learned_network", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "earth_and_moon",
+        "kalman_filter",
+        "own_energy",
+        "relative_equilibria",
+        pytest.param("learned_network", marks=pytest.mark.long),
+    ],
+)
 def test_programs_that_check_their_results(name, capsys):
     runpy.run_path(str(EXAMPLES / f"{name}.py"))
     assert capsys.readouterr().out

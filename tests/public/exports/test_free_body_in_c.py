@@ -356,13 +356,17 @@ def test_the_header_may_be_included_by_several_files(source, tmp_path):
 
 @pytest.mark.skipif("gcc" not in compilers(), reason="needs GCC")
 @pytest.mark.parametrize(
-    ("page", "fence", "language"), [("c", "c", "c"), ("c", "cpp", "c++"), ("tumbling_bodies", "cpp", "c++")]
+    ("page", "fence", "language"), [("c", "c", "c"), ("example", "cpp", "c++"), ("tumbling_bodies", "cpp", "c++")]
 )
 def test_examples_of_the_pages(source, tmp_path, page, fence, language):
-    """They compile as they are and print what the page shows."""
-    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-    text = text[max(text.find("## The free body"), 0) :]
-    code, printed = re.search(rf"```{fence}\n(.*?)```.*?```text\n(.*?)```", text, re.DOTALL).groups()
+    """They compile as they are and print what the page, or a comment, shows."""
+    if page == "example":
+        code = (DOCS.parent / "examples" / "turn.cpp").read_text(encoding="utf-8")
+        printed = "".join(f"{line}\n" for line in re.findall(r"^//     (.*)$", code, re.MULTILINE))
+    else:
+        text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+        text = text[max(text.find("## The free body"), 0) :]
+        code, printed = re.search(rf"```{fence}\n(.*?)```.*?```text\n(.*?)```", text, re.DOTALL).groups()
     example = source.with_name(f"example.{fence}")
     example.write_text(code)
     program = compiled("gcc", example, tmp_path / "example", "-O2", "-ffp-contract=off", language=language)

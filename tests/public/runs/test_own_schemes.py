@@ -60,23 +60,10 @@ file = "out.nc"
 """
 
 
-def blocks(language):
-    """Return the fenced blocks of the page in a language, without doctests."""
-    found = re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-    return [block for block in found if ">>>" not in block]
-
-
-def module_of(scheme, folder, monkeypatch):
-    """Return the module of a scheme in C++: of `examples/`, or of the page, written to a folder with its C++ file."""
+def module_of(scheme, monkeypatch):
+    """Return the module of a scheme in C++ of `examples/`."""
     name = scheme.lower()
-    if scheme == "Gauss":
-        folder = EXAMPLES
-    else:
-        (step,) = (block for block in blocks("cpp") if f"STEP_SCHEME({name}, {scheme})" in block)
-        (source,) = (block for block in blocks("python") if f"class {scheme}(" in block)
-        (folder / f"{name}.cpp").write_text(step)
-        (folder / f"{name}.py").write_text(source)
-    specification = importlib.util.spec_from_file_location(name, folder / f"{name}.py")
+    specification = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
     module = importlib.util.module_from_spec(specification)
     monkeypatch.setitem(sys.modules, name, module)
     specification.loader.exec_module(module)
@@ -102,7 +89,7 @@ def in_python(method, system):
 def test_schemes_in_cpp_are_those_in_python(tmp_path, monkeypatch):
     """The implicit one is a Gauss method; the explicit one has the order 2."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    Gauss, Heun = (getattr(module_of(name, tmp_path, monkeypatch), name) for name in ("Gauss", "Heun"))
+    Gauss, Heun = (getattr(module_of(name, monkeypatch), name) for name in ("Gauss", "Heun"))
     for method in (Gauss(1), Gauss(2), Heun(1.0), Heun(0.5), Heun(2 / 3)):
         for system in (BODY, DRIVEN):
             sol, fine = (co.integrate(system, X0, (0, 2), h, method) for h in (0.05, 0.025))
@@ -122,7 +109,7 @@ def test_schemes_in_cpp_are_those_in_python(tmp_path, monkeypatch):
 @pytest.fixture
 def installed(tmp_path):
     """Return a folder with the installed package of the page, and a broken package."""
-    project = tomllib.loads(blocks("toml")[0])["project"]
+    project = tomllib.loads(re.search(r"^```toml\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)[1])["project"]
     (point,) = project["entry-points"]["coadjoint.methods"].items()
     broken = "Missing = no_such_module_anywhere:Missing\n"
     for name, points in ((project["name"], f"{point[0]} = {point[1]}\n"), ("broken", broken)):
