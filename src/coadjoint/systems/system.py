@@ -78,6 +78,10 @@ class System:
     is_batch: Literal[False] = False
     has_matrices = False
     """Whether states are matrices, with streams, traces and spectra."""
+    has_attitude = False
+    """Whether attitudes of bodies are part of the state."""
+    bodies: tuple[int, ...] | None = None
+    """Shape of the bodies of a state: () for one body, None for systems of another kind."""
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
     _checked_function: Callable[..., Any] | None = None
