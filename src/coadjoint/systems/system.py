@@ -80,8 +80,6 @@ class System:
     """Whether states are matrices, with streams, traces and spectra."""
     has_attitude = False
     """Whether attitudes of bodies are part of the state."""
-    bodies: tuple[int, ...] | None = None
-    """Shape of the bodies of a state: () for one body, None for systems of another kind."""
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
     _checked_function: Callable[..., Any] | None = None
@@ -347,8 +345,8 @@ class System:
         set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, _exact=None)
         return forced
 
-    def numbered_from(self, first: int) -> Self:
-        """Return the system for members whose numbers begin at `first`; noise depends on these numbers."""
+    def among(self, first: int, last: int) -> Self:
+        """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
         if not first or not self.has_noise:
             return self
         forces: list[Any] = list(self.forces)
@@ -363,10 +361,6 @@ class System:
     def of_member(self, member: int) -> Self:
         """Return the system of a member, which all members share."""
         return self
-
-    def among(self, first: int, last: int) -> Self:
-        """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
-        return self.numbered_from(first)
 
     @property
     def in_numbers(self) -> System:

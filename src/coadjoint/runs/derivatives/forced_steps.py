@@ -49,7 +49,7 @@ class ForceFlows:
     """Half flows of the forces on one member: those of a system with the noise of its number, and of nearby ones."""
 
     def __init__(self, system: System, entries: Sequence[FlowEntry], member: int, scheme_order: int) -> None:
-        numbered = methodcaller("numbered_from", member)
+        numbered = methodcaller("among", member, member + 1)
         self._system: System = numbered(system)
         self._entries = [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries]
         self._order = scheme_order

@@ -58,7 +58,7 @@ def _on_state(force: BodyTorque, system: Any) -> tuple[Callable[..., Any], str]:
 
 def check_one_body(system: Any, label: str) -> None:
     """Raise TypeError for a system other than one body with its angular momentum as the first three coordinates."""
-    if system.bodies != ():
+    if getattr(system, "bodies", None) != ():
         raise TypeError(
             f"{label} acts on one body, and {system.name} is none; take co.systems.body or rigid_body, or write a "
             "co.forces.Torque"
