@@ -13,7 +13,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import Observed
-from coadjoint.runs.start import read_attitude
+from coadjoint.runs.start import is_attitude_kind, read_attitude
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.parameters import Parameter, parameter_of, parameters_at, parameters_of, with_parameters
@@ -131,7 +131,7 @@ def _relative_size(value: Floats, direction: Floats) -> float:
 def _has(ready: PreparedRun, name: str) -> bool:
     """Return whether a function of the states of a body has this name; of attitudes, if they are part of the states."""
     system = ready.system.unforced
-    if name == "attitude" and not (getattr(system, "has_attitude", False) and ready.representation is None):
+    if name == "attitude" and not (system.has_attitude and ready.representation is None):
         return False
     return getattr(system.unforced, MOTIONS[name], None) is not None
 
@@ -186,7 +186,7 @@ class FitProblem(NamedTuple):
         if ready.representation is not None:
             initial = ready.initial_attitude if attitude is None else attitude
             side = run.output_shapes(state.shape)[1][-1]
-            start = np.eye(side) if isinstance(initial, bool | str) else read_attitude(initial, ready.system)
+            start = np.eye(side) if is_attitude_kind(initial) else read_attitude(initial, ready.system)
             shape = (*state.shape[:-1], side, side)
             if start.shape not in (shape, shape[-2:]):
                 raise ValueError(f"attitude has the shape {start.shape}; it must be {shape}")

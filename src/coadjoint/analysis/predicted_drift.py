@@ -169,9 +169,8 @@ def _at_step(system: Any, modified: Any, step: Any) -> tuple[Function | None, Fu
         raise TypeError(
             f"modified is {short(modified)}; give a ModifiedHamiltonian, which has a gradient, or a ModifiedField"
         )
-    dim = modified.dim if isinstance(modified, ModifiedHamiltonian) else modified.system.dim
-    if dim != system.dim:
-        raise ValueError(f"modified is in {dim} coordinates; {system.name} has {system.dim}")
+    if modified.dim != system.dim:
+        raise ValueError(f"modified is in {modified.dim} coordinates; {system.name} has {system.dim}")
     if step is None:
         raise TypeError("step is missing; give the step of the scheme with modified")
     h = read_number(step, "step")

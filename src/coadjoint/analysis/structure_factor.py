@@ -16,7 +16,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, cell_coordinates, reciprocal_edges, sizes_of
+from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates, reciprocal_edges, sizes_of
 from coadjoint.validation import read_finite, read_number
 
 if TYPE_CHECKING:
@@ -181,9 +181,9 @@ def _lattice(solution: Solution) -> tuple[str, Any]:
     layouts = [dict(member.unforced.layout) for member in solution.system.distinct]
     layout, name = layouts[0], solution.system.name
     lattice = layout.get("lattice")
-    if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY:
+    if not isinstance(lattice, str) or lattice not in CELLS:
         raise ValueError(
-            f"{name} has no lattice in space; structure_factor needs one of {', '.join(CELL_GEOMETRY)}, as "
+            f"{name} has no lattice in space; structure_factor needs one of {', '.join(CELLS)}, as "
             "spin_lattice and layout= give"
         )
     if any(other != layout for other in layouts):
@@ -235,7 +235,7 @@ def reciprocal_path(lattice: str, shape: Any, path: Any) -> tuple[Floats, Floats
     They are (k, axes), in units of the reciprocal edges, with distances along the path (k,) and the numbers of corners.
     """
     sizes = np.array(sizes_of(shape))
-    given = CELL_GEOMETRY[lattice].path if path is None else path
+    given = CELLS[lattice].path if path is None else path
     corners = read_finite(given, "path")
     if len(sizes) == 1 and corners.ndim == 1:
         corners = corners[:, None]

@@ -401,7 +401,7 @@ def _worst(system: System | Batch, states: NDArray[np.float64], errors: NDArray[
 
 
 def _members(system: System | Batch, momenta: NDArray[np.float64], members: NDArray[np.int64]) -> Sample:
-    return (selected(system, members) if isinstance(system, Batch) else system), momenta[members]
+    return (selected(system, members) if system.is_batch else system), momenta[members]
 
 
 @lru_cache(maxsize=MAX_SYSTEMS)
@@ -430,7 +430,7 @@ def loops_of(system: System | Batch, method: Method, h: float) -> Loops:
     """Return the loops of a short run, cached if they depend on neither the step nor user functions."""
 
     def build() -> Loops:
-        if isinstance(system, Batch):
+        if system.is_batch:
             return loops_of_batch(system, method, h, [None] * len(system))
         return loops_of_system(system, method, h, casimirs={})
 

@@ -133,7 +133,7 @@ class PlottedRun:
     @cached_property
     def rotation(self) -> Floats | None:
         """Rotation matrices (members, k, 3, 3): attitudes of states, group elements or their first block, or None."""
-        if getattr(self.unforced, "has_attitude", False):
+        if self.unforced.has_attitude:
             return None if self.unforced.bodies else self.unforced.attitudes(self.x)
         A = self.attitude
         if A is None:

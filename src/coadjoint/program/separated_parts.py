@@ -113,12 +113,12 @@ def _omitted_in_part(
         if share is None or share.term is None:
             continue
         index = {int(k): a for a, k in enumerate(share.term.coordinates)}
-        found = divided_gradient(share.term, candidates)
-        for copy, numbers in enumerate(found.omitted):
+        term, omissions = divided_gradient(share.term, candidates)
+        for copy, numbers in enumerate(omissions):
             for q in sorted(numbers):
                 each = candidates[q]
                 omitted.append((s, copy * len(index) + index[each.column], each.row, each.state))
-        functions[s] = replace(share, divided=found.term)
+        functions[s] = replace(share, divided=term)
     listed = _of_polynomials(parts, shares, candidates.values(), inputs)
     for (s, a, each, _), number in zip(listed, cancelling([product for *_, product in listed]), strict=True):
         if number >= 0:
@@ -180,7 +180,7 @@ def joined_if_cancelling(algebra: LieAlgebra, parts: Parts) -> Parts:
 
 def _linear_monomials(parts: Parts, angle: int, given: bool) -> list[GradientTerm]:
     coordinates, values = sparse_row(parts.weights, angle)
-    monomials = [GradientTerm(None, (k,), value) for k, value in zip(coordinates, values, strict=True)]
+    monomials: list[GradientTerm] = [(None, (k,), value) for k, value in zip(coordinates, values, strict=True)]
     if given or parts.offset[angle] != 0:
-        monomials.append(GradientTerm(("input", angle) if given else None, (), 1 if given else parts.offset[angle]))
+        monomials.append((("input", angle) if given else None, (), 1 if given else parts.offset[angle]))
     return monomials

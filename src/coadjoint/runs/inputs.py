@@ -58,7 +58,7 @@ class Inputs:
     """
 
     def __init__(self, system: System | Batch, specification: Any) -> None:
-        if isinstance(system, Batch):
+        if system.is_batch:
             raise TypeError(
                 f"inputs are for one system, and this is {system!r}; prepare one system, whose inputs may have a value "
                 "for each member"

@@ -28,6 +28,7 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
     Start,
     any_momenta_of,
+    is_attitude_kind,
     momenta_of,
     read_attitude,
     representations_of,
@@ -159,7 +160,7 @@ class Preparation:
             unchanged = {id(one) for one in part.distinct} <= {id(one) for one in system.distinct}
             fields["_representations"] = tuple(self._representations[m] for m in members.tolist())
             loops = {h: loop.selected(members) for h, loop in loops.items()} if unchanged else {}
-        if isinstance(self.initial_attitude, np.ndarray) and self.initial_attitude.ndim > 2:
+        if np.ndim(self.initial_attitude) > 2:
             fields["initial_attitude"] = self.initial_attitude[members]
         return self._copy(loops if unchanged else {}, **fields)
 
@@ -229,7 +230,7 @@ class Preparation:
     ) -> Start:
         """Validate x0, any state unless it `begins` a motion, and attitude; return a start for `follow`."""
         representation = self._representations[0]
-        if attitude is not None and (representation is None or isinstance(attitude, bool | str)):
+        if attitude is not None and (representation is None or is_attitude_kind(attitude)):
             raise ValueError(
                 "attitude of a run is an initial group element, an array; the representation must be given "
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"

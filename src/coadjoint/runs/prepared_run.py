@@ -339,7 +339,7 @@ class PreparedRun(Preparation):
     def of_system(self, system: System, member: int | None = None, threads: int | None = None) -> PreparedRun:
         """Return the run of another system, or of the system of a member, prepared in the same way without inputs."""
         attitude = self.initial_attitude
-        if member is not None and isinstance(attitude, np.ndarray) and attitude.ndim > 2:
+        if member is not None and np.ndim(attitude) > 2:
             attitude = attitude[member]
         options: dict[str, Any] = {"attitude": attitude, "watch": self._watching, "observe": self.observe}
         return PreparedRun(system, self.method, self.step, threads=threads or self._threads, **options)

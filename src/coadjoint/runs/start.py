@@ -186,9 +186,14 @@ def combined(system: Any, x0: Any) -> tuple[Any, Any]:
     return with_state_axes(system, new), states.reshape(members, *shape)
 
 
+def is_attitude_kind(attitude: Any) -> bool:
+    """Whether an argument `attitude` is a flag or a name, and not an initial group element."""
+    return isinstance(attitude, bool | np.bool_ | str)
+
+
 def read_attitude(attitude: Any, system: Any) -> Any:
     """Return a flag or a name unchanged, and group elements, rotations or quaternions as a new array of elements."""
-    if isinstance(attitude, bool | np.bool_ | str):
+    if is_attitude_kind(attitude):
         return attitude
     representation = system.of_member(0).representation
     size = 0 if representation is None else np.shape(representation)[-1]
@@ -211,7 +216,7 @@ def with_group(
         units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):
-        if getattr(system.unforced, "has_attitude", False):
+        if system.unforced.has_attitude:
             raise ValueError(
                 f"attitude has the shape {initial.shape}; the attitude of {system.name} is part of its state: give it "
                 f"to {system.name}.state, and leave attitude out"
@@ -287,7 +292,7 @@ def representations_of(system: System | Batch, method: Method, attitude: Any) ->
 
 
 def _read_representation(system: System, method: Method, attitude: Any) -> Representation:
-    flag = attitude if isinstance(attitude, bool | np.bool_ | str) else True
+    flag = attitude if is_attitude_kind(attitude) else True
     if flag in (False,):
         return None
     if system.algebra is None:

@@ -19,7 +19,7 @@ from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.start import any_momenta_of, momenta_of
+from coadjoint.runs.start import any_momenta_of, is_attitude_kind, momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system import System
@@ -150,7 +150,7 @@ class Stepper:
             return (True if self.system.representation is not None else "coadjoint"), None
         if attitude is False:
             raise ValueError("attitude is False; a group element needs True, 'coadjoint', an initial one, or None")
-        return (attitude, None) if isinstance(attitude, bool | str) else (True, attitude)
+        return (attitude, None) if is_attitude_kind(attitude) else (True, attitude)
 
     def group(self, x: Any, t: float = 0.0, attitude: Any = None, **inputs: Any) -> NDArray[np.float64]:
         """Return the group element g of the step: the attitude after it, from the unit element before it.

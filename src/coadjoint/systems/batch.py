@@ -140,7 +140,7 @@ def selected(batch: Batch, members: NDArray[np.int64], first: int = 0) -> Batch:
     # In the order of their first members.
     order = np.argsort(firsts)
     chosen = [batch.systems[m] for m in members[firsts[order]].tolist()]
-    part.distinct = tuple(system.numbered_from(first) for system in chosen)
+    part.distinct = tuple(system.among(first, first + len(members)) for system in chosen)
     part.owners = np.argsort(order)[places]
     part.systems = tuple(part.distinct[owner] for owner in part.owners.tolist())
     part.dim, part.shape, part.sign = batch.dim, batch.shape, batch.sign

@@ -78,6 +78,8 @@ class System:
     is_batch: Literal[False] = False
     has_matrices = False
     """Whether states are matrices, with streams, traces and spectra."""
+    has_attitude = False
+    """Whether attitudes of bodies are part of the state."""
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
     _checked_function: Callable[..., Any] | None = None
@@ -343,8 +345,8 @@ class System:
         set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, _exact=None)
         return forced
 
-    def numbered_from(self, first: int) -> Self:
-        """Return the system for members whose numbers begin at `first`; noise depends on these numbers."""
+    def among(self, first: int, last: int) -> Self:
+        """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
         if not first or not self.has_noise:
             return self
         forces: list[Any] = list(self.forces)
@@ -359,10 +361,6 @@ class System:
     def of_member(self, member: int) -> Self:
         """Return the system of a member, which all members share."""
         return self
-
-    def among(self, first: int, last: int) -> Self:
-        """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
-        return self.numbered_from(first)
 
     @property
     def in_numbers(self) -> System:

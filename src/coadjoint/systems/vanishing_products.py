@@ -54,14 +54,9 @@ class Products(NamedTuple):
         return Product(int(self.row[q]), int(self.state[q]), int(self.column[q]), self.constant[q])
 
 
-class GradientTerm(NamedTuple):
-    """A monomial of a component of a gradient: a coefficient times the product of coordinates and of a factor."""
-
-    # The factor is a function that occurs in several components, such as the derivative of a function of a polynomial.
-
-    factor: Any
-    coordinates: tuple[int, ...]
-    coefficient: Any
+# A monomial of a component of a gradient: (factor, coordinates, coefficient), whose product it is. The factor is a
+# function that occurs in several components, such as the derivative of a function of a polynomial.
+GradientTerm = tuple[Any, tuple[int, ...], Any]
 
 
 def commuting_products(algebra: LieAlgebra) -> Products:
@@ -118,27 +113,23 @@ def derivatives_of(
             if power:
                 lower = [*exponents[:k], power - 1, *exponents[k + 1 :]]
                 factors = tuple(coordinates[a] for a, e in enumerate(lower) for _ in range(e))
-                found.setdefault(k, []).append(
-                    GradientTerm(factor, factors, Fraction(exact_number(coefficient)) * power)
-                )
+                found.setdefault(k, []).append((factor, factors, Fraction(exact_number(coefficient)) * power))
     return found
 
 
-class DividedGradient(NamedTuple):
-    """A function term, with its gradient as several vectors that add up to it, and the products that each one omits."""
+def divided_gradient(
+    term: FunctionTerm, products: Mapping[int, Product]
+) -> tuple[FunctionTerm, tuple[frozenset[int], ...]]:
+    """Separate a function where products of a part of its gradient vanish, as those of a central force do.
 
-    term: FunctionTerm
-    omitted: tuple[frozenset[int], ...]
-
-
-def divided_gradient(term: FunctionTerm, products: Mapping[int, Product]) -> DividedGradient:
-    """Separate a function where products of a part of its gradient vanish, as those of a central force do."""
+    Return it with its gradient as several vectors that add up to it, and the products that each one omits.
+    """
     # The parts of the gradient are those by different polynomials of the coordinates, found by recording the function.
     index = {int(k): a for a, k in enumerate(term.coordinates)}
     own = {q: each for q, each in products.items() if each.state in index and each.column in index}
     arguments = recorded_function(term.value, len(index), term.timed) if own and not term.scalar else None
     if arguments is None:
-        return DividedGradient(term, (frozenset(),))
+        return term, (frozenset(),)
     by_rows: dict[frozenset[int], list[int]] = {}
     for number, polynomial in enumerate(arguments.polynomials):
         derivatives = derivatives_of(polynomial, term.coordinates.tolist())
@@ -151,8 +142,8 @@ def divided_gradient(term: FunctionTerm, products: Mapping[int, Product]) -> Div
         try:
             term = arguments.divided(term, list(by_rows.values()))
         except TracingError:
-            return DividedGradient(term, (frozenset(),))
-    return DividedGradient(term, tuple(by_rows))
+            return term, (frozenset(),)
+    return term, tuple(by_rows)
 
 
 class FieldProducts(NamedTuple):
@@ -246,14 +237,14 @@ def products_without_cancelling(algebra: LieAlgebra, terms: Sequence[Term]) -> F
     found: list[tuple[int, int, list[GradientTerm], Any]] = []
     for number, term in enumerate(collected):
         if isinstance(term, FunctionTerm):
-            one = divided_gradient(term, listed)
+            divided, omissions = divided_gradient(term, listed)
             size = len(term.coordinates)
             index = {int(k): a for a, k in enumerate(term.coordinates)}
             for q, product in listed.items():
                 if product.column in index:
-                    for copy, omitted in enumerate(one.omitted):
+                    for copy, omitted in enumerate(omissions):
                         sources[q][number, copy * size + index[product.column]] = q in omitted
-            separated.append(one.term)
+            separated.append(divided)
             continue
         separated.append(term)
         monomials = _gradient_monomials(term, {product.column for product in listed.values()})
@@ -306,7 +297,7 @@ def _gradient_monomials(
     for k in columns:
         row = slice(int(term.indptr[k]), int(term.indptr[k + 1]))
         pairs = zip(term.indices[row].tolist(), term.values[row].tolist(), strict=True)
-        found[k] = [GradientTerm(None, (i,), value) for i, value in pairs]
+        found[k] = [(None, (i,), value) for i, value in pairs]
         if term.linear[k]:
-            found[k].append(GradientTerm(None, (), float(term.linear[k])))
+            found[k].append((None, (), float(term.linear[k])))
     return found

@@ -18,15 +18,15 @@ def run(lattice, x0, span=60.0, step=0.025, every=8):
     return co.integrate(lattice, x0, (0, span), step, method=co.SphericalMidpoint(), save_every=every)
 
 
-@pytest.mark.parametrize("name", geometry.CELL_GEOMETRY)
+@pytest.mark.parametrize("name", geometry.CELLS)
 def test_bonds_of_a_lattice_have_length_one(name):
-    shape = (4,) * len(geometry.CELL_GEOMETRY[name].edges)
+    shape = (4,) * len(geometry.CELLS[name].edges)
     shape = shape[0] if len(shape) == 1 else shape
     _, edges = geometry.graph("chain" if name == "ring" else name, shape, False)
     positions = geometry.lattice_positions(name, shape)
     assert np.allclose(np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1), 1.0, rtol=1e-14)
     coordinates = geometry.cell_coordinates(name, shape)
-    assert np.allclose(coordinates @ np.array(geometry.CELL_GEOMETRY[name].edges), positions, rtol=0, atol=1e-14)
+    assert np.allclose(coordinates @ np.array(geometry.CELLS[name].edges), positions, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("window", WINDOWS)
@@ -40,7 +40,7 @@ def test_sum_over_frequencies_is_the_equal_time_structure_factor(name, window):
     S = co.spectra.structure_factor(sol, path, window)
     assert np.allclose(S.intensity.sum(axis=1) * (S.omega[1] - S.omega[0]), S.static, rtol=1e-12)
     assert np.allclose(S.components.sum(axis=0), S.intensity, rtol=1e-14) and np.all(S.intensity >= 0.0)
-    edges = np.array(geometry.CELL_GEOMETRY[name].edges)
+    edges = np.array(geometry.CELLS[name].edges)
     q = S.q @ (2 * np.pi * np.linalg.inv(edges @ edges.T) @ edges)
     spins = sol.x.reshape(*sol.x.shape[:2], -1, 3)
     sums = np.einsum("tmia,ik->tmka", spins, np.exp(-1j * geometry.lattice_positions(name, shape) @ q.T))

@@ -56,6 +56,7 @@ class ModifiedField:
 
     def __init__(self, system: System, method: Any, order: int, reason: str) -> None:
         self.system, self.method, self.order, self.reason = system, method, order, reason
+        self.dim: int = system.dim
         self.exact = not reason
         self._cache: dict[bytes, tuple[Floats, Floats]] = {}
 

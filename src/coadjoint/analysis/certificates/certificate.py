@@ -9,10 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from coadjoint.errors import unknown_name
-from coadjoint.short_repr import html_table
+from coadjoint.short_repr import html_table, plain
 from coadjoint.shortcuts import shortcut
 
 if TYPE_CHECKING:
@@ -228,14 +226,10 @@ def _cells(row: Row) -> tuple[str, str, str, str]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    """Return the plain form of a value, with None in place of numbers that are not finite, which JSON has not."""
+    form = plain(value)
+    if isinstance(form, dict):
+        return {key: _plain(entry) for key, entry in form.items()}
+    if isinstance(form, list):
+        return [_plain(entry) for entry in form]
+    return None if isinstance(form, float) and not math.isfinite(form) else form

@@ -18,7 +18,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.input_derivatives import StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.start import any_momenta_of, with_group
+from coadjoint.runs.start import any_momenta_of, is_attitude_kind, with_group
 from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
@@ -205,7 +205,7 @@ class Subject:
     ) -> Solution:
         """Run `count` steps of length h from time t."""
         note_progress("a run of one step" if count == 1 else f"a run of {count} steps")
-        key = (abs(h), attitude if isinstance(attitude, bool | str) else "given", watch)
+        key = (abs(h), attitude if is_attitude_kind(attitude) else "given", watch)
         if key not in self._prepared:
             self._prepared[key] = PreparedRun(
                 self.system, self.method, abs(h), attitude=attitude, watch=watch, threads=1

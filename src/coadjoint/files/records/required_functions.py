@@ -18,9 +18,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
-from coadjoint.systems.batch import Batch
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE = "archive_given", "archive_observed"
 
@@ -127,14 +125,14 @@ def functions_in(system: Any) -> list[str]:
 
 def system_contents(system: Any) -> Any:
     """Return everything that defines a system, for `fingerprint_of`."""
-    if isinstance(system, Batch):
+    if system.is_batch:
         return [system_contents(member) for member in system.distinct]
     if system.forces:
         forces = [[type(force).__name__, force, dict(force.parameters())] for force in system.forces]
         return [system_contents(system.unforced), forces]
     if system.parameters is not None:
         return [system.name, dict(system.parameters)]
-    if isinstance(system, MatrixSystem):
+    if system.has_matrices:
         streams = (system.stream, system.second_stream)
         functions = [getattr(stream, "function", stream) for stream in streams]
         return [record_of(cast(Any, system)), functions, system.energy_function]

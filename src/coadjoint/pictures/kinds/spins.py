@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour_bar, setting, updating
-from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, lattice_positions
+from coadjoint.systems.lattices.geometry import CELLS, lattice_positions
 from coadjoint.validation import read_choice
 
 Floats = npt.NDArray[np.float64]
@@ -173,7 +173,7 @@ def direction_colours(S: Floats) -> Floats:
 
 def sites_of_row(lattice: Any, count: int) -> int:
     """Return the number of sites per row of a long chain, ring or graph, which is folded; else `count`."""
-    in_plane = isinstance(lattice, str) and lattice in CELL_GEOMETRY and lattice not in ("chain", "ring")
+    in_plane = isinstance(lattice, str) and lattice in CELLS and lattice not in ("chain", "ring")
     return count if in_plane or count <= SITES_PER_ROW else math.ceil((2.0 * count) ** 0.5)
 
 
@@ -186,7 +186,7 @@ def site_positions(lattice: Any, shape: Any, count: int) -> Floats:
     if row < count:
         site = np.arange(count)
         return np.stack([site % row, -1.4 * (site // row)], axis=-1)
-    if not isinstance(lattice, str) or lattice not in CELL_GEOMETRY or lattice == "ring" or shape is None:
+    if not isinstance(lattice, str) or lattice not in CELLS or lattice == "ring" or shape is None:
         turn = 2.0 * np.pi * np.arange(count) / count
         return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)
     return lattice_positions(lattice, shape)

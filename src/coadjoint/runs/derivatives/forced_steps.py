@@ -20,7 +20,6 @@ from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-from coadjoint.systems.forces.double_bracket import DoubleBracketDamping
 from coadjoint.systems.forces.orbit_flow import OrbitFlow
 from coadjoint.systems.parameter_differences import NearbySystems, differences
 from coadjoint.systems.system import System
@@ -50,7 +49,7 @@ class ForceFlows:
     """Half flows of the forces on one member: those of a system with the noise of its number, and of nearby ones."""
 
     def __init__(self, system: System, entries: Sequence[FlowEntry], member: int, scheme_order: int) -> None:
-        numbered = methodcaller("numbered_from", member)
+        numbered = methodcaller("among", member, member + 1)
         self._system: System = numbered(system)
         self._entries = [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries]
         self._order = scheme_order
@@ -109,12 +108,11 @@ class ForceFlows:
     def _orbit_flow(self, j: int, x: Floats, half: Half) -> OrbitFlow | None:
         """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
         force = self._system.forces[j]
-        if not isinstance(force, DoubleBracketDamping):
-            return None
         fields = force.scalings()
         if not all(isinstance(one, EnergyDerivative) or one in fields for one in self._parts(j).values()):
             return None
-        return force.orbit_flow(self._system.unforced, x, half.t, half.h)
+        flow: OrbitFlow | None = force.orbit_flow(self._system.unforced, x, half.t, half.h)
+        return flow
 
     def _changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""

@@ -65,7 +65,7 @@ class ParametrizedRun:
         self._shapes |= {} if inputs is None else {name: one.shape for name, one in inputs.indices.items()}
         # One for each member: it must follow the members of an ensemble that vmap makes.
         initial = prepared.initial_attitude
-        self._attitudes = initial if isinstance(initial, np.ndarray) and initial.ndim == 3 else None
+        self._attitudes = initial if np.ndim(initial) == 3 else None
         self._last_run: tuple[Any, DifferentiableRun] = None, self._run
         self._last_pullback: tuple[Any, Pullback] | None = None
 

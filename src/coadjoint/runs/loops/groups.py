@@ -23,12 +23,8 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-class GroupRows(NamedTuple):
-    """The row in each slot, and the batches of all slots; those not `filled` pad lanes with copies of others."""
-
-    rows: Integers
-    filled: NDArray[np.bool_]
-    member_batches: list[MemberBatch]
+# The row in each slot, whether it is filled, and the batches of all slots; the others pad lanes with copies.
+GroupRows = tuple[Integers, NDArray[np.bool_], list[MemberBatch]]
 
 
 class Group(NamedTuple):
@@ -49,7 +45,7 @@ class Group(NamedTuple):
             MemberBatch(*self[1:4], first, last, base=first)
             for first, last in split_members(begin, begin + count, workers, block)
         ]
-        return GroupRows(np.arange(count), np.ones(count, dtype=bool), member_batches)
+        return np.arange(count), np.ones(count, dtype=bool), member_batches
 
     def _in_columns(self, columns: Integers, begin: int) -> GroupRows:
         # Batches begin at blocks of columns; a block holds one row of each column at a time.
@@ -69,7 +65,7 @@ class Group(NamedTuple):
             first, column = begin + low * block, int(keys[low]) % column_blocks * block
             last = begin + int(np.flatnonzero(filled[: high * block])[-1]) + 1
             member_batches.append(MemberBatch(*self[1:4], first, last, self.stride, first - column))
-        return GroupRows(rows, filled, member_batches)
+        return rows, filled, member_batches
 
 
 def rows_of_groups(groups: Sequence[Group], owners: Integers, workers: int, block: int) -> GroupRows:
@@ -81,11 +77,12 @@ def rows_of_groups(groups: Sequence[Group], owners: Integers, workers: int, bloc
             return group.rows(owners, workers, block)
         selected = np.flatnonzero(np.isin(owners, group.members))
         if len(selected):
-            part = group.rows(np.searchsorted(group.members, owners[selected]), workers, block, begin)
-            parts.append(part._replace(rows=selected[part.rows]))
-            begin += len(part.rows)
+            columns = np.searchsorted(group.members, owners[selected])
+            rows, filled, member_batches = group.rows(columns, workers, block, begin)
+            parts.append((selected[rows], filled, member_batches))
+            begin += len(rows)
     rows, filled = (np.concatenate([part[k] for part in parts]) for k in range(2))
-    return GroupRows(rows, filled, [member_batch for part in parts for member_batch in part.member_batches])
+    return rows, filled, [member_batch for *_, batches in parts for member_batch in batches]
 
 
 def batches_of_groups(groups: Sequence[Group], members: int, workers: int, block: int) -> list[MemberBatch]:

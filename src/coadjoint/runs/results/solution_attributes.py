@@ -283,7 +283,7 @@ class SolutionAttributes:
 
     def _rotations(self) -> Floats:
         """Return the attitudes from the body to space, (times, 3, 3), with axes of members and bodies inside."""
-        if getattr(self.system.unforced, "has_attitude", False):
+        if self.system.unforced.has_attitude:
             A: Any = self._of_bodies("attitudes", "attitude")
         else:
             if self.carried is None:
@@ -319,7 +319,7 @@ class SolutionAttributes:
 def missing_attitude(solution: Any) -> str:
     """Explain why a run has no group element, and where its attitude is found."""
     what = f"the run of {solution.system.name} has no"
-    if getattr(solution.system.unforced, "has_attitude", False):
+    if solution.system.unforced.has_attitude:
         return f"{what} group element, since attitudes are part of its states; take sol.rotation"
     return f"{what} attitude; give attitude=True to integrate"
 

@@ -117,17 +117,17 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
     cosine, sine = cosine / radius, sine / radius
     if complement == 0.0:
         exact_complement = Fraction(0)
-    phases = _Phases(length2, (ma, mc), (mb - mc) * under_a, exact_complement, exact_nu, t)
+    turns, psi, factor = _phases(length2, (ma, mc), (mb - mc) * under_a, exact_complement, exact_nu, t)
     if complement == 0.0:
         u0 = math.asinh(sine / cosine)
-        u = np.append(u0 + phases.u, u0)
+        u = np.append(u0 + turns, u0)
         sn, cn = np.tanh(u), 2.0 * np.exp(-np.abs(u)) / (1.0 + np.exp(-2.0 * np.abs(u)))
         dn = cn
         root = math.sqrt(-nu)
         third = root * np.arctan(root * sn) / (1.0 - nu)
     else:
         u0 = first_kind(sine, cosine, complement)
-        u = np.append(u0 + phases.u, u0)
+        u = np.append(u0 + turns, u0)
         phi = amplitude(u, complement)
         sn, cn = np.sin(phi), np.cos(phi)
         dn = np.sqrt(complement + (1.0 - complement) * cn**2)
@@ -135,7 +135,7 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
     x = np.empty((t.size + 1, 3))
     x[:, a], x[:, b], x[:, c] = size_a * cn, size_b * sn, size_c * dn
     # The phases contain the term u/(1 - nu) of the integral of the third kind: near the separatrix phi does not fix u.
-    psi = phases.psi + phases.factor * (third[:-1] - third[-1])
+    psi = psi + factor * (third[:-1] - third[-1])
     frames = _frames(x, c)
     rotation = np.zeros((t.size, 3, 3))
     rotation[:, 0, 0], rotation[:, 0, 1], rotation[:, 1, 0], rotation[:, 1, 1] = (
@@ -148,44 +148,40 @@ def _general(masses: list[Fraction], x0: list[Fraction], t: Floats) -> tuple[Flo
     return x[:-1], frames[-1].T @ rotation @ frames[:-1]
 
 
-class _Phases:
-    """Phases of a body: `u` is lam t modulo 4 K, (k,); `factor` multiplies the integral of the third kind."""
-
-    # `psi` is the rotation of the moving frame besides the integral over u, modulo 2 pi: its part linear in time, and
+def _phases(
+    length2: Fraction,
+    masses: tuple[Fraction, Fraction],
+    lam2: Fraction,
+    complement: Fraction,
+    nu: Fraction,
+    t: Floats,
+) -> tuple[Floats, Floats, float]:
+    """Return u = lam t modulo 4 K, (k,), the rotation psi, and the factor of the integral of the third kind."""
+    # psi is the rotation of the moving frame besides the integral over u, modulo 2 pi: its part linear in time, and
     # the gain of the integral over the whole periods.
+    from flint import acb, arb, ctx
 
-    def __init__(
-        self,
-        length2: Fraction,
-        masses: tuple[Fraction, Fraction],
-        lam2: Fraction,
-        complement: Fraction,
-        nu: Fraction,
-        t: Floats,
-    ) -> None:
-        from flint import acb, arb, ctx
-
-        ma, mc = masses
-        period = 6.0 + 4.0 * abs(math.log(max(float(complement), 1e-300)))
-        size = max(_root(lam2), abs(float(ma)), abs(float(mc)))
-        bits = working_bits(t, size, min(1.0, _root(lam2) or 1.0))
-        with ctx.workprec(4 * bits + abs(math.frexp(period)[1])):
-            L, lam = ball(length2).sqrt(), ball(lam2).sqrt()
-            factor = L * ball(ma - mc) / lam
-            self.factor = float(factor)
-            linear = L * ball(mc) + L * ball(ma - mc) / ball(1 - nu)
-            gain = arb(0)
-            counts = [0] * t.size
-            if complement == 0:
-                self.u = np.array([float(fraction_of(lam * arb(time))) for time in t.tolist()])
-            else:
-                square, one = ball(complement), acb(1)
-                quarter = arb.pi() / (2 * arb(1).agm(square.sqrt()))
-                counts, self.u = remainders(lam, 4 * quarter, t, bits)
-                rest = square / ball(1 - nu)
-                over = rest / 3 * acb.elliptic_rj(acb(0), acb(square), one, acb(rest)).real
-                gain = -4 * factor * ball(nu / (1 - nu)) * over
-            _, self.psi = remainders(linear, 2 * arb.pi(), t, bits, gain, counts)
+    ma, mc = masses
+    period = 6.0 + 4.0 * abs(math.log(max(float(complement), 1e-300)))
+    size = max(_root(lam2), abs(float(ma)), abs(float(mc)))
+    bits = working_bits(t, size, min(1.0, _root(lam2) or 1.0))
+    with ctx.workprec(4 * bits + abs(math.frexp(period)[1])):
+        L, lam = ball(length2).sqrt(), ball(lam2).sqrt()
+        factor = L * ball(ma - mc) / lam
+        linear = L * ball(mc) + L * ball(ma - mc) / ball(1 - nu)
+        gain = arb(0)
+        counts = [0] * t.size
+        if complement == 0:
+            u = np.array([float(fraction_of(lam * arb(time))) for time in t.tolist()])
+        else:
+            square, one = ball(complement), acb(1)
+            quarter = arb.pi() / (2 * arb(1).agm(square.sqrt()))
+            counts, u = remainders(lam, 4 * quarter, t, bits)
+            rest = square / ball(1 - nu)
+            over = rest / 3 * acb.elliptic_rj(acb(0), acb(square), one, acb(rest)).real
+            gain = -4 * factor * ball(nu / (1 - nu)) * over
+        _, psi = remainders(linear, 2 * arb.pi(), t, bits, gain, counts)
+        return u, psi, float(factor)
 
 
 def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False) -> Any:

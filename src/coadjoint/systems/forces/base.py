@@ -196,6 +196,14 @@ class Force(metaclass=ExplainedCalls):
         """
         return None
 
+    def scalings(self) -> Mapping[str, tuple[Any, Any]]:
+        """Return the derivatives of log v by parameters, of the noise and of the damping in `orbit_flow`."""
+        return {}
+
+    def orbit_flow(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Any:
+        """Return the `OrbitFlow` of a force by exponentials of sparse generators v; None without one."""
+        return None
+
     @abstractmethod
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         """Describe the force to the compiled loops, in one of the forms that they support.

@@ -100,7 +100,7 @@ def constant_in_time(torque: NDArray[np.float64]) -> Callable[..., Any]:
 
 def check_attitude(system: Any, what: str = "the torque") -> None:
     """Raise TypeError for a system without attitudes in its state."""
-    if not getattr(system, "has_attitude", False):
+    if not system.has_attitude:
         raise TypeError(
             f"{what} is a function of the attitude A, which the state of {system.name} does not have; take "
             "co.systems.body(inertia) or co.systems.bodies, whose states have it"
@@ -259,7 +259,7 @@ class Torque(StateTorque):
                 return
             torque = read_numbers(value, "the value of the torque")
             if torque.shape != shape:
-                has_attitude = "A" not in arguments and getattr(system, "has_attitude", False)
+                has_attitude = "A" not in arguments and system.has_attitude
                 hint = f", or {torque_shape(system)} of a function of (x, A)" if has_attitude else ""
                 raise ValueError(
                     f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "

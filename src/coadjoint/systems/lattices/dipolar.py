@@ -14,13 +14,12 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
-from coadjoint.systems.lattices.geometry import CELL_GEOMETRY, lattice_positions, sizes_of
+from coadjoint.systems.lattices.geometry import CELLS, OPEN_LATTICES, lattice_positions, sizes_of
 
 Floats = npt.NDArray[np.float64]
 
 BYTES_PER_POINT = 300  # of the padded lattice, for each pair of sites of a cell, at the peak
 MAX_HESSIAN_SITES = 341  # largest number of spins with second derivatives, which are dense
-OPEN_LATTICES = tuple(name for name in CELL_GEOMETRY if name != "ring")
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +38,7 @@ class Dipoles:
         """Transforms of the tensors (1 - 3 e e) / r^3 between sites of cells, (s, s', 3, 3, padded axes)."""
         import scipy.fft
 
-        edges, sites = (_in_space(part) for part in CELL_GEOMETRY[self.lattice][:2])
+        edges, sites = (_in_space(part) for part in CELLS[self.lattice][:2])
         # Index k of an axis is the displacement k, or k - size where that is negative.
         steps = [np.fft.fftfreq(size, 1.0 / size) for size in self.padded]
         cells = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1) @ edges
@@ -124,7 +123,7 @@ def dipolar_energy(lattice: Any, shape: Any, periodic: Any, strength: float) -> 
             "dipolar is given for a periodic lattice; dipoles are summed over the sites of an open one, with "
             "periodic=False"
         )
-    sizes, cell = sizes_of(shape), len(CELL_GEOMETRY[lattice].sites)
+    sizes, cell = sizes_of(shape), len(CELLS[lattice].sites)
     points = cell**2 * math.prod(2 * size for size in sizes)
     check_available_memory(
         BYTES_PER_POINT * points, f"the dipolar energy of a {lattice} lattice of {short(shape)} cells"

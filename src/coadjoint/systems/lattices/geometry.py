@@ -21,32 +21,57 @@ MAX_SITES = 2**30  # three coordinates per site, with 32-bit indices
 COS_60, SIN_60 = 0.5, math.sqrt(0.75)  # directions of bonds of triangles and hexagons
 
 
-class CellGeometry(NamedTuple):
-    """Edges of a cell, positions of its sites, and corners of a path in reciprocal space, in reciprocal edges."""
+class Cell(NamedTuple):
+    """Edges of a cell, positions of its sites, corners of a path in reciprocal space, in reciprocal edges, and bonds.
+
+    A bond is (site, site of the other cell, offset of the other cell along the edges); all have length one.
+    """
 
     edges: tuple[tuple[float, ...], ...]
     sites: tuple[tuple[float, ...], ...]
     path: tuple[tuple[float, ...], ...]
+    bonds: tuple[tuple[int, int, tuple[int, ...]], ...]
 
 
 TRIANGULAR_PATH = ((0.0, 0.0), (0.5, 0.0), (2.0 / 3.0, 1.0 / 3.0), (0.0, 0.0))  # Gamma, M, K, Gamma
-_CHAIN = CellGeometry(((1.0, 0.0),), ((0.0, 0.0),), ((0.0,), (1.0,)))
-CELL_GEOMETRY: Mapping[str, CellGeometry] = {
+_CHAIN = Cell(((1.0, 0.0),), ((0.0, 0.0),), ((0.0,), (1.0,)), ((0, 0, (1,)),))
+CELLS: Mapping[str, Cell] = {
     "chain": _CHAIN,
     "ring": _CHAIN,
-    "square": CellGeometry(((1.0, 0.0), (0.0, 1.0)), ((0.0, 0.0),), ((0.0, 0.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.0))),
-    "triangular": CellGeometry(((1.0, 0.0), (COS_60, SIN_60)), ((0.0, 0.0),), TRIANGULAR_PATH),
-    "honeycomb": CellGeometry(((2 * SIN_60, 0.0), (SIN_60, 1.5)), ((0.0, 0.0), (SIN_60, COS_60)), TRIANGULAR_PATH),
-    "kagome": CellGeometry(
-        ((2.0, 0.0), (1.0, 2 * SIN_60)), ((0.0, 0.0), (1.0, 0.0), (COS_60, SIN_60)), TRIANGULAR_PATH
+    "square": Cell(
+        ((1.0, 0.0), (0.0, 1.0)),
+        ((0.0, 0.0),),
+        ((0.0, 0.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.0)),
+        ((0, 0, (1, 0)), (0, 0, (0, 1))),
     ),
-    "cubic": CellGeometry(
+    "triangular": Cell(
+        ((1.0, 0.0), (COS_60, SIN_60)),
+        ((0.0, 0.0),),
+        TRIANGULAR_PATH,
+        ((0, 0, (1, 0)), (0, 0, (0, 1)), (0, 0, (1, -1))),
+    ),
+    "honeycomb": Cell(
+        ((2 * SIN_60, 0.0), (SIN_60, 1.5)),
+        ((0.0, 0.0), (SIN_60, COS_60)),
+        TRIANGULAR_PATH,
+        ((0, 1, (0, 0)), (1, 0, (1, 0)), (1, 0, (0, 1))),
+    ),
+    "kagome": Cell(
+        ((2.0, 0.0), (1.0, 2 * SIN_60)),
+        ((0.0, 0.0), (1.0, 0.0), (COS_60, SIN_60)),
+        TRIANGULAR_PATH,
+        ((0, 1, (0, 0)), (0, 2, (0, 0)), (1, 2, (0, 0)), (1, 0, (1, 0)), (2, 0, (0, 1)), (1, 2, (1, -1))),
+    ),
+    "cubic": Cell(
         ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
         ((0.0, 0.0, 0.0),),
         ((0.0, 0.0, 0.0), (0.5, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 0.5, 0.5), (0.0, 0.0, 0.0)),
+        ((0, 0, (1, 0, 0)), (0, 0, (0, 1, 0)), (0, 0, (0, 0, 1))),
     ),
 }
 """Lattice -> its cell; the distance between neighbours is one."""
+OPEN_LATTICES = tuple(name for name in CELLS if name != "ring")
+NAMES = (*OPEN_LATTICES, "complete", "ring")
 
 
 def sizes_of(shape: Any) -> tuple[int, ...]:
@@ -56,46 +81,25 @@ def sizes_of(shape: Any) -> tuple[int, ...]:
 
 def lattice_positions(lattice: str, shape: Any) -> Floats:
     """Return the positions of all sites in space, (sites, 2 or 3), cell by cell, along the last axis first."""
-    edges, sites = (np.array(part) for part in CELL_GEOMETRY[lattice][:2])
+    edges, sites = (np.array(part) for part in CELLS[lattice][:2])
     return np.asarray(((_cells(shape) @ edges)[:, None] + sites).reshape(-1, edges.shape[1]))
 
 
 def cell_coordinates(lattice: str, shape: Any) -> Floats:
     """Return the positions of all sites in units of the edges of the cell, (sites, axes)."""
-    edges, sites = (np.array(part) for part in CELL_GEOMETRY[lattice][:2])
+    edges, sites = (np.array(part) for part in CELLS[lattice][:2])
     within = (sites @ np.linalg.pinv(edges)).round(15)
     return np.asarray((_cells(shape)[:, None] + within).reshape(-1, len(edges)))
 
 
 def reciprocal_edges(lattice: str) -> Floats:
     """Return the edges b of the reciprocal cell, (axes, 2 or 3): a_i . b_j = 2 pi delta_ij."""
-    return np.asarray(2.0 * np.pi * np.linalg.pinv(np.array(CELL_GEOMETRY[lattice].edges)).T)
+    return np.asarray(2.0 * np.pi * np.linalg.pinv(np.array(CELLS[lattice].edges)).T)
 
 
 def _cells(shape: Any) -> Floats:
     sizes = sizes_of(shape)
     return np.indices(sizes).reshape(len(sizes), -1).T.astype(np.float64)
-
-
-class Cell(NamedTuple):
-    """A unit cell: its number of sites, and its bonds as (site, site of the other cell, offset of the other cell)."""
-
-    sites: int
-    bonds: tuple[tuple[int, int, tuple[int, ...]], ...]
-
-
-# Offsets are along the axes of the cells, which need not be orthogonal; all bonds of a lattice have equal length.
-CELLS: Mapping[str, Cell] = {
-    "chain": Cell(1, ((0, 0, (1,)),)),
-    "square": Cell(1, ((0, 0, (1, 0)), (0, 0, (0, 1)))),
-    "triangular": Cell(1, ((0, 0, (1, 0)), (0, 0, (0, 1)), (0, 0, (1, -1)))),
-    "honeycomb": Cell(2, ((0, 1, (0, 0)), (1, 0, (1, 0)), (1, 0, (0, 1)))),
-    "kagome": Cell(
-        3, ((0, 1, (0, 0)), (0, 2, (0, 0)), (1, 2, (0, 0)), (1, 0, (1, 0)), (2, 0, (0, 1)), (1, 2, (1, -1)))
-    ),
-    "cubic": Cell(1, ((0, 0, (1, 0, 0)), (0, 0, (0, 1, 0)), (0, 0, (0, 0, 1)))),
-}
-NAMES = (*CELLS, "complete", "ring")
 
 
 def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
@@ -114,10 +118,10 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
         check_available_memory(BYTES_PER_EDGE * count * (count - 1) / 2, f"a complete graph of {short(count)} sites")
         edges = np.stack(np.triu_indices(count, 1), axis=1).astype(np.int64)
     else:
-        cell, closed = (CELLS["chain"], True) if lattice == "ring" else (CELLS[lattice], periodic)
-        axes = len(cell.bonds[0][2])
+        cell, closed = CELLS[lattice], lattice == "ring" or periodic
+        axes = len(cell.edges)
         sizes = _sizes(shape, axes, lattice)
-        count = cell.sites * math.prod(sizes)
+        count = len(cell.sites) * math.prod(sizes)
         check_available_memory(BYTES_PER_EDGE * count * len(cell.bonds), f"a {lattice} lattice of {short(count)} sites")
         flags = read_flags(closed, axes)
         edges = _edges_of_cells(cell, sizes, flags)
@@ -146,7 +150,7 @@ def read_flags(periodic: Any, axes: int) -> tuple[bool, ...]:
 
 def _edges_of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ...]) -> Integers:
     numbers = np.arange(math.prod(sizes), dtype=np.int64).reshape(sizes)
-    edges = []
+    edges, sites = [], len(cell.sites)
     for first, second, step in cell.bonds:
         cells, others = numbers, numbers
         for axis, (shift, size, closed) in enumerate(zip(step, sizes, periodic, strict=True)):
@@ -155,7 +159,7 @@ def _edges_of_cells(cell: Cell, sizes: tuple[int, ...], periodic: tuple[bool, ..
                 inside = slice(max(0, -shift), size - max(0, shift))
                 index = (slice(None),) * axis + (inside,)
                 cells, others = cells[index], others[index]
-        edges.append(np.stack([cells.ravel() * cell.sites + first, others.ravel() * cell.sites + second], axis=1))
+        edges.append(np.stack([cells.ravel() * sites + first, others.ravel() * sites + second], axis=1))
     return np.concatenate(edges)
 
 
