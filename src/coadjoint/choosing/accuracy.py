@@ -36,7 +36,8 @@ from coadjoint.choosing.fitting import (
     fit_of_tolerance,
     least_roundoff,
 )
-from coadjoint.choosing.pilot import Pilot, sample_of, sample_of_scheme
+from coadjoint.choosing.pilot import Pilot
+from coadjoint.choosing.sample import sample_of, sample_of_scheme
 from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation

@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.choosing.pilot import REFERENCE, SAMPLE_SIZE, Pilot, Trial, cached_for_system, short_run
+from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial, cached_for_system, short_run
+from coadjoint.choosing.sample import SAMPLE_SIZE
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.composed import SubstepMethod

@@ -1,0 +1,96 @@
+"""Members of an ensemble or a batch for a pilot: those with the largest errors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.choosing.pilot import LARGE_ERROR, Pilot, PilotErrors, short_run, speeds_of
+from coadjoint.methods.protocol.method import Method
+from coadjoint.methods.suggested_scheme import reference_scheme
+from coadjoint.systems.batch import Batch, selected
+from coadjoint.systems.system import System
+
+# Number of members in a pilot, and of the members from which they are selected.
+SAMPLE_SIZE = 4
+MAX_SCREENED = 256
+SCREENING_SCHEME = reference_scheme(4)
+# Steps in the time in which the fastest member moves by its own size, and their total number.
+STEPS_PER_SIZE = 8
+SCREENING_STEPS = 128
+# Ratio of the largest error of the chosen scheme among all members to that in the pilot above which the latter is not
+# representative: schemes differ in their worst members. Below it, the safety factor of the target serves.
+UNSEEN_RATIO = 2.0
+
+Sample = tuple[System | Batch, NDArray[np.float64]]
+
+
+def sample_of(system: System | Batch, momenta: NDArray[np.float64], t0: float, span: float) -> Sample:
+    """Return up to 4 members for a pilot, in order: the first, and those with the largest errors in a coarse run."""
+    if len(momenta) <= SAMPLE_SIZE:
+        return system, momenta
+    screened, states = _screened(system, momenta)
+    rates = _rates(screened, states, t0)
+    fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
+    time = abs(span) if fastest == 0.0 else min(abs(span), SCREENING_STEPS / STEPS_PER_SIZE / fastest)
+    errors = _errors_of_members(screened, states, t0, np.copysign(time, span), SCREENING_SCHEME, SCREENING_STEPS)
+    return _worst(screened, states, np.max(errors, axis=0))
+
+
+def sample_of_scheme(
+    system: System | Batch, momenta: NDArray[np.float64], pilot: Pilot, method: Method, step: float
+) -> Sample | None:
+    """Return the members with the largest errors of a scheme at the end; None if those of the pilot stand for them."""
+    # The whole window, since errors of some members grow late. Few steps rank members alike, unless errors saturate.
+    all_steps = max(1, round(pilot.window / step))
+    steps = min(SCREENING_STEPS, all_steps)
+
+    def at_end(system: System | Batch, states: NDArray[np.float64]) -> NDArray[np.float64]:
+        time = math.copysign(pilot.window, pilot.span)
+        growth = map(PilotErrors.of_run, _errors_of_members(system, states, pilot.t0, time, method, steps).T)
+        return np.array([each.whole * each.factor(pilot.windows) for each in growth])
+
+    screened, states = _screened(system, momenta)
+    while np.max(errors := at_end(screened, states)) > LARGE_ERROR and steps < all_steps:
+        steps = min(4 * steps, all_steps)
+    known = at_end(pilot.system, pilot.momenta)
+    return _worst(screened, states, errors) if np.max(errors) > UNSEEN_RATIO * np.max(known) else None
+
+
+def _screened(system: System | Batch, momenta: NDArray[np.float64]) -> Sample:
+    """Return a sample of at most `MAX_SCREENED` members, evenly over their numbers."""
+    members = len(momenta)
+    return _members(
+        system, momenta, np.unique(np.linspace(0, members - 1, min(members, MAX_SCREENED)).round().astype(np.int64))
+    )
+
+
+def _rates(system: System | Batch, states: NDArray[np.float64], t0: float) -> NDArray[np.float64]:
+    """Return the speeds relative to the states; inf where the field is not finite."""
+    sizes = np.linalg.norm(states, axis=1)
+    rates = speeds_of(system, states, t0) / np.where(sizes > 0.0, sizes, 1.0)
+    return np.where(np.isfinite(rates), rates, np.inf)
+
+
+def _errors_of_members(
+    system: System | Batch, states: NDArray[np.float64], t0: float, time: float, method: Method, steps: int
+) -> NDArray[np.float64]:
+    """Return the differences (steps, members) from a run with half the step, relative to x0; inf if one fails."""
+    runs = [short_run(system, method, states, t0, time, n) for n in (steps, 2 * steps)]
+    failed = (runs[0].state["status"] != 0) | (runs[1].state["status"] != 0)
+    differences = np.linalg.norm(runs[0].saved["x"][1:] - runs[1].saved["x"][2::2], axis=2)
+    sizes = np.linalg.norm(states, axis=1)
+    # Members with a nonfinite field are selected first, so that the pilot reports them.
+    unusable = failed | ~np.isfinite(_rates(system, states, t0))
+    return np.where(unusable, np.inf, differences / np.where(sizes > 0.0, sizes, 1.0))
+
+
+def _worst(system: System | Batch, states: NDArray[np.float64], errors: NDArray[np.float64]) -> Sample:
+    worst = np.argsort(-errors, kind="stable")[: SAMPLE_SIZE - 1]
+    return _members(system, states, np.unique(np.concatenate([[0], worst])))
+
+
+def _members(system: System | Batch, momenta: NDArray[np.float64], members: NDArray[np.int64]) -> Sample:
+    return (selected(system, members) if system.is_batch else system), momenta[members]
