@@ -32,11 +32,13 @@ def sample_of(system: System | Batch, momenta: NDArray[np.float64], t0: float, s
     if len(momenta) <= SAMPLE_SIZE:
         return system, momenta
     screened, states = _screened(system, momenta)
-    rates = _rates(screened, states, t0)
-    fastest = float(np.max(rates[np.isfinite(rates)], initial=0.0))
+    rates = speeds_of(screened, states, t0) / _sizes(states)
+    finite = np.isfinite(rates)
+    fastest = float(np.max(rates[finite], initial=0.0))
     time = abs(span) if fastest == 0.0 else min(abs(span), SCREENING_STEPS / STEPS_PER_SIZE / fastest)
     errors = _errors_of_members(screened, states, t0, np.copysign(time, span), SCREENING_SCHEME, SCREENING_STEPS)
-    return _worst(screened, states, np.max(errors, axis=0))
+    # Members with a nonfinite field are selected first, so that the pilot reports them.
+    return _worst(screened, states, np.where(finite, np.max(errors, axis=0), np.inf))
 
 
 def sample_of_scheme(
@@ -67,24 +69,21 @@ def _screened(system: System | Batch, momenta: NDArray[np.float64]) -> Sample:
     )
 
 
-def _rates(system: System | Batch, states: NDArray[np.float64], t0: float) -> NDArray[np.float64]:
-    """Return the speeds relative to the states; inf where the field is not finite."""
+def _sizes(states: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the norms of states (members, n), as divisors."""
     sizes = np.linalg.norm(states, axis=1)
-    rates = speeds_of(system, states, t0) / np.where(sizes > 0.0, sizes, 1.0)
-    return np.where(np.isfinite(rates), rates, np.inf)
+    return np.where(sizes > 0.0, sizes, 1.0)
 
 
 def _errors_of_members(
     system: System | Batch, states: NDArray[np.float64], t0: float, time: float, method: Method, steps: int
 ) -> NDArray[np.float64]:
-    """Return the differences (steps, members) from a run with half the step, relative to x0; inf if one fails."""
-    runs = [short_run(system, method, states, t0, time, n) for n in (steps, 2 * steps)]
-    failed = (runs[0].state["status"] != 0) | (runs[1].state["status"] != 0)
-    differences = np.linalg.norm(runs[0].saved["x"][1:] - runs[1].saved["x"][2::2], axis=2)
-    sizes = np.linalg.norm(states, axis=1)
-    # Members with a nonfinite field are selected first, so that the pilot reports them.
-    unusable = failed | ~np.isfinite(_rates(system, states, t0))
-    return np.where(unusable, np.inf, differences / np.where(sizes > 0.0, sizes, 1.0))
+    """Return the differences (points, members) from a run with half the step, relative to x0; inf if one fails."""
+    every = max(1, steps // SCREENING_STEPS)  # bounds the memory of runs of many steps
+    full, halved = (short_run(system, method, states, t0, time, k * steps, k * every) for k in (1, 2))
+    failed = (full.state["status"] != 0) | (halved.state["status"] != 0)
+    differences = np.linalg.norm(full.saved["x"][1:] - halved.saved["x"][1:], axis=2)
+    return np.where(failed, np.inf, differences / _sizes(states))
 
 
 def _worst(system: System | Batch, states: NDArray[np.float64], errors: NDArray[np.float64]) -> Sample:
