@@ -19,6 +19,7 @@ from coadjoint.algebra.group_elements import (
 )
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.program.generators import group_side
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name, with_state_axes
@@ -51,13 +52,6 @@ def matrices_of(representation: Representation) -> str | None:
     if representation is None:
         return None
     return "coadjoint" if isinstance(representation, str) else "representation"
-
-
-def group_size(system: Any, representation: Any) -> int:
-    """Return the number of rows of a group element, 0 without one."""
-    if representation is None:
-        return 0
-    return int(system.dim if matrices_of(representation) == "coadjoint" else representation.shape[-1])
 
 
 def start_without_groups(system: Any, momenta: NDArray[np.float64], single: bool = False) -> Start:
@@ -206,7 +200,7 @@ def with_group(
     """Return the start of a run from validated momenta (members, n) and one of `representations_of`."""
     if representation is None:
         return start_without_groups(system, momenta, single)
-    size, coadjoint = group_size(system, representation), matrices_of(representation) == "coadjoint"
+    size, coadjoint = group_side(system.dim, representation), matrices_of(representation) == "coadjoint"
     if len(momenta) * size**2 > SMALL_SIZE:
         check_available_memory(
             8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},"

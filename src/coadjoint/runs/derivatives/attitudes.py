@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.program.generators import group_side
 from coadjoint.program.shifts.shift import quadratic_entries
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.runs.start import group_size, matrices_of
+from coadjoint.runs.start import matrices_of
 from coadjoint.systems.parameter_differences import DISTANCE, NODES, WEIGHTS
 
 Floats = NDArray[np.float64]
@@ -122,7 +123,7 @@ class ElementDifferences:
                 raise TypeError(f"attitudes by {self._method} have no derivatives; take Splitting or GaussLegendre")
             # The system is stored with its loops: its number is not used for another one.
             self._steps[id(system)] = system, PartialSteps(system, self._method, loops)
-        d = group_size(system, self._representation)
+        d = group_side(system.dim, self._representation)
         count, units = len(x), np.tile(np.eye(d).ravel(), (len(x), 1))
         owners = np.zeros(count, dtype=np.int64)
         _, groups = self._steps[id(system)][1].take(

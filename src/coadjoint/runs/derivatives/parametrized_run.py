@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
+from coadjoint.program.generators import group_side
 from coadjoint.runs.derivatives.backward import Pullback, read_cotangents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import tangents_of_outputs
 from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.start import group_size
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
 
@@ -59,7 +59,7 @@ class ParametrizedRun:
         self._times: tuple[Any, Any, Any] = (t_span, save_every, t_eval)
         self.saved_times: Floats = times.saved_times if moments is None else moments.t
         self._points = len(self.saved_times)
-        self._side = group_size(prepared.system, prepared.representation)
+        self._side = group_side(prepared.system.dim, prepared.representation)
         self._shapes = {name: parameter.value.shape for name, parameter in self._run.parameters.items()}
         inputs = prepared.inputs
         self._shapes |= {} if inputs is None else {name: one.shape for name, one in inputs.indices.items()}
