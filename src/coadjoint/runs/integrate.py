@@ -18,7 +18,6 @@ from coadjoint.runs.start import combined
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_system
 
 
 @suggest_keywords
@@ -177,8 +176,7 @@ def chosen_for(
     accuracy: float, system: Any, x0: Any, t_span: tuple[float, float], attitude: Any, method: Method | None
 ) -> Any:
     """Return the `Choice` of `choose` for the arguments of `integrate`."""
-    check_system(system)
-    return shortcut("choose")(cast(Any, system), x0, t_span, accuracy, attitude=attitude, methods=method)
+    return shortcut("choose")(system, x0, t_span, accuracy, attitude=attitude, methods=method)
 
 
 @suggest_keywords
