@@ -94,7 +94,7 @@ class Compiled(co.methods.CompiledStepMethod):
 
     @property
     def compiled_step(self):
-        return co.methods.compile_step(Path(__file__).with_name("user_step.cpp"))
+        return co.methods.compile_step(Path(__file__).parents[2] / "examples" / "heun.cpp")
 
     def properties(self, system):
         return only_of_vectors(system)
