@@ -141,6 +141,9 @@ SELECTIONS = {
     "one member": (slice(None), slice(None), slice(None), 2),
     "one energy": (slice(None), slice(0, 2), 1, slice(1, 4)),
     "lists": (slice(None), [2, 0], [1], slice(None)),
+    "nothing along the first axis": (slice(None), slice(1, 1), 0, slice(None)),
+    "nothing along the last axis": (3, slice(None), slice(None), slice(4, 2)),
+    "an empty list": (slice(None), slice(None), [], slice(None)),
 }
 
 

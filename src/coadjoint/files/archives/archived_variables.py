@@ -39,6 +39,8 @@ class ArchivedArray(BackendArray):
             range(size)[index] if several else range(index, index + 1)
             for index, size, several in zip(key, self.shape, is_slice, strict=True)
         ]
+        if not all(ranges):
+            return np.zeros([len(chosen) for chosen, several in zip(ranges, is_slice, strict=True) if several], self.dtype)
         values = self._along_axes(ranges) if self._lengths else self._along_members(ranges)
         return np.asarray(values[tuple(slice(None) if several else 0 for several in is_slice)])
 
