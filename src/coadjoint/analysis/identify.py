@@ -32,8 +32,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
-from coadjoint.systems.arguments import read_sign
 from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.system_checks import read_sign
 from coadjoint.validation import read_integer
 
 RADII = (8, 12, 16, 24, 32, 48, 64, 96, 128)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
-from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.registry import gallery_entry_of
 
 Function = TypeVar("Function")
@@ -40,13 +38,8 @@ def coordinates_of(system: Any) -> tuple[str, ...]:
 
 def in_coordinates_of(system: Any, function: Function) -> Function:
     """Return a function of the state; if it is a polynomial, it is printed with the coordinate names of the system."""
-    result: Any = function
-    if isinstance(function, Polynomial):
-        result = function.named(coordinate_names(system))
-    elif isinstance(function, PolynomialHamiltonian):
-        named = function.polynomial.named(coordinate_names(system))
-        result = function if named is function.polynomial else PolynomialHamiltonian(named)
-    return result
+    named: Callable[[Sequence[str]], Any] | None = getattr(function, "named", None)
+    return function if named is None else named(coordinate_names(system))
 
 
 def all_in_coordinates_of(system: Any, functions: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,6 @@ from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
-from coadjoint.systems.arguments import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
 from coadjoint.systems.evaluation import ProductSums, scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
@@ -24,6 +23,7 @@ from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
 from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import read_closed_form, read_layout, read_name, read_parameters, read_sign
 from coadjoint.systems.vanishing_products import Products, field_products
 from coadjoint.validation import set_fields
 
@@ -104,7 +104,7 @@ class LiePoissonSystem(System):
     name: str
     _casimirs: dict[str, Any] | None
     _parameters: dict[str, Any] | None
-    _exact: Callable[..., Any] | None
+    closed_form: Callable[..., Any] | None
     _integrals: Mapping[str, Any]
     _layout: dict[str, Any]
 
@@ -147,7 +147,7 @@ class LiePoissonSystem(System):
             self,
             hamiltonian=in_coordinates_of(self, self.hamiltonian),
             _parameters=read_parameters(parameters),
-            _exact=read_closed_form(exact),
+            closed_form=read_closed_form(exact),
             _layout=read_layout(layout),
         )
 

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.arguments import read_closed_form, read_name, read_parameters, read_sign
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.recorded_invariants import read_casimirs
 from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_structure, read_closed_form, read_name, read_parameters, read_sign
 from coadjoint.systems.user_functions import check_derivative, takes_time
 from coadjoint.validation import read_integer, set_fields
 
@@ -86,7 +86,7 @@ class PoissonSystem(System):
     name: str
     _casimirs: dict[str, Any]
     _parameters: dict[str, Any] | None
-    _exact: Callable[..., Any] | None
+    closed_form: Callable[..., Any] | None
 
     def __init__(
         self,
@@ -124,9 +124,9 @@ class PoissonSystem(System):
             self,
             hamiltonian=in_coordinates_of(self, self.hamiltonian),
             _parameters=read_parameters(parameters),
-            _exact=read_closed_form(exact),
+            closed_form=read_closed_form(exact),
         )
-        self.check_structure()
+        check_structure(self)
         if derivative is not None:
             shape = (self.dim, self.dim)
             names = ("structure_matrix", "derivative")

@@ -16,7 +16,6 @@ from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force, forces_on, forces_text, labels_of
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
-from coadjoint.systems.user_functions import check_skew
 from coadjoint.validation import read_number, read_numbers, set_fields, truncate_title
 
 
@@ -82,10 +81,11 @@ class System:
     """Whether attitudes of bodies are part of the state."""
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
+    closed_form: Callable[..., Any] | None = None
+    """The function ``exact(x0, t, attitude)`` that was given."""
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
-    _exact: Callable[..., Any] | None = None
 
     @property
     def _kind(self) -> type[System]:
@@ -107,11 +107,6 @@ class System:
         """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
 
-    @property
-    def closed_form(self) -> Callable[..., Any] | None:
-        """The given function ``exact(x0, t, attitude)``, or None."""
-        return self._exact
-
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return the structure matrix J(x), dense.
 
@@ -127,7 +122,12 @@ class System:
         y = read_point(x, self.dim)
         if self.structure_function is not None:
             return np.asarray(self.structure_function(y))
-        return np.asarray(self._constants().structure_matrix(y))
+        if not self.has_structure_constants:
+            raise TypeError(
+                f"J(x) of {self.name} is unknown: {type(self).__name__} has no structure constants; define "
+                "structure_function or structure_matrix"
+            )
+        return np.asarray(self.algebra.structure_matrix(y))
 
     @property
     def has_structure_constants(self) -> bool:
@@ -143,34 +143,6 @@ class System:
     def has_quadratic_energy(self) -> bool:
         """Whether the Hamiltonian is a polynomial of degree at most two that does not depend on time."""
         return all(term.form is not None for term in self.hamiltonian.terms())
-
-    @property
-    def has_structure_matrix(self) -> bool:
-        """Whether `structure_matrix` is known: by structure constants or a function, or because a class defines it."""
-        defined = type(self).structure_matrix is not System.structure_matrix
-        return defined or self.structure_function is not None or self.has_structure_constants
-
-    def check_structure(self) -> None:
-        """Raise an error unless `structure_function` is a function whose values at sample points are skew (n, n)."""
-        function = self.structure_function
-        if function is None or function is self._checked_function:
-            return
-        if getattr(function, "__self__", None) is self:
-            raise TypeError(
-                f"structure_function of {self.name} is its method, which is not compiled; make it a function of x, "
-                "by @staticmethod or in __init__"
-            )
-        check_skew(function, "structure_matrix", self.dim)
-        set_fields(self, _checked_function=function)
-
-    def _constants(self) -> Any:
-        """Return the algebra, whose structure constants are in memory."""
-        if not self.has_structure_constants:
-            raise TypeError(
-                f"J(x) of {self.name} is unknown: {type(self).__name__} has no structure constants; define "
-                "structure_function or structure_matrix"
-            )
-        return self.algebra
 
     def _product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return J(x) u."""
@@ -305,7 +277,7 @@ class System:
         TypeError
             No closed form is known.
         """
-        return require_closed_form(self._exact, self.name)(x0, t, attitude)
+        return require_closed_form(self.closed_form, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> Self:
         """Return the system with damping, torques or noise, after the forces that it has.
@@ -342,7 +314,7 @@ class System:
         forced = copy.copy(plain)
         vars(forced).pop("in_numbers", None)
         name = truncate_title(f"{plain.name} with {', '.join(labels_of(acting))}")
-        set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, _exact=None)
+        set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, closed_form=None)
         return forced
 
     def among(self, first: int, last: int) -> Self:

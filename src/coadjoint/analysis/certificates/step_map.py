@@ -22,6 +22,7 @@ from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.input_derivatives import compiled_tangents
 from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 StepMap = Callable[[Floats, float], Floats]
@@ -151,7 +152,7 @@ def poisson_row(subject: Subject, coarse_step: float) -> Row:
     row = checked("poisson", "Poisson bracket", declared, claimed, None)
     # If nothing is declared, one state and one step suffice.
     steps = list(dict.fromkeys((subject.h, coarse_step) if claimed else (coarse_step,)))
-    if not subject.system.has_structure_matrix:
+    if not _knows_structure_matrix(subject.system):
         return replace(row, verdict=INAPPLICABLE, reason="no structure matrix is known")
     if subject.expensive and n <= (MAX_DENSE_DIM if subject.system.algebra is None else MAX_DIRECTIONAL_DIM):
         return _directional_row(subject, steps, row)
@@ -249,6 +250,12 @@ def _apply_structure(system: Any, x: Floats, vectors: Floats) -> Floats:
 
 def _mean_size(columns: Floats, n: int) -> float:
     return float(np.sqrt(n * np.mean(np.sum(columns**2, axis=0))))
+
+
+def _knows_structure_matrix(system: System) -> bool:
+    """Return whether J(x) is known: by structure constants or a function, or because a class defines it."""
+    defined = type(system).structure_matrix is not System.structure_matrix
+    return defined or system.structure_function is not None or system.has_structure_constants
 
 
 def _defect(subject: Subject, x: Floats, h: float) -> tuple[float, float, str]:

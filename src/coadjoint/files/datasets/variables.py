@@ -18,7 +18,7 @@ from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.fluids.reduced_mhd import fluid_of
+from coadjoint.systems.fluids.carried_fields import fluid_of
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 
 COMPLEX_PARTS = ("real", "imaginary")

@@ -15,6 +15,7 @@ from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import check_structure
 from coadjoint.systems.vanishing_products import FieldProducts, Products, field_products
 
 
@@ -82,7 +83,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     structure = no_integers
     if system.algebra is None and not called:
         n = system.dim
-        system.check_structure()
+        check_structure(system)
         compiled = CompiledFunction(
             cast(Any, system.structure_function),
             n,

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
-from coadjoint.systems.fluids.reduced_mhd import fluid_of as fluid_of_system
+from coadjoint.systems.fluids.carried_fields import fluid_of as fluid_of_system
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 
 Floats = npt.NDArray[np.float64]

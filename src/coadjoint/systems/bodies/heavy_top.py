@@ -28,6 +28,31 @@ from coadjoint.validation import as_tuples
 
 Floats = npt.NDArray[np.float64]
 
+AXIS_IN_SPACE = Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical")
+VERTICAL_IN_BODY = Picture(
+    "directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"
+)
+
+
+def entry_of_top(
+    x0: tuple[float, ...],
+    t_span: tuple[float, float],
+    caption: str,
+    pictures: tuple[Picture, ...] = (AXIS_IN_SPACE, VERTICAL_IN_BODY),
+) -> GalleryEntry:
+    """Return the gallery entry of a top, whose state is its momentum and the vertical."""
+    return GalleryEntry(
+        x0=x0,
+        t_span=t_span,
+        step=0.02,
+        caption=caption,
+        pictures=pictures,
+        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
+        attitude=True,
+        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
+        quantity="momentum and vertical",
+    )
+
 
 def energy_under_gravity(M: npt.NDArray[Any], lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return the matrix and the linear part of the energy of a top, from the inverse inertia, (3,) or (3, 3)."""
@@ -43,20 +68,11 @@ def _energy(inertia: npt.NDArray[Any], lever: npt.NDArray[Any]) -> tuple[npt.NDA
 @ready_made(
     energy=_energy,
     symmetric=("inertia",),
-    gallery_entry=GalleryEntry(
+    gallery_entry=entry_of_top(
         x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
         t_span=(0.0, 40.0),
-        step=0.02,
         caption="A top without symmetry, with its centre of mass off every axis: the path of its third axis has no "
         "repeating pattern. Middle, the axis in space; right, the vertical, seen from the body.",
-        pictures=(
-            Picture("body axis", axis=2, up=(3, 4, 5), vertical="vertical"),
-            Picture("directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"),
-        ),
-        components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum"),
-        attitude=True,
-        coordinates=("m1", "m2", "m3", "gamma1", "gamma2", "gamma3"),
-        quantity="momentum and vertical",
     ),
 )
 def heavy_top(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), lever: npt.ArrayLike = (0.75, 0.5, 1.0)) -> ClassicalBody:

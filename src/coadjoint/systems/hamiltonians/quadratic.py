@@ -89,7 +89,7 @@ class Quadratic(Summable):
             raise ValueError(f"linear has shape {self._linear.shape}; give one coefficient for each coordinate, (n,)")
         size = read_number(constant, "constant")
         self._constant = constant if isinstance(constant, Fraction) else size
-        self._scalar: Any = None
+        self.scalar: Any = None  # the number M of a Hamiltonian without a dimension, as given
         self.dim: int | None = None
         # Sparse rows, or the shapes of rows of which few differ.
         self._sparse: tuple[npt.NDArray[Any], ...] | None = None
@@ -99,7 +99,7 @@ class Quadratic(Summable):
             return
         array = real_array(M, "M")
         if array.ndim == 0 and self._linear is None:
-            self._scalar = array.item()
+            self.scalar = array.item()
         elif array.ndim == 0:
             n = len(self._linear) if self._linear is not None else 0
             self._store(n, np.arange(n), np.arange(n), np.full(n, array.item(), dtype=array.dtype))
@@ -218,7 +218,7 @@ class Quadratic(Summable):
     def exact(self) -> bool:
         """Whether M, `linear` or `constant` contain exact numbers such as fractions."""
         if self.dim is None:
-            return not isinstance(self._scalar, float) or isinstance(self._constant, Fraction)
+            return not isinstance(self.scalar, float) or isinstance(self._constant, Fraction)
         entries = np.zeros(0) if self._sparse is None else self._sparse[2]
         kinds = {entries.dtype, np.zeros(0).dtype if self._linear is None else self._linear.dtype}
         return kinds != {np.dtype(np.float64)} or isinstance(self._constant, Fraction)
@@ -240,10 +240,10 @@ class Quadratic(Summable):
     def bind(self, n: int) -> Quadratic:
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix."""
         n = read_integer(n, "the dimension")
-        if self._scalar is not None:
+        if self.scalar is not None:
             check_available_memory(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
-            kind = object if not isinstance(self._scalar, float) else np.float64
-            return Quadratic(np.full(n, self._scalar, dtype=kind), constant=self._constant)
+            kind = object if not isinstance(self.scalar, float) else np.float64
+            return Quadratic(np.full(n, self.scalar, dtype=kind), constant=self._constant)
         self.check_dimension(n)
         return self
 
@@ -254,11 +254,6 @@ class Quadratic(Summable):
             diagonal = np.array_equal(self._rows, self._indices)
             size = f"has {self.dim} entries" if diagonal else f"is {self.dim} x {self.dim}"
             raise ValueError(f"M {size}; {owner} has dimension {n}; give {n}")
-
-    @property
-    def scalar(self) -> Any:
-        """The number M of a Hamiltonian without a dimension, as given; otherwise None."""
-        return self._scalar
 
     def as_given(self) -> Entries:
         """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
@@ -382,8 +377,8 @@ class Quadratic(Summable):
         return (QuadraticTerm(starts, columns, entries.astype(np.float64, copy=False), linear, constant),)
 
     def __repr__(self) -> str:
-        if self._scalar is not None:
-            return f"Quadratic({self._scalar!r})"
+        if self.scalar is not None:
+            return f"Quadratic({self.scalar!r})"
         shown = ""
         if self.dim is not None and self.dim <= 4:
             dense = self.hessian(np.zeros(self.dim))

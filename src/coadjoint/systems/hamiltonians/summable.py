@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, Self, cast
 
@@ -135,6 +136,11 @@ class PolynomialHamiltonian(Summable):
     def gradient_and_size(self, x: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
         """Return that of the polynomial."""
         return self.polynomial.gradient_and_size(x)
+
+    def named(self, names: Sequence[str]) -> PolynomialHamiltonian:
+        """Return it with these names of the coordinates in its text."""
+        polynomial = self.polynomial.named(names)
+        return self if polynomial is self.polynomial else PolynomialHamiltonian(polynomial)
 
     has_linear = True
 

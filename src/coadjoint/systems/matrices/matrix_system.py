@@ -14,7 +14,6 @@ from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlg
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
-from coadjoint.systems.arguments import read_closed_form, read_parameters, read_sign
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.forces.base import Force, forces_text
 from coadjoint.systems.matrices.matrix_invariants import (
@@ -27,6 +26,7 @@ from coadjoint.systems.matrices.matrix_invariants import (
 )
 from coadjoint.systems.matrices.streams import FunctionStream, Stream
 from coadjoint.systems.system import System
+from coadjoint.systems.system_checks import read_closed_form, read_parameters, read_sign
 from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
 
 Matrix = npt.NDArray[Any]
@@ -125,7 +125,7 @@ class MatrixSystem(System):
         self.energy_function = read_energy(energy, self.timed)
         self.energy_sign = read_sign(energy_sign, "energy_sign")
         self.name = read_title(name, "name")
-        self._parameters, self._exact = read_parameters(parameters), read_closed_form(exact)
+        self._parameters, self.closed_form = read_parameters(parameters), read_closed_form(exact)
         self.powers = read_integer(powers, "powers", 0, MAX_POWERS)
         self.shape = algebra.shape
         self.matrix_shape: tuple[int, ...] = algebra.shape  # also of states given as vectors
@@ -295,7 +295,7 @@ class MatrixSystem(System):
         """Return the closed-form solution; raise TypeError if none is known, or for an attitude, which it never has."""
         if attitude is not False:
             raise TypeError(f"attitude is {short(attitude)}; the closed form of {self.name} has none")
-        return np.asarray(require_closed_form(self._exact, self.name)(x0, t))
+        return np.asarray(require_closed_form(self.closed_form, self.name)(x0, t))
 
     def to_vector(self, W: Any) -> Floats:
         """Return matrices (..., N, N) as vectors: entry by entry, real and imaginary parts."""

@@ -1,4 +1,4 @@
-"""Quantized reduced magnetohydrodynamics on the sphere and the torus."""
+"""Quantized fluids with a second field that they carry: reduced magnetohydrodynamics, and a passive scalar."""
 
 from __future__ import annotations
 
@@ -75,18 +75,7 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     >>> s.shape, list(s.casimirs)[:2]
     ((2, 7, 7), ['tr Theta^2', 'tr W Theta'])
     """
-    ideal = ideal_fluid(N, surface)
-    stream: Any = ideal.stream
-    system = TwoLayerSystem(
-        ideal.algebra,
-        stream,
-        stream.inverted(),
-        energy_sign=-1,
-        name="reduced_mhd",
-        parameters={"N": ideal.algebra.N, "surface": surface},
-    )
-    system.energy_unit = ideal.energy_unit
-    return system
+    return _with_second_field("reduced_mhd", N, surface, acts=True)
 
 
 def ideal_fluid(N: int, surface: str) -> FluidSystem:
@@ -101,3 +90,75 @@ def fluid_of(system: Any) -> FluidSystem | None:
     surface = (system.parameters or {}).get("surface", "")
     has_two_fields = len(system.shape) == 3 and surface in SURFACES
     return ideal_fluid(system.algebra.N, surface) if has_two_fields else None
+
+
+def _latitude_as_dye() -> npt.NDArray[np.complex128]:
+    """Return a random flow on the sphere with a dye equal to the sine of the latitude."""
+    fluid = sphere_euler(N=33)
+    return np.stack([fluid.from_modes({(1, 0): 1.0}), fluid.random(seed=3)])
+
+
+@ready_made(
+    gallery_entry=GalleryEntry(
+        x0=_latitude_as_dye,
+        t_span=(0.0, 4.0),
+        step=0.02,
+        caption="A dye, at the start the sine of the latitude, is wound up by the vortices of a random flow on the "
+        "sphere. Above, the vorticity, and below, the dye, at the end. The spectrum of the dye is constant.",
+        pictures=(
+            Picture("vorticity", at=1.0),
+            Picture("vorticity", part="carried", at=1.0),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": 33},
+        save_every=4,
+        quantity="vorticity",
+    )
+)
+def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
+    """Return an ideal fluid in two dimensions with a passive scalar, as two matrices.
+
+    ``W' = [P, W]``, ``Theta' = [P, Theta]`` with ``L P = -W``: W is the vorticity, Theta the scalar, which does not
+    affect the flow. All traces of products of W and Theta are preserved.
+
+    Parameters
+    ----------
+    N : int
+        Size of the matrices, as for `sphere_euler` and `torus_euler`.
+    surface : {"sphere", "torus"}
+        Surface of the fluid.
+
+    Returns
+    -------
+    TwoLayerSystem
+        States (2, N, N): Theta and W. Energy: the integral of ``|u|^2/2`` over the surface. Casimirs tr Theta^k,
+        tr W Theta^k and tr W^k.
+
+    Notes
+    -----
+    V. Zeitlin, "Finite-mode analogs of 2D ideal hydrodynamics", Physica D 49 (1991) 353.
+
+    Examples
+    --------
+    >>> s = passive_scalar(N=7, surface="torus")
+    >>> s.shape, "tr W^2" in s.casimirs
+    ((2, 7, 7), True)
+    """
+    return _with_second_field("passive_scalar", N, surface, acts=False)
+
+
+def _with_second_field(name: str, N: int, surface: str, acts: bool) -> TwoLayerSystem:
+    """Return an ideal fluid with a second field that it carries, and that acts on it by its current or not at all."""
+    ideal = ideal_fluid(N, surface)
+    stream: Any = ideal.stream
+    system = TwoLayerSystem(
+        ideal.algebra,
+        stream,
+        stream.inverted() if acts else None,
+        energy_sign=-1,
+        name=name,
+        parameters={"N": ideal.algebra.N, "surface": surface},
+    )
+    system.energy_unit = ideal.energy_unit
+    return system

@@ -1,0 +1,234 @@
+"""The integrable heavy tops, of Lagrange, of Kovalevskaya, and of Goryachev and Chaplygin."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.systems.bodies.classical_body import ClassicalBody
+from coadjoint.systems.bodies.heavy_top import AXIS_IN_SPACE, energy_under_gravity, entry_of_top, top_under_gravity
+from coadjoint.systems.bodies.inertia import read_moment, read_vector, warn_unphysical_inertia
+from coadjoint.systems.gallery_entry import Picture
+from coadjoint.systems.registry import ready_made
+from coadjoint.validation import read_number
+
+
+def _lagrange_energy(equatorial: Any, axial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    moments = np.array([equatorial, equatorial, axial])
+    return energy_under_gravity(1.0 / moments, np.array([0.0, 0.0, lever]))
+
+
+@ready_made(
+    energy=_lagrange_energy,
+    gallery_entry=entry_of_top(
+        x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
+        t_span=(0.0, 24.0),
+        caption="Released with its axis at rest, inclined by 60 degrees: the axis nutates between cusps, in which "
+        "it is at rest, and precesses about the vertical.",
+        pictures=(Picture("nutation", axis=2, up=(3, 4, 5)), AXIS_IN_SPACE),
+    ),
+)
+def lagrange_top(equatorial: float = 1.0, axial: float = 0.5, lever: float = 1.0) -> ClassicalBody:
+    """Return Lagrange's top: a heavy top with ``I1 = I2`` and the centre of mass on the third axis.
+
+    State, sign -1, Casimirs and group element are those of `heavy_top`. The momentum along the axis, m3, is an
+    integral, so the motion is integrable. The upright position is stable (a sleeping top) if
+    ``m3^2 > 4 equatorial lever``. For other axes use `heavy_top`.
+
+    Parameters
+    ----------
+    equatorial, axial : float
+        Moments of inertia about the fixed point (mass times length squared): across the axis and about it. Positive.
+    lever : float
+        Weight times the distance of the centre of mass along the axis (an energy); negative if the centre of mass is
+        below the fixed point when the axis points up.
+
+    Returns
+    -------
+    LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
+        With the integral ``"m3"``.
+
+    Raises
+    ------
+    ValueError
+        A moment is not positive, or a number not finite.
+
+    Warns
+    -----
+    UserWarning
+        The axial moment exceeds twice the equatorial one, which is impossible for a body.
+
+    Notes
+    -----
+    Lagrange, "Mechanique analitique" (1788); Audin, "Spinning Tops" (1996), chapter II.
+
+    Examples
+    --------
+    >>> top = lagrange_top(equatorial=1.0, axial=0.5, lever=2.0)
+    >>> top.energy([1.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    3.5
+    >>> top.integrals
+    {'m3': m3}
+    """
+    parameters = {
+        "equatorial": read_moment(equatorial, "equatorial"),
+        "axial": read_moment(axial, "axial"),
+        "lever": read_number(lever, "lever"),
+    }
+    across, along = parameters["equatorial"], parameters["axial"]
+    warn_unphysical_inertia((across, across, along), "e(3)", "axial")
+    return top_under_gravity(_lagrange_energy(**parameters), "lagrange_top", parameters)
+
+
+def _energy_off_axis(ratio: float, equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return the energy of a top with ``I1 = I2`` and I3 = `ratio` I1, the centre of mass in the equatorial plane."""
+    return energy_under_gravity(1.0 / equatorial / np.array((1.0, 1.0, ratio)), np.array([lever[0], lever[1], 0.0]))
+
+
+def _read_off_axis(ratio: float, equatorial: Any, lever: Any) -> dict[str, Any]:
+    """Validate the parameters of such a top."""
+    moment = read_moment(equatorial, "equatorial", ratio)
+    u, v = read_vector(lever, "lever", 2).tolist()
+    return {"equatorial": moment, "lever": (u, v)}
+
+
+def _kovalevskaya_energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    return _energy_off_axis(0.5, equatorial, lever)
+
+
+@ready_made(
+    energy=_kovalevskaya_energy,
+    gallery_entry=entry_of_top(
+        x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
+        t_span=(0.0, 60.0),
+        caption="An integrable top: the motion is quasi-periodic on a torus of two dimensions, which the "
+        "paths of the third axis in space (middle) and of the vertical, seen from the body (right), begin to fill.",
+    ),
+)
+def kovalevskaya_top(equatorial: float = 2.0, lever: npt.ArrayLike = (1.0, 0.0)) -> ClassicalBody:
+    """Return Kovalevskaya's top: a heavy top with ``I1 = I2 = 2 I3``, the centre of mass in the plane of axes 1, 2.
+
+    State, sign -1, Casimirs and group element are those of `heavy_top`. It is the third and last integrable heavy top,
+    with the integral ``K = |(m1 + i m2)^2 / (2 I1) - (l1 + i l2)(gamma1 + i gamma2)|^2``. For other axes use
+    `heavy_top`.
+
+    Parameters
+    ----------
+    equatorial : float
+        Moment of inertia I1 = I2 about the fixed point (mass times length squared), positive; I3 is half of it.
+    lever : (2,)
+        Weight times the position of the centre of mass along the axes 1 and 2 (an energy).
+
+    Returns
+    -------
+    LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
+        With the integral ``"K"`` (energy squared).
+
+    Raises
+    ------
+    ValueError
+        The moment is not positive, or `lever` is not two finite numbers.
+
+    Notes
+    -----
+    Kowalevski, "Sur le probleme de la rotation d'un corps solide autour d'un point fixe", Acta Mathematica 12 (1889).
+
+    Examples
+    --------
+    >>> top = kovalevskaya_top(equatorial=2.0, lever=(1.0, 0.0))
+    >>> top.vector_field([2.0, 4.0, 3.0, 1.0, 3.0, 4.0])
+    array([ 6.,  1., -3.,  1.,  1., -1.])
+    >>> top.integrals["K"]([2.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    1.0
+    """
+    parameters = _read_off_axis(0.5, equatorial, lever)
+    return top_under_gravity(_kovalevskaya_energy(**parameters), "kovalevskaya_top", parameters)
+
+
+def _goryachev_chaplygin_energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    return _energy_off_axis(0.25, equatorial, lever)
+
+
+@ready_made(
+    energy=_goryachev_chaplygin_energy,
+    gallery_entry=entry_of_top(
+        x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
+        t_span=(0.0, 60.0),
+        caption="Without angular momentum about the vertical the top is integrable: the vertical, seen from the body "
+        "(right), moves within a band of its sphere.",
+    ),
+)
+def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> ClassicalBody:
+    """Return the Goryachev-Chaplygin top: ``I1 = I2 = 4 I3``, the centre of mass in the plane of axes 1 and 2.
+
+    State, sign -1, Casimirs and group element are those of `heavy_top`. It is integrable only if the vertical momentum
+    m . gamma is zero. Its additional integral is therefore not in ``integrals``, which hold for all states:
+    `goryachev_chaplygin_integral` returns it, for ``observe``.
+
+    Parameters
+    ----------
+    equatorial : float
+        Moment of inertia I1 = I2 about the fixed point (mass times length squared), positive; I3 is a quarter of it.
+    lever : (2,)
+        Weight times the position of the centre of mass along the axes 1 and 2 (an energy).
+
+    Returns
+    -------
+    LiePoissonSystem
+        With ``angular_velocity(x)``, ``angular_momentum(x)`` and ``momentum(angular_velocity)``.
+
+    Raises
+    ------
+    ValueError
+        The moment is not positive, or `lever` is not two finite numbers.
+
+    Notes
+    -----
+    Goryachev, Mat. Sbornik 21 (1900); Chaplygin, Trudy Otd. Fiz. Nauk 12 (1904); Audin, "Spinning Tops" (1996).
+
+    Examples
+    --------
+    >>> top = goryachev_chaplygin_top(equatorial=4.0, lever=(1.0, 0.0))
+    >>> top.vector_field([4.0, 8.0, 3.0, 1.0, 3.0, 4.0])
+    array([18., -5., -3.,  1.,  1., -1.])
+    """
+    parameters = _read_off_axis(0.25, equatorial, lever)
+    return top_under_gravity(_goryachev_chaplygin_energy(**parameters), "goryachev_chaplygin_top", parameters)
+
+
+def goryachev_chaplygin_integral(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0, 0.0)) -> Polynomial:
+    """Return ``m3 (m1^2 + m2^2) / I1 - gamma3 (l1 m1 + l2 m2)``, an integral of the top if m . gamma is zero.
+
+    Otherwise it changes at the rate ``(l2 m1 - l1 m2)(m . gamma) / I1``.
+
+    Parameters
+    ----------
+    equatorial : float
+        As for `goryachev_chaplygin_top`.
+    lever : (2,)
+        As for `goryachev_chaplygin_top`.
+
+    Returns
+    -------
+    Polynomial
+        In six coordinates.
+
+    Raises
+    ------
+    ValueError
+        As for `goryachev_chaplygin_top`.
+
+    Examples
+    --------
+    >>> goryachev_chaplygin_integral()
+    -x1*x6 + 0.25*x1^2*x3 + 0.25*x2^2*x3
+    """
+    parameters = _read_off_axis(0.25, equatorial, lever)
+    size, (u, v) = parameters["equatorial"], parameters["lever"]
+    m1, m2, m3, gamma3 = (Polynomial.variable(i, 6) for i in (0, 1, 2, 5))
+    return 1.0 / size * (m3 * (m1**2 + m2**2)) - gamma3 * (u * m1 + v * m2)
