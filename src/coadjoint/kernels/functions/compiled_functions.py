@@ -154,5 +154,6 @@ def raised_by(owners: Iterable[Any]) -> BaseException | None:
     return next((error for owner in owners if (error := getattr(owner, "raised", lambda: None)())), None)
 
 
-Owners = tuple[CompiledFunction | CompiledShares | FormulaFunction | PythonCallback, ...]
+Owner = CompiledFunction | CompiledShares | FormulaFunction | PythonCallback
+Owners = tuple[Owner, ...]
 """Owners of the objects that addresses point to: they must live as long as the addresses are in use."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.matrix_steps import stream_tables
@@ -254,15 +254,7 @@ def forced_loop(
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
     referenced |= dict(enumerate(recorded, len(loop_integers) + 1))
-    return CompiledLoop(
-        STEP_LOOP,
-        step.tables,
-        step.keepalive,
-        memory=scheme_memory(STEP_LOOP, step.tables),
-        accounts=accounts,
-        referenced=referenced,
-        sources=step.sources,
-    )
+    return loop_over(STEP_LOOP, step, accounts=accounts, referenced=referenced)
 
 
 def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:

@@ -13,16 +13,13 @@ import numpy as np
 
 from coadjoint.kernels.functions.compiled_functions import CalledInPython, warn_once
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.tables.compiled import CompiledTables
+from coadjoint.kernels.tables.compiled import LIBRARY_ADDRESSES, CompiledTables
 from coadjoint.kernels.tables.steps import numeric_step_tables
 from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.systems.matrices.streams import FunctionStream
 
 # W, time, P; matrices in C order.
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
-
-ROUTINES: dict[int, str] = {}
-"""Addresses -> names of the BLAS routines in tables of this process."""
 
 
 @cache
@@ -37,7 +34,7 @@ def blas_address(name: str) -> int:
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
     api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
     address = int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
-    ROUTINES[address] = name
+    LIBRARY_ADDRESSES[address] = blas_address, name
     return address
 
 

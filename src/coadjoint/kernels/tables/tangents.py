@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-from coadjoint.kernels.tables.compiled import addresses_of
+from coadjoint.kernels.loop import CompiledLoop, loop_over
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
@@ -73,9 +73,7 @@ def with_tangents(
     carried, size = frame.vectors.shape
     vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
     tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
-    return CompiledLoop(
-        name, tables, (*loop.keepalive, *keepalive, *structure_owners), memory=scheme_memory(name, tables)
-    )
+    return loop_over(name, CompiledTables(tables, (*loop.keepalive, *keepalive, *structure_owners)))
 
 
 def check_differentiable(system: System) -> None:
