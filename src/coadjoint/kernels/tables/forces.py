@@ -54,13 +54,6 @@ class ForceTable(NamedTuple):
     basis: NDArray[np.float64] = NO_NUMBERS
 
 
-class Account(NamedTuple):
-    """The accumulated change of an invariant by a force: an entry after the coordinates of a state."""
-
-    force: str
-    invariant: str
-
-
 def _adapted_matrix_function(
     function: Callable[..., Any], arguments: str, shape: tuple[int, ...], kind: Any
 ) -> Callable[..., Any]:
@@ -86,15 +79,18 @@ def _adapted_matrix_function(
     return lambda y, t: flattened(inner(state(y[:-1]), t, y[-1]))
 
 
-def accounts_of(system: Any) -> tuple[Account, ...]:
-    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it changes."""
-    accounts, hamiltonian_part = [], system.unforced
+def accounts_of(system: Any) -> tuple[tuple[str, str], ...]:
+    """Return the accounts of a system with forces, which accumulate changes of invariants behind the coordinates: for
+    each force, by its label, those of the energy and of the Casimirs that it changes.
+    """
+    accounts: list[tuple[str, str]] = []
+    hamiltonian_part = system.unforced
     tracked_casimirs = (
         hamiltonian_part.quadratic_casimirs if hamiltonian_part.has_matrices else hamiltonian_part.casimirs
     )
     for label, force in system.labelled_forces:
         names = ["energy", *(() if force.casimirs else tracked_casimirs)]
-        accounts += [Account(label, name) for name in names]
+        accounts += [(label, name) for name in names]
     return tuple(accounts)
 
 
@@ -220,7 +216,7 @@ def forced_loop(
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
     for label, force in system.labelled_forces:
-        count = sum(account.force == label for account in accounts)
+        count = sum(account == label for account, _ in accounts)
         reader = _ForceTableBuilder(system.unforced, first, count, order)
         tables.append(force.describe_to(reader, system.unforced))
         first += count

@@ -6,6 +6,7 @@ import ctypes
 import functools
 import struct
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple, TypeVar
 
@@ -104,20 +105,29 @@ def as_structure(table: Any) -> Any:
     if isinstance(table, ctypes.Structure):
         return table
     table_class: Any = type(table)
-    kind = structure_of_table(table_class)
-    values = []
+    return _filled(structure_of_table(table_class), partial(getattr, table), table)
+
+
+def filled(name: str, **fields: Any) -> Any:
+    """Return the C structure of a name with these fields, for a table that Python does not read."""
+    check_fields(name, fields)
+    return _filled(structures()[name], fields.__getitem__, fields)
+
+
+def _filled(kind: Any, value_of: Callable[[str], Any], source: Any) -> Any:
+    numbers = []
     for (field, _), token in zip(kind._fields_, kind.kinds, strict=True):
-        value = getattr(table, field)
+        value = value_of(field)
         if token in ARRAYS:
             if value.dtype != ARRAYS[token] or not value.flags.c_contiguous:
                 raise TypeError(f"{kind.__name__}.{field} is {value.dtype}, not a contiguous {ARRAYS[token]}")
             value = value.__array_interface__["data"][0]
         elif token not in SCALARS:
             value = as_structure(value)
-        values.append(value)
-    filled = kind(*values)
-    filled.source = table
-    return filled
+        numbers.append(value)
+    structure = kind(*numbers)
+    structure.source = source
+    return structure
 
 
 @functools.cache
