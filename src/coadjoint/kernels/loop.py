@@ -1,9 +1,14 @@
-"""Calls of the compiled loops over steps, common to all families of schemes."""
+"""Calls of the compiled loops over steps, common to all families of schemes, and limits on BLAS threads in them.
+
+BLAS and the threads of a run should not compete for cores.
+"""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from functools import cache, partial
 from typing import Any
@@ -143,3 +148,36 @@ def loop_over(name: str, tables: CompiledTables, **more: Any) -> CompiledLoop:
     """Return the loop of this name in the library with its tables, and with the memory that its scheme keeps."""
     common = {one.name: getattr(tables, one.name) for one in fields(CompiledTables)}
     return CompiledLoop(**{**common, **more}, name=name, memory=scheme_memory(name, tables.tables))
+
+
+SINGLE_THREAD_ROWS = 128
+"""Up to this number of rows, one BLAS thread is faster than two on a loaded machine, because of synchronization."""
+
+
+def matrix_rows(system: Any) -> int:
+    """Return the number of rows of the matrices of a system; 0 if its states are vectors."""
+    shape = system.shape
+    return 0 if len(shape) == 1 else int(shape[-1])
+
+
+def concurrent_members(rows: int) -> int:
+    """Return the number of members to advance concurrently: 1 for large matrices, which BLAS distributes."""
+    return 1 if rows > SINGLE_THREAD_ROWS else os.cpu_count() or 1
+
+
+@contextmanager
+def limited_blas_threads(rows: int, workers: int) -> Iterator[None]:
+    """Limit BLAS to one thread in the context, for small matrices or several `workers`; not for vectors (`rows` 0)."""
+    if not rows or (rows > SINGLE_THREAD_ROWS and workers == 1):
+        yield
+    else:
+        with _pools().limit(limits=1):
+            yield
+
+
+@cache
+def _pools() -> Any:
+    import scipy.linalg.blas  # noqa: F401, loads SciPy's BLAS so that threadpoolctl finds it
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,12 @@ from coadjoint.kernels.functions.compiled_functions import (
     warn_slow_compilation,
 )
 from coadjoint.kernels.tables.structures import structure_of_table, table_fields, unrecorded, with_arrays
-from coadjoint.program.sources import Sources
-from coadjoint.systems.energy_derivatives import FunctionDerivative
-from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python
+
+if TYPE_CHECKING:
+    from coadjoint.program.sources import Sources
+    from coadjoint.systems.energy_derivatives import FunctionDerivative
+    from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.blas_threads import matrix_rows
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop, MemberBatch
+from coadjoint.kernels.loop import CompiledLoop, MemberBatch, matrix_rows
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
