@@ -111,6 +111,6 @@ class Layout:
         sizes = {**description.codes["Limit"], **self.extent._asdict()}
         arrays = description.arrays[kind]
         return ArrayOffsets(
-            {name: tuple(sizes[axis] for axis in array.axes) for name, array in arrays.items()},
-            {name for name, array in arrays.items() if array.kind == "integers"},
+            {name: tuple(sizes[axis] for axis in axes) for name, (_, axes) in arrays.items()},
+            {name for name, (numbers, _) in arrays.items() if numbers == "integers"},
         )

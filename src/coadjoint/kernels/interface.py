@@ -24,18 +24,13 @@ REBUILD_ADVICE = (
 )
 
 
-class Array(NamedTuple):
-    """An array of a run: its type, and the names of its axes, which are fields of `Extent` or limits."""
-
-    kind: str
-    axes: tuple[str, ...]
-
-
 class LibraryInterface(NamedTuple):
-    """The interface by name: fields (type, field) of `tables`, `arrays` "saved" and "state", `codes` and "Limit"."""
+    """The interface by name: fields (type, field) of `tables`, `arrays` "saved" and "state" of a run, each with a
+    type and its axes, which are fields of `Extent` or limits, `codes` and "Limit".
+    """
 
     tables: Mapping[str, Fields]
-    arrays: Mapping[str, Mapping[str, Array]]
+    arrays: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]]
     codes: Mapping[str, Mapping[str, int]]
 
 
@@ -108,7 +103,7 @@ def parse_description(text: str) -> LibraryInterface:
         if section == "table":
             parsed[section][name] = tuple((kind, field) for kind, field in entries)
         elif section == "arrays":
-            parsed[section][name] = {label: Array(kind, tuple(axes[::2])) for kind, label, *axes in entries}
+            parsed[section][name] = {label: (kind, tuple(axes[::2])) for kind, label, *axes in entries}
         else:
             parsed[section][name] = {label: int(value) for label, value in entries}
     return LibraryInterface(parsed["table"], parsed["arrays"], parsed["codes"])
@@ -129,12 +124,12 @@ def check(description: LibraryInterface) -> None:
     axes = {name for _, name in description.tables.get("Extent", ())} | set(codes["Limit"])
     for kind, used in ARRAYS.items():
         _check_equal(f"arrays of a run, {kind}", sorted(used), sorted(arrays.get(kind, {})))
-        for name, array in arrays[kind].items():
-            unknown = sorted(set(array.axes) - axes)
+        for name, (numbers, own_axes) in arrays[kind].items():
+            unknown = sorted(set(own_axes) - axes)
             if unknown:
                 _check_equal(f"axes of {kind}.{name}", "numbers of Extent and limits", unknown)
-            if array.kind not in TYPES:
-                _check_equal(f"type of {kind}.{name}", " or ".join(TYPES), array.kind)
+            if numbers not in TYPES:
+                _check_equal(f"type of {kind}.{name}", " or ".join(TYPES), numbers)
 
 
 def check_fields(name: str, fields: Iterable[str]) -> None:

@@ -1,24 +1,26 @@
-"""Calls of the compiled loops over steps, common to all families of schemes."""
+"""Calls of the compiled loops over steps, common to all families of schemes, and limits on BLAS threads in them.
+
+BLAS and the threads of a run should not compete for cores.
+"""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.arrays import Layout, NamedArrays
-from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import interruptible_kernels, kernels
-from coadjoint.kernels.tables.structures import as_structure, unrecorded
-
-if TYPE_CHECKING:
-    from coadjoint.program.sources import Sources
+from coadjoint.kernels.tables.compiled import CompiledTables
+from coadjoint.kernels.tables.structures import as_structure
 
 # Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
 # are passed as C types: conversion by declared argtypes takes half as long as a short call.
@@ -28,25 +30,16 @@ as_int64: Any = ctypes.c_int64
 WholeRun: Any = ctypes.c_int64 * 9
 
 
-@dataclass(frozen=True)
-class CompiledLoop:
-    """A compiled loop: its name in the library, its tables, and objects to keep alive. `memory` counts the numbers of a
-    member that the scheme keeps; `accounts` are the force and the invariant of each entry after the coordinates;
-    `referenced` are tables read by address, by its index among the integers of the step.
+@dataclass(frozen=True, kw_only=True)
+class CompiledLoop(CompiledTables):
+    """A compiled loop: its tables, and its name in the library. `memory` counts the numbers of a member that the scheme
+    keeps; `accounts` are the force and the invariant of each entry after the coordinates.
     """
 
     name: str
-    tables: Any
-    keepalive: tuple[Any, ...] = ()
     shift: tuple[tuple[Polynomial, float], ...] = ()
     memory: int = 0
     accounts: tuple[tuple[str, str], ...] = ()
-    referenced: Mapping[int, Any] = field(default_factory=dict)
-    sources: Callable[[], Sources] = unrecorded
-
-    def raised(self) -> BaseException | None:
-        """Return and clear the exception that a function of the user raised in the loop, if any."""
-        return raised_by(self.keepalive)
 
 
 class StopFlag:
@@ -149,3 +142,42 @@ def scheme_memory(loop: str, tables: Any) -> int:
     if count < 0:
         raise MemoryError("not enough memory for the step plan of the loop")
     return count
+
+
+def loop_over(name: str, tables: CompiledTables, **more: Any) -> CompiledLoop:
+    """Return the loop of this name in the library with its tables, and with the memory that its scheme keeps."""
+    common = {one.name: getattr(tables, one.name) for one in fields(CompiledTables)}
+    return CompiledLoop(**{**common, **more}, name=name, memory=scheme_memory(name, tables.tables))
+
+
+SINGLE_THREAD_ROWS = 128
+"""Up to this number of rows, one BLAS thread is faster than two on a loaded machine, because of synchronization."""
+
+
+def matrix_rows(system: Any) -> int:
+    """Return the number of rows of the matrices of a system; 0 if its states are vectors."""
+    shape = system.shape
+    return 0 if len(shape) == 1 else int(shape[-1])
+
+
+def concurrent_members(rows: int) -> int:
+    """Return the number of members to advance concurrently: 1 for large matrices, which BLAS distributes."""
+    return 1 if rows > SINGLE_THREAD_ROWS else os.cpu_count() or 1
+
+
+@contextmanager
+def limited_blas_threads(rows: int, workers: int) -> Iterator[None]:
+    """Limit BLAS to one thread in the context, for small matrices or several `workers`; not for vectors (`rows` 0)."""
+    if not rows or (rows > SINGLE_THREAD_ROWS and workers == 1):
+        yield
+    else:
+        with _pools().limit(limits=1):
+            yield
+
+
+@cache
+def _pools() -> Any:
+    import scipy.linalg.blas  # noqa: F401, loads SciPy's BLAS so that threadpoolctl finds it
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")

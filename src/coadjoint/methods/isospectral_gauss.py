@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.matrix_steps import matrix_tables
 from coadjoint.kernels.tables.steps import STEP_LOOP
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_stages import increment_of, linearized_step, stages_of
-from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
+from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import Work, work_of_products
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties

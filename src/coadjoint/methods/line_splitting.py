@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
+from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties

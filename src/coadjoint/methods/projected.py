@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, wrapped_step_tables
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.numerics.projection import (
@@ -19,7 +19,7 @@ from coadjoint.methods.numerics.projection import (
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.protocol.composed import Wrapper, check_base, loop_over
+from coadjoint.methods.protocol.composed import Wrapper, check_base
 from coadjoint.methods.protocol.cost_model import Work, work_of_projection
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -97,7 +97,7 @@ class Projected(Wrapper):
         """Return a loop with a step of the loop of the base in each step."""
         inner = self.base.loop(system, h)
         tables = wrapped_step_tables(system, "projected", inner, self.restored(system))
-        return loop_over(STEP_LOOP, tables, {INNER_LOOP_INDEX: inner})
+        return loop_over(STEP_LOOP, tables, referenced={INNER_LOOP_INDEX: inner})
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, computed in NumPy for any number type; the invariants keep their values at x."""

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
-from coadjoint.methods.protocol.composed import Wrapper, check_base, loop_over
+from coadjoint.methods.protocol.composed import Wrapper, check_base
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
@@ -151,7 +151,7 @@ class ReversibleSteps(Wrapper):
         speed_table = invariants_table([("the speed", speed.given)], system.dim)
         step = f"reversible_{speed.kind}"
         tables = named_step_tables(system, step, speed_table, integers, representation, keepalive, [self.stride])
-        return loop_over(STEP_LOOP, tables, {INNER_LOOP_INDEX: inner})
+        return loop_over(STEP_LOOP, tables, referenced={INNER_LOOP_INDEX: inner})
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return the motion over h by variable steps from a fresh start, in NumPy for any number type."""

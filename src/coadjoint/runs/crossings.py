@@ -91,9 +91,8 @@ class WatchedEvents:
     ) -> tuple[Crossings, list[MemberFailure]]:
         """Return the crossings in the flagged steps, by member and time, and the members that failed."""
         # Crossings of failed members are dropped from the step of the failure on.
-        for function in self.compiled.keepalive:
-            if (raised := getattr(function, "raised", lambda: None)()) is not None:
-                raise raised
+        if (raised := self.compiled.raised()) is not None:
+            raise raised
         crossing = codes("Crossing")
         search = _Search(self, flagged, parts, t0, h)
         rows, events = np.nonzero((flagged.codes == crossing["RISING"]) | (flagged.codes == crossing["FALLING"]))

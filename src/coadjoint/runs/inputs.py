@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.structures import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.method import Method, Representation
@@ -220,7 +219,7 @@ class Inputs:
         values[self.changing] = 1.5 + 0.5 * np.cos(1.0 + np.arange(len(self.changing)))
         return values
 
-    def writable(self, loop: CompiledLoop, watch: CompiledTables) -> WritableTables:
+    def writable(self, loop: CompiledTables, watch: CompiledTables) -> WritableTables:
         """Return the tables, of `generic` values, for any others; `NotWritable` if inputs are no constants."""
         from coadjoint.program.sources import CoefficientNumbers
 
@@ -271,7 +270,7 @@ class Inputs:
         loops = loops_of_system(self.system_at(self.generic), method, h, representation)
         try:
             (group,), (loop,), (watch,) = loops.groups, loops.compiled, loops.watches
-            loops.writable = self.writable(replace(loop, tables=group.tables), watch._replace(tables=group.watch))
+            loops.writable = self.writable(replace(loop, tables=group.tables), replace(watch, tables=group.watch))
         except NotWritable as reason:
             raise ValueError(f"{method} takes no inputs for {self.system.name}: {reason}") from None
         return loops

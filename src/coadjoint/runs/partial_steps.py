@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.blas_threads import limited_blas_threads
 from coadjoint.kernels.interface import codes
+from coadjoint.kernels.loop import limited_blas_threads
 from coadjoint.kernels.tables.recording import partial_step_schedule
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.method import Method

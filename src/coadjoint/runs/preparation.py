@@ -10,7 +10,7 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.blas_threads import concurrent_members, matrix_rows
+from coadjoint.kernels.loop import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
 from coadjoint.methods.protocol.method import Method, Representation

@@ -111,10 +111,10 @@ def _offsets_of(mapping: Mapping[str, Any]) -> ArrayOffsets:
             f"missing: {', '.join(missing) or 'none'}; unknown: {', '.join(map(short, unknown)) or 'none'}"
         )
     sizes: dict[str, int] = {}
-    for name, array in described_arrays.items():
+    for name, (_, axes) in described_arrays.items():
         shape = np.shape(mapping[name])
-        if len(shape) == len(array.axes):
-            for axis, length in zip(array.axes, shape, strict=True):
+        if len(shape) == len(axes):
+            for axis, length in zip(axes, shape, strict=True):
                 sizes.setdefault(axis, length)
     extent = Extent(*(sizes.get(axis, 0) for axis in Extent._fields))
     offsets = Layout(extent).state

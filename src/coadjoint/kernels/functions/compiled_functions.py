@@ -5,12 +5,12 @@ from __future__ import annotations
 import ctypes
 import warnings
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from coadjoint.algebra.invariants.invariant import Forms
-from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.kernels.tables.structures import as_structure, filled
 from coadjoint.optional_packages import installed, require_packages
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
@@ -69,20 +69,12 @@ class FormulaFunction:
         return FormulaFunction, (self._table.source,)
 
 
-class SharedFunction(NamedTuple):
-    """The table of a sum of shares: the address of a compiled function of (y, number of the share)."""
-
-    address: int
-    shares: int
-    results: int
-
-
 class CompiledShares:
     """A compiled `SumOfShares`, identified by the negative and odd address of its table."""
 
     def __init__(self, share: CompiledFunction, shares: int, results: int) -> None:
         self._arguments = share, shares, results
-        self._table = as_structure(SharedFunction(share.address, shares, results))
+        self._table = filled("SharedFunction", address=share.address, shares=shares, results=results)
         self.address: int = -ctypes.addressof(self._table) - 1
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -91,12 +83,32 @@ class CompiledShares:
 
 
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
+"""A function of (y, t), whose values are written to the last address; matrices are in C order."""
 
 
 class CalledInPython:
-    """An object whose function the loops may call in Python: the exception is raised in the thread of the run."""
+    """A function called in Python by its C address, of a ctypes `prototype`: `call` with its arguments, whose exception
+    is raised again in the thread of the run. If the prototype has a result, it is 1 after an exception and else 0.
+    """
 
-    _raised: BaseException | None = None
+    def __init__(self, prototype: Any, call: Callable[..., None]) -> None:
+        self._raised: BaseException | None = None
+
+        def guarded(*arguments: Any) -> int:
+            try:
+                call(*arguments)
+            except BaseException as error:
+                self._raised = error
+                return 1
+            return 0
+
+        self._callback = prototype(guarded)
+        self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def check(self) -> None:
+        """Raise the exception of an earlier call, if there was one."""
+        if self._raised is not None:
+            raise self._raised
 
     def raised(self) -> BaseException | None:
         """Return and clear the exception that the function raised, if any."""
@@ -132,17 +144,12 @@ class PythonCallback(CalledInPython):
 
         def call(y: int, t: float, out: int) -> None:
             values = result_block.from_address(out)
-            values[0] = float("nan")
-            try:
-                if self._raised is None:
-                    result = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
-                    values[:] = np.ravel(result).tolist()
-            except BaseException as error:
-                # NaN stops the loop, and the exception is raised again in the thread of the run.
-                self._raised = error
+            values[0] = float("nan")  # stops the loop
+            self.check()
+            result = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
+            values[:] = np.ravel(result).tolist()
 
-        self._callback = CALLBACK(call)
-        self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+        super().__init__(CALLBACK, call)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that make the function callable in another process."""
@@ -154,5 +161,6 @@ def raised_by(owners: Iterable[Any]) -> BaseException | None:
     return next((error for owner in owners if (error := getattr(owner, "raised", lambda: None)())), None)
 
 
-Owners = tuple[CompiledFunction | CompiledShares | FormulaFunction | PythonCallback, ...]
+Owner = CompiledFunction | CompiledShares | FormulaFunction | PythonCallback
+Owners = tuple[Owner, ...]
 """Owners of the objects that addresses point to: they must live as long as the addresses are in use."""

@@ -78,24 +78,24 @@ class _Digester:
 
     def add(self, value: Any) -> None:
         """Add a value according to its type."""
-        kind = type(value)
         self._remaining -= 1
         if self._remaining < 0:
             if self._remaining == -1:
                 self._give_up(f"more than {MAX_OBJECTS} objects")
-        elif kind in PLAIN_TYPES:
-            self._update(kind.__name__, repr(value))
+        elif (write_value := VALUES.get(type(value))) is not None:
+            write_value(self, value)
         elif isinstance(value, np.ndarray | np.generic):
             self._add_array(value)
-        elif kind in (tuple, list, dict, set, frozenset, types.MappingProxyType):
-            self._add_container(value)
-        elif kind is types.CodeType:
-            self._add_code(value)
-        elif kind is Polynomial:
-            self._update("polynomial")
-            self._add_unordered(value.monomials.items())
         elif self._is_new(value):
-            self._add_object(value)
+            base = next((base for base in type(value).__mro__ if base in OBJECTS), object)
+            OBJECTS[base](self, value)
+
+    def _add_plain(self, value: Any) -> None:
+        self._update(type(value).__name__, repr(value))
+
+    def _add_polynomial(self, value: Polynomial) -> None:
+        self._update("polynomial")
+        self._add_unordered(value.monomials.items())
 
     def _add_array(self, value: Any) -> None:
         array = np.asarray(value)
@@ -133,12 +133,11 @@ class _Digester:
         self._update(*sorted(content.digest for content in contents))
         self.unknown += [what for content in contents for what in content.unknown]
 
-    def _add_object(self, value: Any) -> None:
+    def _add_other(self, value: Any) -> None:
+        """Add an object that Numba made from a function, a named object, or an instance of any class."""
         kind = type(value)
         numba = kind.__module__.partition(".")[0] == "numba"
-        if isinstance(value, types.FunctionType):
-            self._add_function(value)
-        elif numba and isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher
+        if numba and isinstance(getattr(value, "py_func", None), types.FunctionType):  # a dispatcher
             self._update("compiled")
             options = getattr(value, "targetoptions", {})
             locals_types = _types_of_locals(value)
@@ -152,20 +151,22 @@ class _Digester:
             options = sorted(getattr(compiler, "targetoptions", {}).items())
             locals_types = [*options, *_types_of_locals(compiler)]
             self.add(["callback", value._pyfunc, str(getattr(value, "_sig", "")), *locals_types])
-        elif (parts := next((parts for known, parts in PARTS.items() if isinstance(value, known)), None)) is not None:
-            self.add(parts(value))
-        elif isinstance(value, types.BuiltinFunctionType) and not isinstance(value.__self__, types.ModuleType | None):
-            self.add(["builtin method", value.__name__, value.__self__])
-        elif isinstance(value, types.ModuleType):
-            self._update("module", value.__name__)
-        elif isinstance(value, type):
-            self._add_class(value)
         elif isinstance(getattr(value, "__qualname__", None), str) and (callable(value) or hasattr(kind, "__get__")):
             self._add_named(value)
         elif isinstance(value, np.ufunc) and not hasattr(value, "_dispatcher"):
             self._update("ufunc", value.__name__)
         else:
             self._add_instance(value)
+
+    def _add_builtin(self, value: types.BuiltinFunctionType) -> None:
+        """Add a C function by its name, or a method of an object with the object."""
+        if isinstance(value.__self__, types.ModuleType | None):
+            self._add_named(value)
+        else:
+            self.add(["builtin method", value.__name__, value.__self__])
+
+    def _add_module(self, value: types.ModuleType) -> None:
+        self._update("module", value.__name__)
 
     def _add_named(self, value: Any) -> None:
         """Add a C function or a descriptor by its name, which identifies it only in known packages."""
@@ -225,21 +226,21 @@ class _Digester:
             self._update(text)
         else:
             self._add_code(function.__code__)
-        reads = global_reads(function.__code__)
+        names, attributes, imports = global_reads(function.__code__)
         self.add(function.__defaults__)
         self.add(dict(sorted((function.__kwdefaults__ or {}).items())))
         self.add({name: value for name, value in sorted(vars(function).items()) if name != "__wrapped__"})
         for name, cell in sorted(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)):
             self._update("closed over", name)
             for value in cell_value(cell):
-                self._add_read(value, reads.attributes)
+                self._add_read(value, attributes)
         if is_known(module) or is_own(module):
             return
         builtins: dict[str, Any] = cast(Any, function).__builtins__
-        for name in reads.names:
+        for name in names:
             if name in function.__globals__:
                 self._update("global", name)
-                self._add_read(function.__globals__[name], reads.attributes)
+                self._add_read(function.__globals__[name], attributes)
             elif name in builtins:
                 value = builtins[name]
                 self._update("builtin", name)
@@ -247,10 +248,10 @@ class _Digester:
                     self._give_up(f"what {function.__qualname__} reads by {name}()")
                 elif not is_known(getattr(value, "__module__", None) or "builtins"):
                     self.add(value)
-        for name in reads.imports:
+        for name in imports:
             if not is_known(name) and not is_own(name):
                 if name in sys.modules:
-                    self._add_read(sys.modules[name], reads.attributes)
+                    self._add_read(sys.modules[name], attributes)
                 else:
                     self._give_up(f"the module {name}")
 
@@ -275,16 +276,34 @@ class _Digester:
         self.add(code.co_consts)
 
 
-# Type -> the values that an object of it consists of.
-PARTS: Mapping[type, Callable[[Any], list[Any]]] = {
-    functools.partial: lambda value: ["partial", value.func, value.args, value.keywords],
-    types.MethodType: lambda value: ["method", value.__func__, value.__self__],
-    staticmethod: lambda value: [type(value).__name__, value.__func__],
-    classmethod: lambda value: [type(value).__name__, value.__func__],
-    property: lambda value: ["property", value.fget, value.fset, value.fdel],
-    functools.cached_property: lambda value: ["cached property", value.func],
-    types.CellType: lambda value: ["cell", *cell_value(value)],
-    type(functools.cache(str)): lambda value: ["cached", value.__wrapped__],
+def _consists_of(parts: Callable[[Any], list[Any]]) -> Writer:
+    """Return what adds the values that an object consists of."""
+    return lambda digester, value: digester.add(parts(value))
+
+
+Writer = Callable[[_Digester, Any], None]
+# Type -> what adds a value of this very type, by its content.
+VALUES: Mapping[type, Writer] = {
+    **dict.fromkeys(PLAIN_TYPES, _Digester._add_plain),
+    **dict.fromkeys((tuple, list, dict, set, frozenset, types.MappingProxyType), _Digester._add_container),
+    types.CodeType: _Digester._add_code,
+    Polynomial: _Digester._add_polynomial,
+}
+# Type -> what adds an object of this type or of a derived one, which has an identity.
+OBJECTS: Mapping[type, Writer] = {
+    types.FunctionType: _Digester._add_function,
+    types.BuiltinFunctionType: _Digester._add_builtin,
+    types.ModuleType: _Digester._add_module,
+    type: _Digester._add_class,
+    functools.partial: _consists_of(lambda value: ["partial", value.func, value.args, value.keywords]),
+    types.MethodType: _consists_of(lambda value: ["method", value.__func__, value.__self__]),
+    staticmethod: _consists_of(lambda value: [type(value).__name__, value.__func__]),
+    classmethod: _consists_of(lambda value: [type(value).__name__, value.__func__]),
+    property: _consists_of(lambda value: ["property", value.fget, value.fset, value.fdel]),
+    functools.cached_property: _consists_of(lambda value: ["cached property", value.func]),
+    types.CellType: _consists_of(lambda value: ["cell", *cell_value(value)]),
+    type(functools.cache(str)): _consists_of(lambda value: ["cached", value.__wrapped__]),
+    object: _Digester._add_other,
 }
 
 
@@ -304,17 +323,9 @@ def _slots(kind: type) -> tuple[str, ...]:
     return (slots,) if isinstance(slots, str) else tuple(slots)
 
 
-class GlobalReads(NamedTuple):
-    """The global names that a function reads, the attributes it names, and the modules it imports."""
-
-    names: tuple[str, ...]
-    attributes: frozenset[str]
-    imports: tuple[str, ...]
-
-
 @functools.lru_cache(maxsize=4096)
-def global_reads(code: types.CodeType) -> GlobalReads:
-    """Return what the code of a function and of the functions inside it reads."""
+def global_reads(code: types.CodeType) -> tuple[tuple[str, ...], frozenset[str], tuple[str, ...]]:
+    """Return the global names that a function reads, the attributes it names, and the modules it imports."""
     names, attributes, imports = set[str](), set[str](code.co_names), set[str]()
     for instruction in dis.get_instructions(code):
         if instruction.opname in ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS"):
@@ -324,12 +335,12 @@ def global_reads(code: types.CodeType) -> GlobalReads:
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
             inner = global_reads(constant)
-            names |= set(inner.names)
-            attributes |= inner.attributes
-            imports |= set(inner.imports)
+            names |= set(inner[0])
+            attributes |= inner[1]
+            imports |= set(inner[2])
         elif isinstance(constant, str):
             attributes.add(constant)  # possibly an argument of getattr
-    return GlobalReads(tuple(sorted(names)), frozenset(attributes), tuple(sorted(imports)))
+    return tuple(sorted(names)), frozenset(attributes), tuple(sorted(imports))
 
 
 def cell_value(cell: types.CellType) -> list[Any]:

@@ -14,58 +14,40 @@ from coadjoint.optional_packages import MissingPackageError, require_packages
 
 Step = Callable[[Any, Any, Any, Any], Any]
 
-# System, state, time, length, new state; returns 0, or 1 if an exception was raised.
+# System, state, time, length, new state.
 CALLBACK = ctypes.CFUNCTYPE(
     ctypes.c_int64, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_void_p
 )
 
 
-class StepFunction(CalledInPython):
-    """The step of a scheme on a system as a C function for the loops. The scheme has ``step(system, x, t, h)``; if it
-    is a dataclass of numbers, strings and arrays, the step may be compiled by Numba. `compiled` is set if it was;
-    otherwise each step is a Python call.
+def step_function(method: Any, system: Any) -> tuple[Any, bool]:
+    """Return the step of a scheme on a system as a function with a C address, and whether it is compiled. The scheme
+    has ``step(system, x, t, h)``; if it is a dataclass of numbers, strings and arrays, Numba may compile the step.
     """
+    if method.compiles:
+        callback, reason = _compiled(method, system)
+        if callback is not None:
+            return callback, True
+        warn_once(
+            type(method),
+            f"the steps of {type(method).__name__} are Python calls, about a hundred times slower than compiled ones: "
+            f"{reason}",
+        )
+    n, name, number = system.dim, system.name, ctypes.c_double
 
-    def __init__(self, method: Any, system: Any) -> None:
-        callback, reason = _compiled(method, system) if method.compiles else (None, "")
-        self.compiled = callback is not None
-        if callback is None:
-            if method.compiles:
-                warn_once(
-                    type(method),
-                    f"the steps of {type(method).__name__} are Python calls, about a hundred times slower than "
-                    f"compiled ones: {reason}",
-                )
-            self._callback = CALLBACK(self._python_step(method, system))
-            self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
-        else:
-            self._callback = callback
-            self.address = callback.address
+    def call(_: int, x: int, t: float, h: float, out: int) -> None:
+        try:
+            state = np.array((number * n).from_address(x))
+            (number * n).from_address(out)[:] = read_step_result(method.step(system, state, t, h), n, method)
+        except AttributeError as error:
+            if error.obj is not system:
+                raise
+            raise TypeError(
+                f"the step of {type(method).__name__} reads system.{error.name}, which {name} does not have; "
+                "the scheme must refuse such systems, for example matrices, in `properties`"
+            ) from None
 
-    def _python_step(self, method: Any, system: Any) -> Callable[..., int]:
-        n, number = system.dim, ctypes.c_double
-
-        def call(_: int, x: int, t: float, h: float, out: int) -> int:
-            try:
-                state = np.array((number * n).from_address(x))
-                (number * n).from_address(out)[:] = read_step_result(method.step(system, state, t, h), n, method)
-            except BaseException as error:
-                self._raised = _explained(error, method, system)
-                return 1
-            return 0
-
-        return call
-
-
-def _explained(error: BaseException, method: Any, system: Any) -> BaseException:
-    """Return the error of a step; for an attribute that the system does not have, a TypeError with advice."""
-    name = system.name
-    if not (isinstance(error, AttributeError) and error.obj is system):
-        return error
-    return TypeError(
-        f"the step of {type(method).__name__} reads system.{error.name}, which {name} does not have; "
-        "the scheme must refuse such systems, for example matrices, in `properties`"
-    )
+    return CalledInPython(CALLBACK, call), False
 
 
 def read_step_result(result: Any, n: int, method: Any) -> Any:

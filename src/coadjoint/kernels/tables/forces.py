@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.matrix_steps import stream_tables
@@ -54,13 +54,6 @@ class ForceTable(NamedTuple):
     basis: NDArray[np.float64] = NO_NUMBERS
 
 
-class Account(NamedTuple):
-    """The accumulated change of an invariant by a force: an entry after the coordinates of a state."""
-
-    force: str
-    invariant: str
-
-
 def _adapted_matrix_function(
     function: Callable[..., Any], arguments: str, shape: tuple[int, ...], kind: Any
 ) -> Callable[..., Any]:
@@ -86,15 +79,18 @@ def _adapted_matrix_function(
     return lambda y, t: flattened(inner(state(y[:-1]), t, y[-1]))
 
 
-def accounts_of(system: Any) -> tuple[Account, ...]:
-    """Return the accounts of a system with forces: for each force the energy, and the Casimirs that it changes."""
-    accounts, hamiltonian_part = [], system.unforced
+def accounts_of(system: Any) -> tuple[tuple[str, str], ...]:
+    """Return the accounts of a system with forces, which accumulate changes of invariants behind the coordinates: for
+    each force, by its label, those of the energy and of the Casimirs that it changes.
+    """
+    accounts: list[tuple[str, str]] = []
+    hamiltonian_part = system.unforced
     tracked_casimirs = (
         hamiltonian_part.quadratic_casimirs if hamiltonian_part.has_matrices else hamiltonian_part.casimirs
     )
     for label, force in system.labelled_forces:
         names = ["energy", *(() if force.casimirs else tracked_casimirs)]
-        accounts += [Account(label, name) for name in names]
+        accounts += [(label, name) for name in names]
     return tuple(accounts)
 
 
@@ -220,7 +216,7 @@ def forced_loop(
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
     for label, force in system.labelled_forces:
-        count = sum(account.force == label for account in accounts)
+        count = sum(account == label for account, _ in accounts)
         reader = _ForceTableBuilder(system.unforced, first, count, order)
         tables.append(force.describe_to(reader, system.unforced))
         first += count
@@ -254,15 +250,7 @@ def forced_loop(
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))
     referenced |= dict(enumerate(recorded, len(loop_integers) + 1))
-    return CompiledLoop(
-        STEP_LOOP,
-        step.tables,
-        step.keepalive,
-        memory=scheme_memory(STEP_LOOP, step.tables),
-        accounts=accounts,
-        referenced=referenced,
-        sources=step.sources,
-    )
+    return loop_over(STEP_LOOP, step, accounts=accounts, referenced=referenced)
 
 
 def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from coadjoint.systems.user_functions import Formula, takes_time
 def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = False) -> CompiledTables:
     """Return a `Watch` of the energy of a system, then of other invariants by name; `compact` ones store rows once."""
     found = invariants_table([("the energy", system.hamiltonian), *invariants.items()], system.dim, compact=compact)
-    return found._replace(sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables, (0,)))
+    return replace(found, sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables, (0,)))
 
 
 def _sources_of_watch(terms: Sequence[Term], watch: Watch, energies: Sequence[int]) -> Sources:
@@ -45,7 +46,7 @@ def balance_tables(system: Any, invariants: Mapping[str, Any], accounts: Sequenc
     ]
     found = invariants_table([*watched, *watched], system.dim, [*([()] * len(watched)), *subtracted])
     energies = 0, len(watched)
-    return found._replace(sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables, energies))
+    return replace(found, sources=lambda: _sources_of_watch(system.hamiltonian.terms(), found.tables, energies))
 
 
 def invariants_table(

@@ -11,18 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.kernels.functions.compiled_functions import CalledInPython, warn_once
+from coadjoint.kernels.functions.compiled_functions import CALLBACK, CalledInPython, warn_once
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.tables.compiled import CompiledTables
+from coadjoint.kernels.tables.compiled import LIBRARY_ADDRESSES, CompiledTables
 from coadjoint.kernels.tables.steps import numeric_step_tables
 from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.systems.matrices.streams import FunctionStream
-
-# W, time, P; matrices in C order.
-CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
-
-ROUTINES: dict[int, str] = {}
-"""Addresses -> names of the BLAS routines in tables of this process."""
 
 
 @cache
@@ -37,7 +31,7 @@ def blas_address(name: str) -> int:
     api.PyCapsule_GetPointer.restype = ctypes.c_void_p
     api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
     address = int(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
-    ROUTINES[address] = name
+    LIBRARY_ADDRESSES[address] = blas_address, name
     return address
 
 
@@ -49,7 +43,7 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
     kinds = codes("StreamKind")
     stream, second, linear, function = system.stream, system.second_stream, system.linear, None
     if isinstance(stream, FunctionStream):
-        function = MatrixFunction(stream, system.algebra.shape, system.complex)
+        function = stream_function(stream, system.algebra.shape, system.complex)
     numbers = [] if linear is None else [system.to_vector(linear)]
     numbers += [stream_map.table for stream_map in (stream, second) if stream_map is not None]
     layers = 2 if len(system.matrix_shape) == 3 else 1
@@ -59,7 +53,7 @@ def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]
         kinds[stream.kind],
         -1 if second is None else kinds[second.kind],
         int(linear is not None),
-        function.address if function else 0,
+        int(function.address) if function else 0,
     ]
     return integers, np.concatenate(numbers).tolist(), (function,) if function else ()
 
@@ -76,48 +70,38 @@ def matrix_tables(
     return CompiledTables(step_tables.tables, (*step_tables.keepalive, *keepalive))
 
 
-class MatrixFunction(CalledInPython):
-    """A stream function for the loops, on matrices of this `shape`, complex128 if `complex_entries`, else float64.
-    `address` is that of ``void(const double* W, double t, double* P)``. `compiled` is set if Numba compiled it;
-    otherwise each call is a Python call, which only one thread at a time can make.
+def stream_function(stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> Any:
+    """Return a stream function with the address of ``void(const double* W, double t, double* P)``, on matrices of this
+    `shape`, complex128 if `complex_entries`, else float64. A function that Numba cannot compile is called in Python, by
+    one thread at a time.
     """
+    try:
+        require_packages("a compiled stream", "numba")
+        return _compiled(stream.function, shape[0], complex_entries, stream.timed, stream.traceless)
+    except MissingPackageError as error:
+        reason = str(error)
+    except Exception as error:  # Numba raises exceptions of many types
+        from coadjoint.kernels.functions.compilation import numba_error_text
 
-    def __init__(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> None:
-        try:
-            require_packages("a compiled stream", "numba")
-            self._callback: Any = _compiled(stream.function, shape[0], complex_entries, stream.timed, stream.traceless)
-            self.address, self.compiled = int(self._callback.address), True
-        except MissingPackageError as reason:
-            self._call_python(stream, shape, complex_entries, str(reason))
-        except Exception as error:  # Numba raises exceptions of many types
-            from coadjoint.kernels.functions.compilation import numba_error_text
+        reason = numba_error_text(error)
+    name = getattr(stream.function, "__name__", type(stream.function).__name__)
+    warn_once(
+        stream.function,
+        f"the stream {name} is called in Python, at about ten microseconds per call and in one thread, since Numba "
+        f"cannot compile it ({reason})",
+    )
+    dtype, numbers = np.dtype("c16" if complex_entries else "f8"), 1 + complex_entries
+    block = ctypes.c_double * (numbers * shape[0] * shape[1])
 
-            self._call_python(stream, shape, complex_entries, numba_error_text(error))
+    def call(W: int, t: float, P: int) -> None:
+        out = np.frombuffer(memoryview(block.from_address(P)), dtype=dtype).reshape(shape)
+        out[:] = np.nan  # stops the member
+        callback.check()
+        matrix = np.frombuffer(memoryview(block.from_address(W)), dtype=dtype)
+        out[:] = stream(matrix.reshape(shape).copy(), t)
 
-    def _call_python(self, stream: FunctionStream, shape: tuple[int, int], complex_entries: bool, reason: str) -> None:
-        dtype, numbers = np.dtype("c16" if complex_entries else "f8"), 1 + complex_entries
-        block = ctypes.c_double * (numbers * shape[0] * shape[1])
-
-        def call(W: int, t: float, P: int) -> None:
-            out = np.frombuffer(memoryview(block.from_address(P)), dtype=dtype).reshape(shape)
-            try:
-                if self._raised is not None:
-                    raise self._raised
-                matrix = np.frombuffer(memoryview(block.from_address(W)), dtype=dtype)
-                out[:] = stream(matrix.reshape(shape).copy(), t)
-            except BaseException as error:
-                # NaN stops the member, and the exception is raised again in the thread of the run.
-                self._raised = error
-                out[:] = np.nan
-
-        self._callback, self.compiled = CALLBACK(call), False
-        self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
-        name = getattr(stream.function, "__name__", type(stream.function).__name__)
-        warn_once(
-            stream.function,
-            f"the stream {name} is called in Python, at about ten microseconds per call and in one thread, since Numba "
-            f"cannot compile it ({reason})",
-        )
+    callback: CalledInPython = CalledInPython(CALLBACK, call)
+    return callback
 
 
 def _compiled(

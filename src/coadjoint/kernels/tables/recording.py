@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.structures import address, as_structure, packer
+from coadjoint.kernels.tables.structures import address, as_structure, filled, packer
 from coadjoint.program.term_table import Terms
 
 ROWS_PER_STEP, SPARE_ROWS = 4, 2**14
@@ -89,21 +89,6 @@ def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.floa
     )
 
 
-class EventTables(NamedTuple):
-    """Input and output of a loop for E events; see `source/boundary/tables.hpp`."""
-
-    watch: Watch
-    direction: NDArray[np.int64]
-    left: NDArray[np.int64]
-    limit: NDArray[np.int64]
-    before: NDArray[np.float64]
-    values: NDArray[np.float64]
-    capacity: int
-    recorded: NDArray[np.int64]
-    found: NDArray[np.int64]
-    records: NDArray[np.float64]
-
-
 class FlaggedSteps(NamedTuple):
     """Rows recorded by the loops, r of them, each a step of a member with a possible crossing. `codes` (r, E) are
     `Crossing` codes of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the step; `before` and
@@ -143,20 +128,25 @@ class EventArrays:
         # allocation take no memory.
         capacity = ROWS_PER_STEP * members * chunk + SPARE_ROWS
         self.limit = np.full(members, np.iinfo(np.int64).max)
-        self.tables = EventTables(
-            watch,
-            direction,
-            left,
-            self.limit,
-            np.zeros((members, 2, size + square)),
-            np.zeros((members, STEPS_BACK, count)),
-            capacity,
-            np.zeros(1, dtype=np.int64),
-            np.empty((capacity, 2 + count), dtype=np.int64),
-            np.empty((capacity, size + square + 2 * count)),
-        )
+        before, values = np.zeros((members, 2, size + square)), np.zeros((members, STEPS_BACK, count))
+        self._changing = left, self.limit, before, values
+        self._capacity, self._recorded = capacity, np.zeros(1, dtype=np.int64)
+        self._found = np.empty((capacity, 2 + count), dtype=np.int64)
+        self._records = np.empty((capacity, size + square + 2 * count))
         self._size, self._square, self._count = size, square, count
-        self._structure: Any = as_structure(self.tables)
+        self._structure: Any = filled(
+            "EventTables",
+            watch=watch,
+            direction=direction,
+            left=left,
+            limit=self.limit,
+            before=before,
+            values=values,
+            capacity=capacity,
+            recorded=self._recorded,
+            found=self._found,
+            records=self._records,
+        )
         self.address = ctypes.addressof(self._structure)
 
     @staticmethod
@@ -168,13 +158,13 @@ class EventArrays:
     def take(self) -> FlaggedSteps:
         """Return and clear the rows recorded since the last call, in any order."""
         count, size, width = self._count, self._size, self._size + self._square
-        rows = int(self.tables.recorded[0])
-        if rows > self.tables.capacity:
+        rows = int(self._recorded[0])
+        if rows > self._capacity:
             raise ValueError(
                 f"{rows} crossings were found in the steps of one call; use a smaller step, or fewer events"
             )
-        self.tables.recorded[0] = 0
-        integers, numbers = self.tables.found[:rows].copy(), self.tables.records[:rows].copy()
+        self._recorded[0] = 0
+        integers, numbers = self._found[:rows].copy(), self._records[:rows].copy()
         return FlaggedSteps(
             integers[:, 0],
             integers[:, 1],
@@ -187,12 +177,10 @@ class EventArrays:
 
     def copy(self) -> list[NDArray[Any]]:
         """Return copies of the arrays that `restore_arrays` restores to repeat the steps from here."""
-        tables = self.tables
-        return [array.copy() for array in (tables.left, tables.limit, tables.before, tables.values)]
+        return [array.copy() for array in self._changing]
 
     def restore_arrays(self, copies: list[NDArray[Any]]) -> None:
         """Restore the arrays from `copy`."""
-        tables = self.tables
-        for array, copied in zip((tables.left, tables.limit, tables.before, tables.values), copies, strict=True):
+        for array, copied in zip(self._changing, copies, strict=True):
             array[...] = copied
-        tables.recorded[0] = 0
+        self._recorded[0] = 0

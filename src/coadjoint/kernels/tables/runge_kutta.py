@@ -13,6 +13,7 @@ from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, sources_of_field, substeps
 from coadjoint.program.multiples import Multiples
 from coadjoint.program.sources import CoefficientNumbers, Sources
+from coadjoint.program.term_table import Terms
 from coadjoint.systems.system import System
 
 
@@ -40,6 +41,11 @@ class RungeKuttaTables(NamedTuple):
     position: NDArray[np.uint32]
     fraction: NDArray[np.float64]
     moment: NDArray[np.float64]
+
+    @property
+    def terms(self) -> Terms:
+        """Terms of the Hamiltonian, as `FlowTables` have them."""
+        return self.field.terms
 
 
 RUNGE_KUTTA_LOOP = "runge_kutta_advance"

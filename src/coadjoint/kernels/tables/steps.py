@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
+from coadjoint.kernels.tables.compiled import LIBRARY_ADDRESSES, CompiledTables, addresses_of
 from coadjoint.kernels.tables.field import (
     Field,
     GroupField,
@@ -56,24 +57,20 @@ class Stepping(NamedTuple):
     serial: int = 0
 
 
-STEPS: dict[int, Any] = {}
-"""Address -> step, for all steps in tables of this process; addresses differ in another process."""
-
-
 def step_address(step: Any) -> int:
     """Return the address of a step: an object with an ``address``, or a name (`STEP_SCHEME` in its C++ file)."""
-    if not isinstance(step, str):
-        STEPS[int(step.address)] = step
-        return int(step.address)
-    try:
-        function = getattr(kernels(), f"{step}_step")
-    except AttributeError as error:
-        raise ValueError(
-            f"the kernels have no step {step!r}; put its C++ file into the folder of the scheme, and build them by "
-            "make kernels"
-        ) from error
-    address = ctypes.cast(function, ctypes.c_void_p).value or 0
-    STEPS[address] = step
+    if isinstance(step, str):
+        try:
+            function = getattr(kernels(), f"{step}_step")
+        except AttributeError as error:
+            raise ValueError(
+                f"the kernels have no step {step!r}; put its C++ file into the folder of the scheme, and build them by "
+                "make kernels"
+            ) from error
+        address = ctypes.cast(function, ctypes.c_void_p).value or 0
+    else:
+        address = int(step.address)
+    LIBRARY_ADDRESSES[address] = step_address, step
     return address
 
 
@@ -161,7 +158,7 @@ def named_step_tables(
     tables = _tables(
         system,
         group_of(system, representation),
-        invariants._replace(keepalive=(*invariants.keepalive, *keepalive)),
+        replace(invariants, keepalive=(*invariants.keepalive, *keepalive)),
         integers,
         coefficients,
         not system.has_compiled_bracket,

@@ -5,9 +5,10 @@ from __future__ import annotations
 import ctypes
 import functools
 import struct
-from collections.abc import Callable, Hashable, Sequence
-from operator import itemgetter
-from typing import Any, TypeVar
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from functools import partial
+from operator import attrgetter, itemgetter
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,6 +26,8 @@ ARRAYS: dict[str, Any] = {
 }
 PER_MEMBER_TYPES = frozenset(("addresses", "constants"))
 """Types of arrays with one column per member if the constants of members differ."""
+
+Tables = TypeVar("Tables", bound=tuple[Any, ...])
 
 
 class NotWritable(ValueError):
@@ -56,13 +59,45 @@ def structure_of_table(kind: Any) -> Any:
     return structures()[kind.__name__]
 
 
+class TableField(NamedTuple):
+    """A number or an array of a table or of a nested one: its dotted name, its type, and its offset in bytes."""
+
+    name: str
+    token: str
+    offset: int
+
+    def of(self, tables: Any) -> Any:
+        """Return the value in named tuples."""
+        return attrgetter(self.name)(tables)
+
+
 @functools.cache
-def per_member_fields(kind: Any) -> frozenset[str]:
-    """Return the arrays of a table class with one column per member if constants of members differ."""
-    structure = structure_of_table(kind)
-    return frozenset(
-        name for (name, _), token in zip(structure._fields_, structure.kinds, strict=True) if token in PER_MEMBER_TYPES
-    )
+def table_fields(structure: Any) -> tuple[TableField, ...]:
+    """Return the fields of a C structure and of nested ones, in its order."""
+    found: list[TableField] = []
+    for (name, kind), token in zip(structure._fields_, structure.kinds, strict=True):
+        offset = getattr(structure, name).offset
+        if token in SCALARS or token in ARRAYS:
+            found.append(TableField(name, token, offset))
+        else:
+            found += [TableField(f"{name}.{one.name}", one.token, offset + one.offset) for one in table_fields(kind)]
+    return tuple(found)
+
+
+def with_arrays(tables: Tables, arrays: Mapping[str, Any]) -> Tables:
+    """Return tables with other arrays, by their dotted names."""
+    named: Any = tables
+    changed: dict[str, Any] = {}
+    nested: dict[str, dict[str, Any]] = {}
+    for name, array in arrays.items():
+        outer, _, inner = name.partition(".")
+        if inner:
+            nested.setdefault(outer, {})[inner] = array
+        else:
+            changed[outer] = array
+    changed |= {outer: with_arrays(getattr(named, outer), inner) for outer, inner in nested.items()}
+    replaced: Tables = named._replace(**changed)
+    return replaced
 
 
 def as_structure(table: Any) -> Any:
@@ -70,20 +105,29 @@ def as_structure(table: Any) -> Any:
     if isinstance(table, ctypes.Structure):
         return table
     table_class: Any = type(table)
-    kind = structure_of_table(table_class)
-    values = []
+    return _filled(structure_of_table(table_class), partial(getattr, table), table)
+
+
+def filled(name: str, **fields: Any) -> Any:
+    """Return the C structure of a name with these fields, for a table that Python does not read."""
+    check_fields(name, fields)
+    return _filled(structures()[name], fields.__getitem__, fields)
+
+
+def _filled(kind: Any, value_of: Callable[[str], Any], source: Any) -> Any:
+    numbers = []
     for (field, _), token in zip(kind._fields_, kind.kinds, strict=True):
-        value = getattr(table, field)
+        value = value_of(field)
         if token in ARRAYS:
             if value.dtype != ARRAYS[token] or not value.flags.c_contiguous:
                 raise TypeError(f"{kind.__name__}.{field} is {value.dtype}, not a contiguous {ARRAYS[token]}")
             value = value.__array_interface__["data"][0]
         elif token not in SCALARS:
             value = as_structure(value)
-        values.append(value)
-    filled = kind(*values)
-    filled.source = table
-    return filled
+        numbers.append(value)
+    structure = kind(*numbers)
+    structure.source = source
+    return structure
 
 
 @functools.cache
@@ -103,52 +147,32 @@ def address(array: Any) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
-Tables = TypeVar("Tables", bound=tuple[Any, ...])
-
-
-def _varies(tables: Any, name: str) -> bool:
-    kind: Any = type(tables)
-    return hasattr(kind, "_fields") and name in per_member_fields(kind)
-
-
-def _fields(tables: Any) -> Sequence[str]:
-    return getattr(tables, "_fields", ("",) * len(tables))
-
-
 def structure_of(tables: Any) -> Hashable:
     """Return everything in tables except their constants: members of equal structure can share one set of tables."""
-    if isinstance(tables, np.ndarray):
-        return tables.dtype.char, tables.shape, tables.tobytes()
-    if isinstance(tables, tuple):
-        items = zip(_fields(tables), tables, strict=True)
-        return type(tables), *(_shape_of(item) if _varies(tables, name) else structure_of(item) for name, item in items)
-    hashable: Hashable = tables
-    return hashable
+    kind: Any = type(tables)
+    return kind, *(_structure_of(one, one.of(tables)) for one in table_fields(structure_of_table(kind)))
 
 
-def _shape_of(item: Any) -> Hashable:
-    return item.shape if item.dtype == np.float64 else (item.shape, (item == 0).tobytes())
+def _structure_of(field: TableField, value: Any) -> Hashable:
+    if field.token in SCALARS:
+        scalar: Hashable = value
+        return scalar
+    if field.token not in PER_MEMBER_TYPES:
+        return value.dtype.char, value.shape, value.tobytes()
+    return value.shape if value.dtype == np.float64 else (value.shape, (value == 0).tobytes())
 
 
 def stacked(members: Sequence[Tables]) -> Tables:
     """Return one set of tables for members of equal `structure_of`, with a column of constants for each; the last one
     is repeated up to a multiple of MOST_LANES, since lanes may read beyond it.
     """
-    first = members[0]
-    columns = zip(_fields(first), first, zip(*members, strict=True), strict=True)
-    return _rebuilt(first, [_stacked_column(first, name, item, column) for name, item, column in columns])
+    kind: Any = type(members[0])
+    varying = [one for one in table_fields(structure_of_table(kind)) if one.token in PER_MEMBER_TYPES]
+    return with_arrays(
+        members[0], {one.name: _stacked_columns([one.of(member) for member in members]) for one in varying}
+    )
 
 
-def _stacked_column(tables: Any, name: str, item: Any, column: Sequence[Any]) -> Any:
-    if isinstance(item, tuple):
-        return stacked(column)
-    if _varies(tables, name):
-        padding = -len(column) % limit("MOST_LANES")
-        return np.ascontiguousarray(np.pad(np.array(column), ((0, padding), (0, 0)), mode="edge").T)
-    return item
-
-
-def _rebuilt(tables: Tables, items: list[Any]) -> Tables:
-    kind: Any = type(tables)
-    rebuilt: Tables = kind._make(items) if hasattr(kind, "_make") else kind(items)
-    return rebuilt
+def _stacked_columns(columns: Sequence[Any]) -> Any:
+    padding = -len(columns) % limit("MOST_LANES")
+    return np.ascontiguousarray(np.pad(np.array(columns), ((0, padding), (0, 0)), mode="edge").T)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
-from coadjoint.kernels.tables.compiled import addresses_of
+from coadjoint.kernels.loop import CompiledLoop, loop_over
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
+from coadjoint.kernels.tables.structures import filled
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.system import System
 
@@ -29,53 +29,34 @@ class Frame:
     every: int
 
 
-class Tangents(NamedTuple):
-    """Tables for `carried` tangent vectors in `size` dimensions; see `source/boundary/tables.hpp`."""
-
-    size: int
-    carried: int
-    every: int
-    frame: NDArray[np.float64]
-    hessians: NDArray[np.int64]
-    derivative: NDArray[np.int64]
-
-
-class FlowTangents(NamedTuple):
-    """Tables of a program with tangent vectors."""
-
-    base: FlowTables
-    tangents: Tangents
-
-
-class RungeKuttaTangents(NamedTuple):
-    """Tables of a Runge-Kutta method with tangent vectors."""
-
-    base: RungeKuttaTables
-    tangents: Tangents
-
-
-TANGENT_LOOPS: Mapping[type, tuple[str, Any]] = {
-    FlowTables: ("flow_tangents_advance", FlowTangents),
-    RungeKuttaTables: ("runge_kutta_tangents_advance", RungeKuttaTangents),
+TANGENT_LOOPS: Mapping[type, tuple[str, str]] = {
+    FlowTables: ("flow_tangents_advance", "FlowTangents"),
+    RungeKuttaTables: ("runge_kutta_tangents_advance", "RungeKuttaTangents"),
 }
-"""Class of the tables of a loop -> the loop that also carries tangent vectors, and the class of its tables."""
+"""Class of the tables of a loop -> the loop that also carries tangent vectors, and the C structure of its tables."""
 
 
 def with_tangents(
     loop: CompiledLoop, system: System, functions: Mapping[int, FunctionTerm], frame: Frame
 ) -> CompiledLoop:
     """Return a loop that takes the same steps, bitwise, with tangent vectors and without the group element."""
-    name, kind = TANGENT_LOOPS[type(loop.tables)]
+    name, structure = TANGENT_LOOPS[type(loop.tables)]
     check_differentiable(system)
-    terms = loop.tables.terms if isinstance(loop.tables, FlowTables) else loop.tables.field.terms
-    hessians, keepalive = addresses_of(functions, terms.size, "hessian", "the Hamiltonian")
+    hessians, keepalive = addresses_of(functions, loop.tables.terms.size, "hessian", "the Hamiltonian")
     derivative, structure_owners = derivative_of_structure(system)
     carried, size = frame.vectors.shape
     vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
-    tables = kind(loop.tables, Tangents(size, carried, frame.every, vectors, hessians, derivative))
-    return CompiledLoop(
-        name, tables, (*loop.keepalive, *keepalive, *structure_owners), memory=scheme_memory(name, tables)
+    tangents = filled(
+        "Tangents",
+        size=size,
+        carried=carried,
+        every=frame.every,
+        frame=vectors,
+        hessians=hessians,
+        derivative=derivative,
     )
+    tables = filled(structure, base=loop.tables, tangents=tangents)
+    return loop_over(name, CompiledTables(tables, (*loop.keepalive, *keepalive, *structure_owners)))
 
 
 def check_differentiable(system: System) -> None:

@@ -9,7 +9,7 @@ import ctypes
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.kernels.arrays import as_c_double
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.tables.structures import ARRAYS, PER_MEMBER_TYPES, SCALARS, NotWritable, as_structure
+from coadjoint.kernels.tables.structures import PER_MEMBER_TYPES, NotWritable, TableField, as_structure, table_fields
 from coadjoint.memory import check_available_memory
 
 if TYPE_CHECKING:
@@ -36,44 +35,28 @@ WATCH = 1
 NO_SUMS, DEPENDENT = "are neither inputs nor exact sums of inputs", "depend on them"
 
 
-class TableField(NamedTuple):
-    """A field of a table: name, type, offset in bytes, and value."""
-
-    name: str
-    token: str
-    offset: int
-    value: Any
-
-
-def fields_of(table: Any, kind: Any, base: int = 0, path: str = "") -> Iterator[TableField]:
-    """Yield the fields of a table and of nested tables, in the order of the C structure."""
-    for (label, inner), token in zip(kind._fields_, kind.kinds, strict=True):
-        offset, value = base + getattr(kind, label).offset, getattr(table, label)
-        if token in SCALARS or token in ARRAYS:
-            yield TableField(path + label, token, offset, value)
-        else:
-            yield from fields_of(value, inner, offset, f"{path}{label}.")
-
-
 class _Table:
     """A table of a run. Its address is entry `index` of the integers of table number `parent`, -1 if there is none."""
 
     def __init__(self, table: Any, sources: Sources, parent: int = -1, index: int = -1) -> None:
         self.structure, self.parent, self.index = as_structure(table), parent, index
-        self.kind = type(self.structure)
-        self.fields = {field.name: field for field in fields_of(self.structure.source, self.kind)}
+        kind: Any = type(self.structure)
+        self.kind, self.fields = kind, {field.name: field for field in table_fields(kind)}
         self.sources = sources
 
+    def value(self, name: str) -> Any:
+        """Return the array of a field."""
+        return self.fields[name].of(self.structure.source)
 
-def _tables_of(loop: CompiledLoop, watch: CompiledTables) -> list[_Table]:
+
+def _tables_of(loop: CompiledTables, watch: CompiledTables) -> list[_Table]:
     """Return the tables of a loop, of the invariants, and all tables that they refer to by address."""
     tables = [_Table(loop.tables, loop.sources()), _Table(watch.tables, watch.sources())]
     pending = [(0, loop)]
     while pending:
         number, outer = pending.pop()
         for index, referenced in outer.referenced.items():
-            if isinstance(referenced, CompiledLoop):
-                pending.append((len(tables), referenced))
+            pending.append((len(tables), referenced))
             tables.append(_Table(referenced.tables, referenced.sources(), number, index))
     return tables
 
@@ -90,8 +73,9 @@ class _Block:
             for field in fields:
                 self.start[number, field.name] = count
                 self.pointers.append((self.word_offsets[number] + field.offset // 8, 8 * count))
-                pieces.append(np.ascontiguousarray(field.value).view(np.float64))
-                count += len(field.value)
+                array = field.of(tables[number].structure.source)
+                pieces.append(np.ascontiguousarray(array).view(np.float64))
+                count += len(array)
         self.template = np.concatenate(pieces)
         self.raw = np.concatenate([np.frombuffer(bytes(table.structure), dtype=np.int64) for table in tables])
         self.referenced = [
@@ -123,7 +107,7 @@ class WritableTables:
 
     def __init__(
         self,
-        loop: CompiledLoop,
+        loop: CompiledTables,
         watch: CompiledTables,
         indices: Mapping[int, int],
         values: Floats,
@@ -143,7 +127,7 @@ class WritableTables:
                     raise NotWritable(f"its table has {path} that {NO_SUMS if is_constant else DEPENDENT}")
             for path, multiples in table.sources.multiples.items():
                 own = multiples.among(wanted, given)
-                template = table.fields[path].value[own.position]
+                template = table.value(path)[own.position]
                 if np.any(np.isin(multiples.number, others)) or template.tobytes() != own.of(values).tobytes():
                     raise NotWritable(f"its table has {path} that {NO_SUMS}")
                 if len(own.number):
@@ -206,8 +190,8 @@ class WritableTables:
         """
         from coadjoint.program.multiples import Multiples, concatenated
 
-        fields = self._tables[0].fields
-        first = dict(zip(names, accumulate((len(fields[name].value) for name in names), initial=0), strict=False))
+        sizes = (len(self._tables[0].value(name)) for name in names)
+        first = dict(zip(names, accumulate(sizes, initial=0), strict=False))
         for number, path, _ in (*self._multiples, *self._sums):
             if number == 0 and path not in first:
                 raise NotWritable(f"its table has {path} that {DEPENDENT}")

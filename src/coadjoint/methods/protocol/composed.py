@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop, scheme_memory
+from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep, joined_steps
@@ -19,7 +19,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.kernels.tables.tangents import Frame
     from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
@@ -154,14 +153,6 @@ def composition_order(coefficients: Sequence[float], base_order: int) -> int:
         if any(abs(composed[order].get(word, 0.0) - exact[order].get(word, 0.0)) > tolerance for word in words):
             return order - 1
     return highest
-
-
-def loop_over(name: str, tables: CompiledTables, referenced: Mapping[int, Any] | None = None) -> CompiledLoop:
-    """Return the loop of this name in the library with its tables, and with the memory that its scheme keeps."""
-    memory = scheme_memory(name, tables.tables)
-    return CompiledLoop(
-        name, tables.tables, tables.keepalive, memory=memory, referenced=referenced or {}, sources=tables.sources
-    )
 
 
 class SubstepMethod(Method):

@@ -129,8 +129,8 @@ class FlowMethod(Method):
         from coadjoint.kernels.tables.flow import FLOW_LOOP, flow_tables
 
         tables = flow_tables(program, h, bool(self.compensated), compact)
-        fixed = FLOW_LOOP, tables.tables, tables.keepalive, program.shift
-        return CompiledLoop(*fixed, sources=tables.sources if self.differentiable else unrecorded)
+        sources = tables.sources if self.differentiable else unrecorded
+        return CompiledLoop(tables.tables, tables.keepalive, sources, name=FLOW_LOOP, shift=program.shift)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""

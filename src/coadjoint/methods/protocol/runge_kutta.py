@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, StageProblem, begin, read_tableau
-from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper, loop_over
+from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.numbers import Number

@@ -6,10 +6,10 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from coadjoint.kernels.functions.step_functions import StepFunction
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.functions.step_functions import step_function
+from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables, step_tables
-from coadjoint.methods.protocol.composed import SubstepMethod, loop_over
+from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import (
     Operations,
     Work,
@@ -79,9 +79,9 @@ class StepMethod(SubstepMethod):
                 f'attitude="{self.properties(system).attitude}"; set it to "none"'
             )
 
-        function = StepFunction(self, system)
-        tables = function_tables(system, function.address, fractions, function.compiled)
-        return loop_over(STEP_LOOP, tables._replace(keepalive=(*tables.keepalive, function)))
+        function, compiled = step_function(self, system)
+        tables = function_tables(system, function.address, fractions, compiled)
+        return loop_over(STEP_LOOP, tables, keepalive=(*tables.keepalive, function))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""

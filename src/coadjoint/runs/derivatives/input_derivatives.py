@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.kernels.tables.writable import WritableTables
@@ -65,7 +65,7 @@ def _located(
     # Those of the whole step, and of the last other one.
     @lru_cache(2)
     def at(step: float) -> WritableTables:
-        return inputs.writable(CompiledLoop("", tables.tables_at(step), sources=tables.sources), watch)
+        return inputs.writable(CompiledTables(tables.tables_at(step), sources=tables.sources), watch)
 
     def tables_at(step: float, values: Floats) -> Any:
         located = at(step)

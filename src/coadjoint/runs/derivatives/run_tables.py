@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.cotangents import FlowCotangents
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.methods.forced import Forced
@@ -95,7 +95,7 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
 
     @cache
     def tables_at(step: float) -> list[tuple[int, int, Any]]:
-        loop = CompiledLoop("", tables.tables_at(step), sources=tables.sources)
+        loop = CompiledTables(tables.tables_at(step), sources=tables.sources)
         writable = columns.written_from(loop, watch, columns.values[0])
         count = 0
         ranges: list[tuple[int, int, Any]] = []

@@ -126,15 +126,15 @@ class Columns:
         chosen._writable = self._writable
         return chosen
 
-    def tables(self, loop: CompiledLoop, watch: CompiledTables) -> WritableTables:
+    def tables(self, loop: CompiledTables, watch: CompiledTables) -> WritableTables:
         """Return the tables of all systems, from a loop and its watch at any step; raise `NotWritable`."""
         if self._writable is None or self._writable[0] is not loop.tables:
             of_loop, of_watch = self._recorded = self._recorded or (loop.sources(), watch.sources())
-            own = replace(loop, sources=lambda: of_loop), watch._replace(sources=lambda: of_watch)
+            own = replace(loop, sources=lambda: of_loop), replace(watch, sources=lambda: of_watch)
             self._writable = loop.tables, self.written_from(*own, self._first)
         return self._writable[1]
 
-    def written_from(self, loop: CompiledLoop, watch: CompiledTables, first: Floats) -> WritableTables:
+    def written_from(self, loop: CompiledTables, watch: CompiledTables, first: Floats) -> WritableTables:
         """Return the tables of all systems, from others of the system that has the values `first`."""
         return WritableTables(loop, watch, {source: k for k, source in enumerate(self.numbers.tolist())}, first)
 

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.blas_threads import matrix_rows
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop, MemberBatch
+from coadjoint.kernels.loop import CompiledLoop, MemberBatch, matrix_rows
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
@@ -275,29 +274,16 @@ class Loops:
     @property
     def is_picklable(self) -> bool:
         """Whether the loops can be pickled: without inputs, if all addresses in their tables are those of functions."""
-        from coadjoint.kernels.pickling import is_picklable, loop_is_picklable
-
-        if self.writable is not None:
-            return False
-        return all(map(loop_is_picklable, self.compiled)) and all(
-            is_picklable(watch.keepalive) for watch in self.watches
-        )
+        return self.writable is None and all(tables.is_picklable for tables in (*self.compiled, *self.watches))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes, with the tables in a form that can be pickled."""
-        from coadjoint.kernels.pickling import picklable_loop, picklable_tables
-
-        derived = ("compiled", "watches", "groups", "order", "writable", "_rounds", "_base")
-        watches = [picklable_tables(watch.tables, watch.keepalive) for watch in self.watches]
-        tables = [picklable_loop(loop) for loop in self.compiled], watches
-        return {name: value for name, value in vars(self).items() if name not in derived} | {"tables": tables}
+        """Return the attributes that are not derived from the tables."""
+        derived = ("groups", "order", "writable", "_rounds", "_base")
+        return {name: value for name, value in vars(self).items() if name not in derived}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        from coadjoint.kernels.pickling import restored_loop, restored_tables
-
-        loops, watches = state.pop("tables")
         self.__dict__.update(state)
-        self._set_tables([restored_loop(loop) for loop in loops], [restored_tables(watch) for watch in watches])
+        self._set_tables(self.compiled, self.watches)
 
 
 def loops_of_system(
