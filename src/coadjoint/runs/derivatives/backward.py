@@ -246,7 +246,7 @@ class Pullback:
             cotangents, quantity = self._trajectory.with_members(given), self._run.prepared.observe[name]
             for k, m in np.ndindex(states.shape[:2]):
                 function = function_of_rows(self._run.system.of_member(m), quantity, float(times[k]))
-                total[k, m] += np.ravel(cotangents[k, m]) @ derivative_of(function, states[k, m]).derivative
+                total[k, m] += np.ravel(cotangents[k, m]) @ derivative_of(function, states[k, m])[1]
         return total
 
     def _of_moments(self, crossings: CrossingDerivatives, states: Floats, observed: Mapping[str, Any]) -> Floats:

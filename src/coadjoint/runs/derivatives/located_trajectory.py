@@ -197,7 +197,7 @@ def _gradient(system: Any, g: Any, x: Floats, t: float) -> Floats:
     number = coordinate_of(g, "", coordinates_of(system), len(x))
     if number is not None:
         return np.asarray(np.eye(len(x))[number])
-    return np.asarray(derivative_of(function_of_rows(system, g, t), x).derivative[0])
+    return np.asarray(derivative_of(function_of_rows(system, g, t), x)[1][0])
 
 
 def function_of_rows(system: Any, quantity: Any, t: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
