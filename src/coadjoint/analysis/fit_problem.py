@@ -18,7 +18,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.parameters import Parameter, parameter_of, parameters_at, parameters_of, with_parameters
 from coadjoint.systems.registry import unit_coordinate
-from coadjoint.systems.user_functions import takes_time
+from coadjoint.systems.user_functions import with_time
 from coadjoint.validation import read_integer, read_numbers, to_array
 
 Floats = NDArray[np.float64]
@@ -54,7 +54,9 @@ class Quantities:
         observed = {name: ready.observe[name] for name in wanted if name in ready.observe}
         state = np.atleast_2d(x0)[0]
         self._observed = Observed(ready.system.of_member(0), observed, state) if observed else None
-        self._functions = {name: _function_of(observe[name], name) for name in wanted if name in observe}
+        self._functions = {
+            name: with_time(observe[name], f"observe[{short(name)}]") for name in wanted if name in observe
+        }
         self._shapes = {name: np.shape(_value(f, name, state, float(t[0]))) for name, f in self._functions.items()}
         self._motions = [name for name in wanted if name not in observed and name not in observe]
         self._groups = CoordinateGroups(ready.system.of_member(0))
@@ -140,11 +142,6 @@ def _reader(system: Any, name: str) -> Callable[[Any], Floats]:
     found = getattr(system.unforced, MOTIONS[name], None)
     assert found is not None
     return found
-
-
-def _function_of(function: Any, name: str) -> Callable[[Floats, float], Any]:
-    """Return a function of (x) or (x, t) as one of (x, t)."""
-    return function if takes_time(function, f"observe[{short(name)}]") else lambda x, t: function(x)
 
 
 def _value(function: Callable[[Floats, float], Any], name: str, x: Floats, t: float) -> Floats:

@@ -46,7 +46,6 @@ from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import candidate_schemes, reference_scheme
 from coadjoint.runs.start import combined, start_of
 from coadjoint.runs.times import span_of
-from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system, check_vector_states
@@ -248,13 +247,11 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
         return tuple(each for each in candidate_schemes(processed) if dim <= each.largest)
     rule = "it must be one or more schemes such as Splitting(order=4)"
     single = isinstance(methods, Method | str | Mapping)
-    schemes = tuple(
-        read_method(each) if isinstance(each, str | Mapping) else each
-        for each in ((methods,) if single else read_list(methods, "methods", rule))
-    )
-    invalid = [each for each in schemes if not isinstance(each, Method)]
-    if invalid or not schemes:
-        raise TypeError(f"methods contains {short(invalid[0]) if invalid else 'nothing'}; {rule}")
+    single = isinstance(methods, Method | str | Mapping)
+    given = (methods,) if single else read_list(methods, "methods", rule)
+    schemes = tuple(read_method(each, "an entry of methods") for each in given)
+    if not schemes:
+        raise TypeError(f"methods contains nothing; {rule}")
     return schemes
 
 

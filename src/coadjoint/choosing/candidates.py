@@ -16,10 +16,8 @@ from coadjoint.choosing.pilot import REFERENCE, Pilot, Trial, cached_for_system,
 from coadjoint.choosing.sample import SAMPLE_SIZE
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.protocol.step_method import CompiledStepMethod, StepMethod
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.batch import Batch
@@ -131,27 +129,11 @@ def _work(system: System, method: Method, representation: Any) -> Work:
 def with_measured_work(pilot: Pilot, candidate: Candidate) -> Candidate:
     """Return a candidate with a step of the user with its measured work; others, and steps that fail, unchanged."""
     # Timed beside the reference scheme, whose work is counted: the result depends little on the speed of the machine.
-    if candidate.group is not None or candidate.method.own_steps or not _is_uncounted(candidate.method):
+    if candidate.group is not None or candidate.method.own_steps or candidate.method._counted:
         return candidate
     note_progress(f"timing the steps of {type(candidate.method).__name__}")
     cost = _measured_cost(pilot, candidate.method)
     return candidate if cost is None else replace(candidate, work=Work(lambda iterations, evaluations: cost))
-
-
-def _is_uncounted(method: Method) -> bool:
-    """Return whether a step, or that of the base of a composition or projection, is of the user and has no `work`."""
-    base = getattr(method.expanded, "base", None)
-    if isinstance(base, Method):
-        return _is_uncounted(base)
-    if isinstance(method, StepMethod):
-        plain: Any = StepMethod.work_of_substeps
-    elif isinstance(method, CompiledStepMethod):
-        if isinstance(method.compiled_step, str) or type(method).operations is not CompiledStepMethod.operations:
-            return False
-        plain = CompiledStepMethod.work_of_substeps
-    else:
-        return False
-    return type(method).work is SubstepMethod.work and type(method).work_of_substeps is plain
 
 
 def _measured_cost(pilot: Pilot, method: Method) -> float | None:

@@ -230,17 +230,17 @@ def apply_exponential(
     degree: int | None,
 ) -> tuple[NDArray[Any], Any]:
     """Return exp(D) y and its derivative, by substeps of a series, which ends at `degree` if given."""
-    (y, dy), D = state, orbit.generator(*combination)
+    (y, dy), (image, change, norm) = state, orbit.generator(*combination)
     substeps = 1
     if degree is None:
-        substeps, degree = substeps_and_degree(D.norm(), roundoff(number))
+        substeps, degree = substeps_and_degree(norm(), roundoff(number))
     for _ in range(substeps):
         total, derivative = y, dy
         for power in range(degree, 0, -1):
             # Horner's scheme: y + (1/power) D total, and its derivative
             if dy is not None:
-                derivative = dy + D.change(total, derivative) / (power * substeps)
-            total = y + D.image(total) / (power * substeps)
+                derivative = dy + change(total, derivative) / (power * substeps)
+            total = y + image(total) / (power * substeps)
         y, dy = total, derivative
     return y, dy
 
@@ -262,12 +262,8 @@ def substeps_and_degree(norm: float, unit: Any) -> tuple[int, int]:
     return substeps, degree
 
 
-class Generator(NamedTuple):
-    """D in exp(D) y: its image of y, the change of that image by changes of y and D, and a bound of its norm."""
-
-    image: Callable[[Any], Any]
-    change: Callable[[Any, Any], Any]
-    norm: Callable[[], float]
+# D in exp(D) y: its image of y, the change of that image by changes of y and D, and a bound of its norm.
+Generator = tuple[Callable[[Any], Any], Callable[[Any, Any], Any], Callable[[], float]]
 
 
 class VectorOrbit:
@@ -288,7 +284,7 @@ class VectorOrbit:
         """Return D of a combination of gradients, and of its changes if given."""
         system, J, sign = self._system, self._system.structure_matrix, self._system.sign
         D = None if dk is None else sign * np.asarray(system.algebra.coadjoint(k))
-        return Generator(
+        return (
             lambda y: sign * (J(y) @ k),
             lambda y, dy: D @ dy + sign * (J(y) @ dk),
             lambda: float(max(abs(np.asarray(system.algebra.coadjoint(k))).sum(axis=1))),
@@ -315,7 +311,7 @@ class MatrixOrbit:
         """Return D of a combination of streams, and of its changes if given."""
         bracket = self._system.bracket
         sizes = np.abs(P).reshape(-1, *self._system.algebra.shape).sum(axis=0)  # summed over layers
-        return Generator(
+        return (
             lambda W: bracket(P, W),
             lambda W, dW: bracket(P, dW) + bracket(dP, W),
             lambda: float(sizes.sum(axis=-1).max() + sizes.sum(axis=-2).max()),

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.protocol.composed import MAX_ORDER, Composed, check_base
-from coadjoint.methods.protocol.cost_model import Work
+from coadjoint.methods.protocol.composed import MAX_ORDER, Composed, check_base, of
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.methods.splitting import Splitting
 from coadjoint.program.numbers import Number
 from coadjoint.program.table import Program
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice, read_finite, read_integer
 
 if TYPE_CHECKING:
-    from coadjoint.methods.numerics.formal_series import FormalNumber
-    from coadjoint.methods.protocol.derivative_tables import DerivativeTables
+    pass
 
 MAX_SUM = 1000.0  # of absolute coefficients: states move so much farther, and rounding with them
 MAX_SUBSTEPS = 1000  # of a step; tables of flows stay small
@@ -73,6 +65,21 @@ class Composition(Composed):
     base: Method
     coefficients: tuple[float, ...]
 
+    composed = of("expanded.composed")
+    compiled = of("expanded.compiled")
+    step = of("expanded.step")
+    tangent = of("expanded.tangent")
+    tangent_on = of("expanded.tangent_on")
+    linearized = of("expanded.linearized")
+    tangent_loop = of("expanded.tangent_loop")
+    differentiable = of("expanded.differentiable")
+    derivative_tables = of("expanded.derivative_tables")
+    formal_step = of("expanded.formal_step")
+    known_to = of("expanded.known_to")
+    restored = of("expanded.restored")
+    took_newton = of("expanded.took_newton")
+    work = of("expanded.work")
+
     def __post_init__(self) -> None:
         check_base(self.base, "a Composition", "Splitting(order=2)")
         object.__setattr__(self, "coefficients", _read_fractions(self.coefficients, self.base))
@@ -97,69 +104,19 @@ class Composition(Composed):
         """The base that is not a composition itself."""
         return self.base.innermost if isinstance(self.base, Composition) else self.base
 
-    def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the composition of this composition."""
-        return self.expanded.composed(coefficients)
-
     def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
         """Return the base and the fractions, with those of the base multiplied out."""
         base, fractions = self.base.steps_between_forces()
         return base, tuple(c * f for c in self.coefficients for f in fractions)
 
-    def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop of the base, composed."""
-        return self.expanded.compiled(system, h, representation)
-
     def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         self._check_loop(system)
         return self.expanded._shared_loop(system, h, representation)
-
-    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
-        return self.expanded.step(system, x, t, h)
-
-    def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        return self.expanded.tangent(system, x, t, h)
-
-    def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
-        return self.expanded.tangent_on(system, x, t, h, vectors)
-
-    def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
-        return self.expanded.linearized(system, x, t, h)
-
-    def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        return self.expanded.tangent_loop(system, h, frame)
-
-    @property
-    def differentiable(self) -> bool:
-        """As for the form that is run."""
-        return self.expanded.differentiable
-
-    def derivative_tables(
-        self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
-    ) -> DerivativeTables:
-        return self.expanded.derivative_tables(system, h, representation, energies)
-
-    def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        return self.expanded.formal_step(system, x, h)
-
-    @property
-    def known_to(self) -> float:
-        """As for the form that is run."""
-        return self.expanded.known_to
-
-    def restored(self, system: System) -> Mapping[str, Any] | None:
-        return self.expanded.restored(system)
-
-    def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        return self.expanded.took_newton(memory)
 
     def program(self, system: System, *, group: Representation = None, number: Number = float) -> Program:
         if type(self.expanded).program is Method.program:  # refused, by the name of the scheme that was given
             return super().program(system, group=group, number=number)
         return self.expanded.program(system, group=group, number=number)
-
-    def work(self, system: System, group: Representation = None) -> Work:
-        return self.expanded.work(system, group)
 
     @classmethod
     def examples(cls) -> Sequence[Method]:

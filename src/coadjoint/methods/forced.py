@@ -72,11 +72,10 @@ def flow_of_force(
     if known is not None:
         end = np.asarray(force.flow_of_order(system, x, t, tau, order), dtype=np.float64)
         return dense_step(end, np.asarray(known, dtype=np.float64))
-    found = derivative_of(lambda z: force.flow_of_order(system, z, t, tau, order), x)
-    derivative = found.derivative
+    end, derivative, by = derivative_of(lambda z: force.flow_of_order(system, z, t, tau, order), x)
     if system.has_matrices:
         derivative = system.to_vector(system.algebra.projected(system.from_vector(derivative)))
-    return dense_step(found.value, np.asarray(derivative), found.by)
+    return dense_step(end, np.asarray(derivative), by)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,8 @@ ORDERS = (2, 4, 6, 8, 10)  # those of symmetric compositions of lines
 TRANSFORM_COST = 0.08  # cost of both Fourier transforms per number and factor of 2 in N, in units of a rotation
 
 
-class Line(NamedTuple):
-    """The modes ``{j k mod N}``; with l such that k x l = 1, each mode is ``j k + d l`` exactly once."""
-
-    k: tuple[int, int]
-    l: tuple[int, int]
+Line = tuple[tuple[int, int], tuple[int, int]]
+"""k and l of the modes ``{j k mod N}``; with l such that k x l = 1, each mode is ``j k + d l`` exactly once."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +184,7 @@ class LineSplitting(SubstepMethod):
 @cache
 def lines(N: int) -> tuple[Line, ...]:
     """Return the lines in the order of a step: all slopes of (1, slope), then (0, 1)."""
-    return (*(Line((1, slope), (0, 1)) for slope in range(N)), Line((0, 1), (N - 1, 0)))
+    return (*(((1, slope), (0, 1)) for slope in range(N)), ((0, 1), (N - 1, 0)))
 
 
 def flow(
@@ -237,7 +234,8 @@ def transposed_flow(
 def modes_by_coset(N: int, line: Line) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the indices (N, N) of modes: a row for each coset of a line, of which the first is the line."""
     j, d = np.arange(N)[None, :], np.arange(N)[:, None]
-    return (j * line.k[0] + d * line.l[0]) % N, (j * line.k[1] + d * line.l[1]) % N
+    k, l = line
+    return (j * k[0] + d * l[0]) % N, (j * k[1] + d * l[1]) % N
 
 
 def stream_of_modes(torus: MatrixSystem) -> tuple[NDArray[np.float64], Complexes | None]:

@@ -105,7 +105,7 @@ class Projected(Wrapper):
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
         end = np.asarray(self.base.step(system, point, t, h))
-        return project(restored_invariants(system), point, end, number, float(t)).y
+        return project(restored_invariants(system), point, end, number, float(t))[0]
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         self.properties(system)

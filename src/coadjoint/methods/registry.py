@@ -167,7 +167,7 @@ def from_description(description: Mapping[str, Any]) -> Method:
     return described("method", _schemes(), description)  # type: ignore[no-any-return]
 
 
-def read_method(value: Any) -> Method:
+def read_method(value: Any, what: str = "method") -> Method:
     """Return the scheme for an instance, a name or a mapping, as `integrate` takes it; errors name the nearest name."""
     if isinstance(value, Method):
         return value
@@ -183,8 +183,8 @@ def read_method(value: Any) -> Method:
             return get("ExplicitRungeKutta", name=value.lower())
         return get(value)
     if isinstance(value, type) and issubclass(value, Method):
-        raise TypeError(f"method is the class {value.__name__}; give a scheme, such as {value.__name__}()")
-    raise TypeError(f"method is {short(value)}; it must be a scheme such as Splitting(order=2)")
+        raise TypeError(f"{what} is the class {value.__name__}; give a scheme, such as {value.__name__}()")
+    raise TypeError(f"{what} is {short(value)}; it must be a scheme such as Splitting(order=2)")
 
 
 ADAPTIVE_NAMES = frozenset(("rk45", "rk23", "dop853", "radau", "bdf", "lsoda", "dopri5", "vode", "tsit5", "odeint"))

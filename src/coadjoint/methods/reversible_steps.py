@@ -18,8 +18,7 @@ from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
-from coadjoint.methods.protocol.composed import Wrapper, check_base
-from coadjoint.methods.protocol.cost_model import Work
+from coadjoint.methods.protocol.composed import Wrapper, check_base, of
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.splitting import Splitting
@@ -94,6 +93,8 @@ class ReversibleSteps(Wrapper):
 
     symmetric = False
     compensates = False
+    fixed_steps = of("base")
+    work = of("base.work")
 
     def __post_init__(self) -> None:
         check_base(self.base, "ReversibleSteps", "Splitting(order=2)")
@@ -140,16 +141,17 @@ class ReversibleSteps(Wrapper):
         self._speed(system)
         return replace(declared, poisson=False, reversible=True)
 
-    def _speed(self, system: System) -> Speed:
-        return speed_of(system, self.speed)
+    def _speed(self, system: System) -> Any:
+        """Return the polynomial that is the speed, or the quadratic form of grad H of which it is the square root."""
+        return _square_of_generators(system) if self.speed is None else _speed_of_system(system, self.speed)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
         """Return the loop with variable steps around the loop of the base."""
         # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
-        inner, speed = self.base.loop(system, math.copysign(1.0, h), representation), self._speed(system)
+        inner = self.base.loop(system, math.copysign(1.0, h), representation)
         integers, keepalive = inner_loop_integers(inner, system, representation)
-        speed_table = invariants_table([("the speed", speed.given)], system.dim)
-        step = f"reversible_{speed.kind}"
+        speed_table = invariants_table([("the speed", self._speed(system))], system.dim)
+        step = f"reversible_{'generator' if self.speed is None else 'given'}"
         tables = named_step_tables(system, step, speed_table, integers, representation, keepalive, [self.stride])
         return loop_over(STEP_LOOP, tables, referenced={INNER_LOOP_INDEX: inner})
 
@@ -159,7 +161,7 @@ class ReversibleSteps(Wrapper):
         speed, y, elapsed = self._speed(system), np.asarray(x), 0 * h
         rho = None
         for _ in range(MAX_STEPS):
-            length, rho = self._length(speed, y, t, h, rho)
+            length, rho = self._length(system, speed, y, t, h, rho)
             remaining = h - elapsed
             if abs(remaining.real) <= abs(length.real):
                 return np.asarray(self.base.step(system, y, t + elapsed, remaining)) if remaining != 0 else y
@@ -174,17 +176,20 @@ class ReversibleSteps(Wrapper):
             residual=0.0,
         )
 
-    @property
-    def fixed_steps(self) -> Method:
-        """The base."""
-        return self.base
-
     def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
-        return self._length(self._speed(system), x, 0.0, h, memory)
+        return self._length(system, self._speed(system), x, 0.0, h, memory)
 
-    def _length(self, speed: Speed, x: NDArray[Any], t: Any, h: Any, rho: Any) -> tuple[Any, Any]:
+    def _length(self, system: System, speed: Any, x: NDArray[Any], t: Any, h: Any, rho: Any) -> tuple[Any, Any]:
         """Return the length of the next step from a state, and rho, from that of the step before."""
-        Q, rate = speed.at(x)
+        # The speed Q at the state, and its rate of change Q' / Q along the motion.
+        f = system.vector_field(x)
+        if self.speed is None:
+            slope, change = system.hamiltonian.gradient(x, 0.0), np.dot(system.hamiltonian.hessian(x, 0.0), f)
+            square = speed.value(slope)
+            Q, rate = square**0.5, np.dot(speed.gradient(slope), change) / (2 * square)
+        else:
+            Q = speed.value(x) if isinstance(speed, Quadratic) else speed(x)
+            rate = np.dot(speed.gradient(x), f) / Q
         rate = rate if h.real > 0 else -rate
         rho = Q + self.stride * rate / 2 if rho is None else rho + self.stride * rate
         if not (rho.real > 0 and Q.real > 0):
@@ -194,10 +199,6 @@ class ReversibleSteps(Wrapper):
     def finer(self, steps: int, times: float) -> FinerRun:
         """Return a run with a shorter stride, whose output points only sample the size of the motion."""
         return FinerRun(replace(self, stride=self.stride / times), max(steps, SIZE_SAMPLES), times**-self.order)
-
-    def work(self, system: System, group: Representation = None) -> Work:
-        """Return the work of a step of the base."""
-        return self.base.work(system, group)
 
 
 def _speed_of_terms(terms: Sequence[Any]) -> Polynomial:
@@ -211,48 +212,31 @@ def _speed_of_terms(terms: Sequence[Any]) -> Polynomial:
         ) from None
 
 
-@dataclass(frozen=True)
-class Speed:
-    """A speed of the motion of a system: the square root of a quadratic form of grad H, or a given polynomial."""
-
-    system: System
-    kind: str
-    given: Any
-
-    def at(self, x: Any) -> tuple[Any, Any]:
-        """Return the speed Q at a state of any number type, and its rate of change Q' / Q along the motion."""
-        system = self.system
-        f = system.vector_field(x)
-        if self.kind == "given":
-            Q = self.given.value(x) if isinstance(self.given, Quadratic) else self.given(x)
-            return Q, np.dot(self.given.gradient(x), f) / Q
-        slope, change = system.hamiltonian.gradient(x, 0.0), np.dot(system.hamiltonian.hessian(x, 0.0), f)
-        square = self.given.value(slope)
-        return square**0.5, np.dot(self.given.gradient(slope), change) / (2 * square)
-
-
-def speed_of(system: System, speed: Any) -> Speed:
-    """Return the speed for `ReversibleSteps`: a polynomial, or by default the root mean square size of D, x' = D x."""
+def _speed_of_system(system: System, speed: Any) -> Any:
+    """Return a given speed in the coordinates of a system."""
     if isinstance(speed, Quadratic):
-        return Speed(system, "given", speed.bind(system.dim))
-    if isinstance(speed, Polynomial):
-        if speed.dim != system.dim:
-            raise ValueError(f"speed is a polynomial in {speed.dim} coordinates, and {system.name} has {system.dim}")
-        return Speed(system, "given", speed)
+        return speed.bind(system.dim)
+    if speed.dim != system.dim:
+        raise ValueError(f"speed is a polynomial in {speed.dim} coordinates, and {system.name} has {system.dim}")
+    return speed
+
+
+def _square_of_generators(system: System) -> Quadratic:
+    """Return the mean square size of D, x' = D x, as a quadratic form of the gradient of H."""
     algebra = system.algebra
     if algebra is None:
         raise ValueError(
             f"ReversibleSteps finds the speed from a Lie algebra, which {system.name} does not have; give speed=, a "
             "Polynomial that is positive"
         )
-    square = _square_of_generators(algebra)
+    square = _mean_square_of_generators(algebra)
     if square is None:
         raise ValueError(f"all brackets of {algebra} are zero, so that every state is at rest; take any scheme")
-    return Speed(system, "generator", square)
+    return square
 
 
 @lru_cache(maxsize=64)
-def _square_of_generators(algebra: Any) -> Quadratic | None:
+def _mean_square_of_generators(algebra: Any) -> Quadratic | None:
     """Return u -> |D_u|^2 / n with D_u x = J(x) u as a quadratic form; None if all brackets are zero."""
     from scipy import sparse
 

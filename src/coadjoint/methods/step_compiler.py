@@ -22,7 +22,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from coadjoint.kernels.library import SOURCE, compiler_options, kernels, level_in_use, level_options
 from coadjoint.keyword_hints import suggest_keywords
@@ -68,19 +67,12 @@ class CompiledSource:
         return ctypes.cast(getattr(library, f"{self.name}_step"), ctypes.c_void_p).value or 0
 
 
-class _Compiled(NamedTuple):
-    """The last compilation of a file: its dependencies, and its digest."""
-
-    settings: object
-    stamps: dict[bytes, Stamp]
-    digest: str
-
-
 _LOADED: dict[str, ctypes.CDLL] = {}
 """Libraries in use by digest of all inputs of the machine code; never unloaded."""
 _LIBRARIES: dict[tuple[str, str], ctypes.CDLL] = {}
 """The same libraries by path and digest of a step."""
-_LAST_COMPILATIONS: dict[str, _Compiled] = {}
+_LAST_COMPILATIONS: dict[str, tuple[object, dict[bytes, Stamp], str]] = {}
+"""Of each file the settings of the last compilation, the stamps of all that it has read, and its digest."""
 
 
 @suggest_keywords
@@ -137,9 +129,9 @@ def _digest_of_library(source_path: str) -> str:
     kernels()  # raises first if the kernels are missing
     # Compiled for the level in use, so that the bits are the same.
     settings = level_in_use(), dict(os.environ)
-    last = _LAST_COMPILATIONS.get(source_path)
-    if last is not None and last.settings == settings and stamps_of(last.stamps) == last.stamps:
-        return last.digest
+    last_settings, stamps, digest = _LAST_COMPILATIONS.get(source_path, (None, {}, ""))
+    if last_settings == settings and stamps_of(stamps) == stamps:
+        return digest
     compiler = _compiler()
     executable = os.fsencode(shutil.which(compiler[0]) or compiler[0])
     command = [*compiler, *compiler_options(level_options(settings[0])), "-DCOADJOINT_APART"]
@@ -151,19 +143,19 @@ def _digest_of_library(source_path: str) -> str:
     preprocessed = _run([*command, "-E", "-v", source_path], source_path)
     if preprocessed.returncode != 0:
         raise _compiler_error(compiler, source_path, preprocessed)
-    source = PreprocessedSource.read(preprocessed.stdout, preprocessed.stderr)
-    dependencies = source.dependencies()
+    # Lines of Windows end in another way.
+    text, messages = (output.replace(b"\r\n", b"\n") for output in (preprocessed.stdout, preprocessed.stderr))
+    files = files_of(text)
+    dependencies = dependencies_of(files, messages)
     stamps = stamps_of([*dependencies, executable])
     identity = [command, version, os.fsdecode(executable), (stamps[executable] or ())[2:4]]
-    key = hashlib.sha256(json.dumps(identity).encode() + source.text).hexdigest()
+    key = hashlib.sha256(json.dumps(identity).encode() + text).hexdigest()
     if key not in _LOADED:
-        _LOADED[key] = _load(
-            f"{Path(source_path).stem[:40]}-{key[:32]}", source_path, partial(_build, command, source.text)
-        )
-    digest = source.digest([word for word in compiler if word.startswith("-")])
+        _LOADED[key] = _load(f"{Path(source_path).stem[:40]}-{key[:32]}", source_path, partial(_build, command, text))
+    digest = digest_of(files, [word for word in compiler if word.startswith("-")])
     _LIBRARIES[source_path, digest] = _LOADED[key]
     if dependencies and stamps_are_final(stamps):
-        _LAST_COMPILATIONS[source_path] = _Compiled(settings, stamps, digest)
+        _LAST_COMPILATIONS[source_path] = settings, stamps, digest
     return digest
 
 
@@ -234,49 +226,43 @@ def _compiler() -> list[str]:
     return [compiler]
 
 
-class PreprocessedSource(NamedTuple):
-    """Preprocessed `text`, its source `files` (name -> whether a system header), and the `folders` of headers."""
+def files_of(text: bytes) -> dict[bytes, bool]:
+    """Return the source files of a preprocessed text, and whether each is a system header."""
+    files: dict[bytes, bool] = {}
+    for name, flags in LINE_MARKER.findall(text):
+        if not name.startswith(b"<"):
+            files.setdefault(re.sub(rb"\\(.)", rb"\1", name), SYSTEM_HEADER in flags.split())
+    return files
 
-    text: bytes
-    files: dict[bytes, bool]
-    folders: list[bytes]
 
-    @classmethod
-    def read(cls, text: bytes, messages: bytes) -> PreprocessedSource:
-        """Return the source from the output of a compiler with ``-E -v``."""
-        text, messages = (output.replace(b"\r\n", b"\n") for output in (text, messages))  # of Windows
-        files: dict[bytes, bool] = {}
-        for name, flags in LINE_MARKER.findall(text):
-            if not name.startswith(b"<"):
-                files.setdefault(re.sub(rb"\\(.)", rb"\1", name), SYSTEM_HEADER in flags.split())
-        listed = SEARCH_FOLDERS.search(messages)
-        searched = re.findall(rb"^ (.*?)(?: \(framework directory\))?$", listed[1], re.MULTILINE) if listed else []
-        return cls(text, files, [*searched, *ABSENT_FOLDER.findall(messages)] if searched else [])
+def digest_of(files: dict[bytes, bool], options: Sequence[str]) -> str:
+    """Return a digest of the user's files and options, independent of the compiler."""
+    digest = hashlib.sha256(json.dumps(list(options)).encode())
+    for name, system in files.items():
+        if not system and not name.startswith(os.fsencode(SOURCE)):
+            try:
+                content = Path(os.fsdecode(name)).read_bytes()
+            except OSError:  # a name from a #line directive, not a file
+                continue
+            digest.update(hashlib.sha256(content).digest())
+    return digest.hexdigest()
 
-    def digest(self, options: Sequence[str]) -> str:
-        """Return a digest of the user's files and options, independent of the compiler."""
-        digest = hashlib.sha256(json.dumps(list(options)).encode())
-        for name, system in self.files.items():
-            if not system and not name.startswith(os.fsencode(SOURCE)):
-                try:
-                    content = Path(os.fsdecode(name)).read_bytes()
-                except OSError:  # a name from a #line directive, not a file
-                    continue
-                digest.update(hashlib.sha256(content).digest())
-        return digest.hexdigest()
 
-    def dependencies(self) -> set[bytes]:
-        """Return the files, and the folders in which a new header would shadow an included one; empty if unknown."""
-        if not self.folders:
-            return set()
-        folders = {*self.folders, *(os.path.dirname(name) for name, system in self.files.items() if not system)}
-        subfolders = {
-            os.path.dirname(name[len(folder) + 1 :])
-            for name in self.files
-            for folder in folders
-            if name.startswith(folder + b"/")
-        }
-        return {*self.files, *(_existing(os.path.join(folder, name)) for folder in folders for name in subfolders)}
+def dependencies_of(files: dict[bytes, bool], messages: bytes) -> set[bytes]:
+    """Return the files, and the folders in which a new header would shadow an included one; empty if unknown."""
+    listed = SEARCH_FOLDERS.search(messages)
+    searched = re.findall(rb"^ (.*?)(?: \(framework directory\))?$", listed[1], re.MULTILINE) if listed else []
+    if not searched:
+        return set()
+    of_user = (os.path.dirname(name) for name, system in files.items() if not system)
+    folders = {*searched, *ABSENT_FOLDER.findall(messages), *of_user}
+    subfolders = {
+        os.path.dirname(name[len(folder) + 1 :])
+        for name in files
+        for folder in folders
+        if name.startswith(folder + b"/")
+    }
+    return {*files, *(_existing(os.path.join(folder, name)) for folder in folders for name in subfolders)}
 
 
 def _existing(folder: bytes) -> bytes:

@@ -279,7 +279,7 @@ class Taylor(CompiledStepMethod):
             return self._advanced(system, point, number, t, h)
         terms = expand(system.vector_field, point.astype(object), number(h), self.order)
         end = np.asarray(point + np.add.reduce(terms[::-1]), dtype=point.dtype)
-        return project(restored_invariants(system), point, end, number, float(t)).y if self.projected else end
+        return project(restored_invariants(system), point, end, number, float(t))[0] if self.projected else end
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative."""
@@ -308,7 +308,7 @@ class Taylor(CompiledStepMethod):
 
         def to_level_set(z: NDArray[Any]) -> NDArray[Any]:
             end = np.asarray(z, dtype=x.dtype)
-            return project(invariants, x, end, number, float(t)).y.astype(object) if self.projected else z
+            return project(invariants, x, end, number, float(t))[0].astype(object) if self.projected else z
 
         assert self.tolerance is not None
         start = x.astype(object)

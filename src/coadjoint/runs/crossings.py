@@ -19,9 +19,8 @@ from coadjoint.short_repr import distinct, short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
-from coadjoint.systems.user_functions import takes_time
+from coadjoint.systems.user_functions import with_time
 from coadjoint.validation import is_integer, read_choice, read_integer
 
 Floats = NDArray[np.float64]
@@ -238,11 +237,18 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
         return Quadratic(0.0, linear=np.eye(1, n, number)[0])
     if isinstance(g, Polynomial | Quadratic):
         return g
-    timed, start = takes_time(g, name), plain_system.states_of(x0) if matrices else x0
-    value = g(start.copy(), t0) if timed else g(start.copy())
+    function, start = with_time(g, name), plain_system.states_of(x0) if matrices else x0
+    value = function(start.copy(), t0)
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
         raise TypeError(f"the event {name} returns {short(value)} at the start; it must return one real number")
-    return Invariant(MatrixEventFunction(g, plain_system, timed) if matrices else g)
+    if not matrices:
+        return Invariant(g)
+
+    def of_row(x: Floats, t: float = 0.0) -> float:
+        return float(function(plain_system.states_of(x), t))
+
+    of_row.called_in_python = True  # type: ignore[attr-defined]
+    return Invariant(of_row)
 
 
 def coordinate_of(g: Any, name: str, coordinates: Sequence[str], n: int) -> int | None:
@@ -257,19 +263,6 @@ def coordinate_of(g: Any, name: str, coordinates: Sequence[str], n: int) -> int 
             f"co.Polynomial({short(g)}, basis={short(tuple(coordinates), 200)})"
         )
     return coordinates.index(read_choice(g, "coordinate", coordinates))
-
-
-class MatrixEventFunction:
-    """A user's function of matrices as a function of a state row (n,), called in Python."""
-
-    called_in_python = True
-
-    def __init__(self, function: Callable[..., Any], system: MatrixSystem, timed: bool) -> None:
-        self._function, self._system, self._timed = function, system, timed
-
-    def __call__(self, x: Any, t: float = 0.0) -> float:
-        W = self._system.states_of(x)
-        return float(self._function(W, t) if self._timed else self._function(W))
 
 
 def roots(values: Values, before: Floats, after: Floats, resolution: Floats) -> Floats:

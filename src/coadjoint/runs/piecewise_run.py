@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
 from coadjoint.runs.preparation import Preparation
-from coadjoint.runs.progress import progress_bar
+from coadjoint.runs.progress import paced, progress_bar
 from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
@@ -130,7 +130,7 @@ class PiecewiseRun:
                     raise
                 bar(target - first)
                 now = time.perf_counter()
-                stretch = max(1, min(int((target - first) / max(now - began, 1e-6) * STRETCH_SECONDS), 4 * stretch))
+                stretch = paced(target - first, now - began, STRETCH_SECONDS, 4 * stretch)
                 if target == self.reach or now - when > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
                     sink.take(self)
                     self.release_points()

@@ -50,6 +50,12 @@ def _is_terminal() -> bool:
         return False
 
 
+def paced(taken: int, seconds: float, interval: float, most: int) -> int:
+    """Return how many steps take about an interval (s), from 1 to `most`, if `taken` have taken so many seconds."""
+    # The clock may not have advanced.
+    return max(1, min(int(taken / max(seconds, 1e-6) * interval), most))
+
+
 class _Lines:
     """Progress lines for a log, without control characters."""
 

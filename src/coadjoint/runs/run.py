@@ -21,7 +21,7 @@ from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.plan import Plan
-from coadjoint.runs.progress import progress_bar
+from coadjoint.runs.progress import paced, progress_bar
 from coadjoint.runs.results.memory_solution import solution_of_run
 from coadjoint.runs.results.observables import Observed
 from coadjoint.runs.results.solution import Solution
@@ -165,10 +165,9 @@ class Run:
             target = min(last, done + chunk)
             before = time.perf_counter()
             failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops, self.plan.workers)
-            # Steps per second; the clock may not have advanced.
-            pace = (target - done) / max(time.perf_counter() - before, 1e-6)
+            chunk = paced(target - done, time.perf_counter() - before, SECONDS_BETWEEN_UPDATES, 1000 * chunk)
             bar(target - done)
-            chunk, done = max(1, min(int(pace * SECONDS_BETWEEN_UPDATES), 1000 * chunk)), target
+            done = target
             if done == last or failed_count == sum(member_batch.count for member_batch in member_batches):
                 return failed_count
 

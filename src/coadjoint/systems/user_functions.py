@@ -160,6 +160,11 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
     return count == 2
 
 
+def with_time(function: Callable[..., Any], name: str) -> Callable[..., Any]:
+    """Return a function of (x) or (x, t) as one of (x, t)."""
+    return function if takes_time(function, name) else lambda x, t: function(x)
+
+
 def callable_from_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a Python function that compiled functions can call, compiled by Numba; without Numba unchanged."""
     if not (installed("numba") and inspect.isfunction(function)):

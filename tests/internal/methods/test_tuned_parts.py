@@ -8,7 +8,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.methods.numerics.short_orbit import rate_at, short_orbit
-from coadjoint.methods.numerics.tuned_parts import PartOrderErrors
+from coadjoint.methods.numerics.tuned_parts import propagated_brackets
 from coadjoint.program.modified_energy.modified_series import leading_term
 from coadjoint.program.modified_energy.second_order import (
     bracket_gradients,
@@ -89,9 +89,8 @@ def test_the_predicted_error_is_the_measured_one(name):
     start = np.random.default_rng(4).standard_normal(system.dim)
     orbit = short_orbit(co.Splitting(order=6), system, start, steps=96)
     parts = decompose(system, "auto")
-    errors = PartOrderErrors(system, parts.parts, [orbit])
     order = tuple(range(len(parts.parts)))
-    predicted = errors.along(order)[0]
+    predicted = propagated_brackets(system, parts.parts, [orbit])[0] @ order_weights(order).ravel()
     chosen, count = co.Splitting(parts=parts.choice), len(orbit.points) - 1
     relative = []
     for finer in (8, 16):

@@ -311,8 +311,8 @@ def _differences(subject: Subject, x: Floats, h: float) -> tuple[str, Floats]:
         return subject.run(np.asarray(y, dtype=np.float64), h, 1).x[-1]
 
     norm = subject.norm
-    result = derivative_of(norm.function(step), norm.scaled(x))
-    return result.by, norm.unscaled_matrix(result.derivative)
+    _, derivative, by = derivative_of(norm.function(step), norm.scaled(x))
+    return by, norm.unscaled_matrix(derivative)
 
 
 def _multiprecision_differences(subject: Subject, x: Floats, h: float) -> Floats | None:

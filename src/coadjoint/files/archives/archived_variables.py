@@ -40,7 +40,8 @@ class ArchivedArray(BackendArray):
             for index, size, several in zip(key, self.shape, is_slice, strict=True)
         ]
         if not all(ranges):
-            return np.zeros([len(chosen) for chosen, several in zip(ranges, is_slice, strict=True) if several], self.dtype)
+            lengths = [len(chosen) for chosen, several in zip(ranges, is_slice, strict=True) if several]
+            return np.zeros(lengths, self.dtype)
         values = self._along_axes(ranges) if self._lengths else self._along_members(ranges)
         return np.asarray(values[tuple(slice(None) if several else 0 for several in is_slice)])
 

@@ -7,7 +7,7 @@ import functools
 import math
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,8 @@ UNIT_SPACING = 2.0**-52  # of float64 between 1 and 2, on which mu is rounded so
 MAX_DECIMAL_STAGES = 24  # up to this number of stages, sums in decimals are faster than the import of flint
 
 
-class Collocation(NamedTuple):
-    """Nodes c_i and weights b_i, shape (s,), and mu_ij = a_ij / b_j, shape (s, s)."""
-
-    nodes: NDArray[Any]
-    weights: NDArray[Any]
-    mu: NDArray[Any]
+Collocation = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+"""Nodes c_i and weights b_i, shape (s,), and mu_ij = a_ij / b_j, shape (s, s)."""
 
 
 def _legendre(degree: int, z: Any) -> list[Any]:
@@ -66,11 +62,7 @@ def _collocation(roots: Sequence[Any]) -> Collocation:
         for j in range(s):
             terms = (values[j][k] * (values[i][k + 1] - values[i][k - 1]) for k in range(1, s))
             mu[i, j] = (1 + roots[i] + sum(terms)) / 2
-    return Collocation(nodes, weights, mu)
-
-
-def _rounded(exact: Collocation) -> Collocation:
-    return Collocation(*(np.array(part, dtype=np.float64) for part in exact))
+    return nodes, weights, mu
 
 
 def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -95,19 +87,19 @@ def _in_integers(roots: Sequence[decimal.Decimal]) -> Collocation:
         weights[i] = 1 / sum((2 * k + 1) * values[i][k] ** 2 for k in range(s))
         for j in range(s):
             mu[i, j] = (1 + roots[i] + decimal.Decimal(int(sums[i, j])).scaleb(-2 * DIGITS)) / 2
-    return Collocation(nodes, weights, mu)
+    return nodes, weights, mu
 
 
 @functools.lru_cache(maxsize=64)
 def _in_floats(stages: int, radau: bool) -> Collocation:
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = (_radau_roots if radau else _gauss_roots)(stages, decimal.Decimal)
-        result = _rounded(_collocation(roots) if stages <= MAX_DECIMAL_STAGES else _in_integers(roots))
-    if not radau:
-        result = result._replace(mu=_symmetric(result.mu))
-    for part in result:
+        exact = _collocation(roots) if stages <= MAX_DECIMAL_STAGES else _in_integers(roots)
+        nodes, weights, mu = (np.array(part, dtype=np.float64) for part in exact)
+    mu = mu if radau else _symmetric(mu)
+    for part in (nodes, weights, mu):
         part.flags.writeable = False
-    return result
+    return nodes, weights, mu
 
 
 def _refuse_fractions(stages: int, number: Number) -> None:

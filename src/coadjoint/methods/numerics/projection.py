@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,15 +17,6 @@ from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamil
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.system import System
-
-
-class OnLevelSet(NamedTuple):
-    """A projected state y = z + directions^T multipliers, and the invariants used."""
-
-    y: NDArray[Any]
-    invariants: list[HamiltonianLike]
-    directions: NDArray[Any]
-    multipliers: NDArray[Any]
 
 
 def polynomial_casimirs(system: System) -> dict[str, Any]:
@@ -52,22 +43,23 @@ def project_with_tangent(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Return the projected state y and dy/dx, for a state z with dz/dx and the invariants at x."""
     # From y = z + G(z)^T lambda: dy = (1 + sum lambda_a C_a''(z)) dz + G(z)^T dlambda and G(y) dy = G(x) dx.
-    projected = project(restored_invariants(system), x, z, float, time)
+    invariants = restored_invariants(system)
+    y, multipliers = project(invariants, x, z, float, time)
+    used = [invariants[number] for number in multipliers]
     corrected = dz + sum(
-        multiplier * (C.hessian(z) @ dz)
-        for C, multiplier in zip(projected.invariants, projected.multipliers, strict=True)
+        multiplier * (C.hessian(z) @ dz) for C, multiplier in zip(used, multipliers.values(), strict=True)
     )
-    before, after = (np.array([C.gradient(point) for C in projected.invariants]) for point in (x, projected.y))
-    multiplier_changes = linear_solve(after @ projected.directions.T, before - after @ corrected)
-    return projected.y, corrected + projected.directions.T @ multiplier_changes
+    before, directions, after = (np.array([array_of(float, C.gradient(point)) for C in used]) for point in (x, z, y))
+    multiplier_changes = linear_solve(after @ directions.T, before - after @ corrected)
+    return y, corrected + directions.T @ multiplier_changes
 
 
 def project(
     invariants: Sequence[HamiltonianLike], x: NDArray[Any], z: NDArray[Any], number: Number, time: float
-) -> OnLevelSet:
-    """Return y = z + G(z)^T lambda, where the invariants have their values at x; `time` is for messages."""
+) -> tuple[NDArray[Any], dict[int, Any]]:
+    """Return y = z + G(z)^T lambda, where the invariants have their values at x, and lambda by their numbers."""
+    # `time` is for messages.
     # Linearly dependent gradients add no direction: restoring the other invariants restores these too.
-
     exact, stagnant = limit("PROJECTION_EXACT"), limit("PROJECTION_STAGNANT")
     unit = roundoff(number)
     if unit == 0:
@@ -86,7 +78,7 @@ def project(
         residual = float(max(abs(defects)))
         allowed = exact * (stagnant if residual >= 0.5 * before else 1)
         if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
-            return OnLevelSet(y, [invariants[a] for a in free], directions, multipliers)
+            return y, dict(zip(free, multipliers, strict=True))
         if not residual - residual == 0:
             break
         change = linear_solve(directions @ directions.T, defects[free][:, None])[:, 0]

@@ -50,11 +50,10 @@ def tuned_parts(system: LiePoissonSystem, scheme: Callable[[Any], FlowMethod], s
         return best_decomposition(system, np.concatenate([orbit.points for orbit in orbits])).choice
     ranked: list[tuple[float, ChosenParts]] = []
     for shift, parts in candidates(system):
-        errors = PartOrderErrors(system, parts, orbits)
         natural = automatic.order if shift == automatic.shift else tuple(range(len(parts)))
-        error_by_order: dict[tuple[int, ...], float] = {}
-        smallest_order(natural, partial(_cached_sizes, errors, error_by_order))
-        ranked += [(size, ChosenParts(order, shift)) for order, size in error_by_order.items()]
+        sizes: dict[tuple[int, ...], float] = {}
+        smallest_order(natural, partial(_sizes_of_orders, propagated_brackets(system, parts, orbits), orbits, sizes))
+        ranked += [(size, ChosenParts(order, shift)) for order, size in sizes.items()]
     ranked.sort(key=lambda pair: (pair[0], pair[1] != automatic))
     if method.order == 2 or _monomials(system, method.order) > MAX_MONOMIALS:
         return _best_choice(ranked, automatic)
@@ -68,13 +67,6 @@ def _monomials(system: LiePoissonSystem, order: int) -> float:
     return np.inf if H is None else comb(system.dim + (order + 1) * (H.degree - 1) + 1, system.dim)
 
 
-def _cached_sizes(
-    errors: PartOrderErrors, cache: dict[tuple[int, ...], float], orders: Sequence[tuple[int, ...]]
-) -> list[float]:
-    cache.update(zip(orders, errors.sizes(orders), strict=True))
-    return [cache[order] for order in orders]
-
-
 def _best_choice(sizes: Sequence[tuple[float, ChosenParts]], automatic: ChosenParts) -> ChosenParts:
     """Return the choice with the smallest error; the automatic one unless another is clearly better."""
     least, best = min(sizes, key=lambda pair: pair[0])
@@ -84,7 +76,7 @@ def _best_choice(sizes: Sequence[tuple[float, ChosenParts]], automatic: ChosenPa
 
 
 def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Sequence[ShortOrbit]) -> float:
-    """Return the error of a scheme, divided by h^order; see `PartOrderErrors.sizes`."""
+    """Return the error of a scheme, divided by h^order; as those of orders of the parts."""
     term = leading_term(system, method, method.order)
     total = 0.0
     for orbit in orbits:
@@ -96,37 +88,34 @@ def _error_of_scheme(system: LiePoissonSystem, method: FlowMethod, orbits: Seque
     return float(np.sqrt(total / len(orbits)))
 
 
-class PartOrderErrors:
-    """Errors of each bracket of the h^2 term along orbits; the error of any order of the parts is their combination."""
+def propagated_brackets(system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> list[Floats]:
+    """Return the errors (k + 1, n, brackets) along each orbit that each bracket of the h^2 term causes."""
+    found = []
+    for orbit in orbits:
+        slopes = np.moveaxis(bracket_gradients(system.algebra, parts, orbit.points), (2, 3), (0, 1))
+        slopes = slopes.reshape(*slopes.shape[:2], -1)
+        fields = np.array([_structure_times(system, x, slope) for x, slope in zip(orbit.points, slopes, strict=True)])
+        found.append(orbit.propagated(fields))
+    return found
 
-    def __init__(self, system: LiePoissonSystem, parts: Parts, orbits: Sequence[ShortOrbit]) -> None:
-        self._propagated, self._square = [], [orbit.square for orbit in orbits]
-        for orbit in orbits:
-            slopes = np.moveaxis(bracket_gradients(system.algebra, parts, orbit.points), (2, 3), (0, 1))
-            slopes = slopes.reshape(*slopes.shape[:2], -1)
-            fields = np.array(
-                [_structure_times(system, x, slope) for x, slope in zip(orbit.points, slopes, strict=True)]
-            )
-            self._propagated.append(orbit.propagated(fields))
 
-    def sizes(self, orders: Sequence[tuple[int, ...]]) -> list[float]:
-        """Return the largest error relative to x for several orders of the parts, root mean square over the orbits."""
-        weights = np.array([order_weights(order).ravel() for order in orders])
-        total = np.zeros(len(orders))
-        for propagated, square in zip(self._propagated, self._square, strict=True):
-            squares = np.zeros((len(propagated), len(orders)))
-            for i in range(propagated.shape[1]):
-                squares += _summed(propagated[:, i], weights) ** 2
-            total += np.max(squares, axis=0) / square
-        return np.sqrt(total / len(self._propagated)).tolist()
-
-    def along(self, order: tuple[int, ...]) -> list[Floats]:
-        """Return the error of one order at the points of each orbit, (k + 1, n), divided by h^2."""
-        weights = order_weights(order).ravel()[None]
-        return [
-            np.stack([_summed(propagated[:, i], weights)[:, 0] for i in range(propagated.shape[1])], axis=1)
-            for propagated in self._propagated
-        ]
+def _sizes_of_orders(
+    propagated: Sequence[Floats],
+    orbits: Sequence[ShortOrbit],
+    known: dict[tuple[int, ...], float],
+    orders: Sequence[tuple[int, ...]],
+) -> list[float]:
+    """Return, and add to `known`, the largest errors of orders relative to x, root mean square over the orbits."""
+    weights = np.array([order_weights(order).ravel() for order in orders])
+    total = np.zeros(len(orders))
+    for of_brackets, orbit in zip(propagated, orbits, strict=True):
+        squares = np.zeros((len(of_brackets), len(orders)))
+        for i in range(of_brackets.shape[1]):
+            squares += _summed(of_brackets[:, i], weights) ** 2
+        total += np.max(squares, axis=0) / orbit.square
+    sizes: list[float] = np.sqrt(total / len(orbits)).tolist()
+    known.update(zip(orders, sizes, strict=True))
+    return sizes
 
 
 def _summed(propagated: Floats, weights: Floats) -> Floats:

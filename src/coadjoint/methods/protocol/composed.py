@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.methods.protocol.method import Method, Representation, is_short
-from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep, joined_steps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -24,10 +24,14 @@ if TYPE_CHECKING:
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
     from coadjoint.systems.energy_derivatives import EnergyDerivative
-    from coadjoint.systems.system_stacks import SystemStack
 
 FULL_STEP = (1.0,)  # fractions of a step that is not composed
 MAX_ORDER = 12  # highest order of a composition that is tested, unless that of the base is higher
+
+
+def of(path: str) -> Any:
+    """Return a property that is an attribute or a method of another scheme, such as "base.order"."""
+    return property(attrgetter(path), doc=f"That of `{path.partition('.')[0]}`.")
 
 
 class Wrapper(Method):
@@ -35,35 +39,14 @@ class Wrapper(Method):
 
     base: Method
 
-    @property
-    def order(self) -> int:
-        """That of the base."""
-        return self.base.order
-
-    @property
-    def explicit(self) -> bool:
-        """As for the base."""
-        return self.base.explicit
-
-    @property
-    def symmetric(self) -> bool:
-        """As for the base."""
-        return self.base.symmetric
-
-    @property
-    def compensates(self) -> bool:  # type: ignore[override]
-        """As for the base."""
-        return self.base.compensates
-
-    @property
-    def failures(self) -> Mapping[str, str]:  # type: ignore[override]
-        """Those of the base."""
-        return self.base.failures
-
-    @property
-    def largest(self) -> float:  # type: ignore[override]
-        """As for the base."""
-        return self.base.largest
+    order = of("base.order")
+    explicit = of("base.explicit")
+    symmetric = of("base.symmetric")
+    compensates = of("base.compensates")
+    failures = of("base.failures")
+    largest = of("base.largest")
+    _counted = of("base._counted")
+    split_jointly = of("base.split_jointly")
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return the way of the base, if this scheme does not leave it to the default."""
@@ -74,10 +57,6 @@ class Wrapper(Method):
         """Return the scheme around the base with its choices fixed."""
         base = self.base.settled(system, coordinates)
         return self if base is self.base else self._around(base)
-
-    def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
-        """As for the base."""
-        return self.base.split_jointly(systems)
 
     def _around(self, base: Method) -> Method:
         changed: Method = replace(self, base=base)  # type: ignore[type-var]
@@ -93,6 +72,8 @@ class Composed(Wrapper):
 
     base: Method
     coefficients: tuple[float, ...]
+
+    properties = of("base.properties")
 
     @property
     def order(self) -> int:
@@ -114,10 +95,6 @@ class Composed(Wrapper):
         """The error of the base or of the fractions, whichever is larger; short fractions are exact."""
         fraction_error = 0.0 if all(map(is_short, self.coefficients)) else UNIT_ROUNDOFF
         return max(fraction_error, self.base.known_to)
-
-    def properties(self, system: System) -> Properties:
-        """Return the properties of the base, which a composition shares."""
-        return self.base.properties(system)
 
     def with_compensation(self) -> Method | None:
         """Return the composition of the base with compensated sums."""
@@ -222,6 +199,10 @@ class Substeps(Composed):
     base: SubstepMethod
     coefficients: tuple[float, ...]
 
+    differentiable = of("base.differentiable")
+    restored = of("base.restored")
+    took_newton = of("base.took_newton")
+
     def composed(self, coefficients: Sequence[float]) -> Method:
         """Return substeps with the products of both sets of fractions."""
         return Substeps(self.base, tuple(c * f for c in coefficients for f in self.coefficients))
@@ -233,11 +214,6 @@ class Substeps(Composed):
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
         """Return the loop of the base with these substeps."""
         return self.base.tangent_loop_of_substeps(system, h, frame, self.coefficients)
-
-    @property
-    def differentiable(self) -> bool:
-        """As for the base."""
-        return self.base.differentiable
 
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
@@ -273,11 +249,3 @@ class Substeps(Composed):
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.base.work_of_substeps(system, group, len(self.coefficients))
-
-    def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the restored invariants of the base."""
-        return self.base.restored(system)
-
-    def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """As for the base."""
-        return self.base.took_newton(memory)

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.structures import unrecorded
-from coadjoint.methods.protocol.composed import Composed, Wrapper
+from coadjoint.methods.protocol.composed import Composed, Wrapper, of
 from coadjoint.methods.protocol.method import Method, Representation, is_short
-from coadjoint.methods.protocol.properties import Properties
 from coadjoint.program.generators import NotSplittable
 from coadjoint.program.numbers import Number, precision_of
 from coadjoint.program.parts.decompose import (
@@ -244,39 +243,18 @@ def _sets_of_coordinates(parts: Any) -> tuple[tuple[int, ...], ...]:
     return sets
 
 
-class FlowsOfBase(Wrapper, FlowMethod):
-    """A flow method with the parts of another one."""
-
-    base: FlowMethod
-
-    @property
-    def parts(self) -> Any:
-        """Those of the base."""
-        return self.base.parts
-
-    @property
-    def compensated(self) -> bool | None:
-        """As for the base."""
-        return self.base.compensated
-
-    @property
-    def rotation(self) -> str:
-        """As for the base."""
-        return self.base.rotation
-
-    def with_compensation(self) -> Method | None:
-        """Return the flows of the base with compensated sums."""
-        return self._with_compensated_base()
-
-
 @dataclass(frozen=True)
-class ComposedFlows(Composed, FlowsOfBase):
+class ComposedFlows(Composed, FlowMethod):
     """The flows of all substeps, as one table."""
 
     offered = False
 
     base: FlowMethod
     coefficients: tuple[float, ...]
+
+    parts = of("base.parts")
+    compensated = of("base.compensated")
+    rotation = of("base.rotation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the base, scaled and shifted."""
@@ -292,7 +270,7 @@ class ComposedFlows(Composed, FlowsOfBase):
 
 
 @dataclass(frozen=True)
-class PairOfFlows(FlowsOfBase):
+class PairOfFlows(Wrapper, FlowMethod):
     """The sweeps of a scheme over half a step, then in reverse over the other half."""
 
     offered = False
@@ -300,6 +278,11 @@ class PairOfFlows(FlowsOfBase):
     symmetric = True
 
     base: FlowMethod
+
+    parts = of("base.parts")
+    compensated = of("base.compensated")
+    rotation = of("base.rotation")
+    properties = of("base.properties")
 
     def __post_init__(self) -> None:
         if len(self.base.processor()):
@@ -310,9 +293,9 @@ class PairOfFlows(FlowsOfBase):
         """The order of the base, rounded up to an even number."""
         return self.base.order + self.base.order % 2
 
-    def properties(self, system: System) -> Properties:
-        """Return the properties of the base."""
-        return self.base.properties(system)
+    def with_compensation(self) -> Method | None:
+        """Return the flows of the base with compensated sums."""
+        return self._with_compensated_base()
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
         """Return the sweeps of the base and their mirror images; times are mirrored too."""

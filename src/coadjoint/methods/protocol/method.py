@@ -78,6 +78,9 @@ class Method(metaclass=ExplainedCalls):
     compensates: ClassVar[bool] = True
     """Whether the momentum is updated by compensated sums."""
 
+    _counted: ClassVar[bool] = True
+    """Whether `work` counts the operations of a step; otherwise it is only an estimate, and `choose` times steps."""
+
     def __str__(self) -> str:
         """Return the scheme with its non-default parameters, and its order or stages."""
         if not is_dataclass(self):
@@ -235,14 +238,13 @@ class Method(metaclass=ExplainedCalls):
         IntegrationError
             The iteration of an implicit scheme does not converge.
         """
-        result = derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))
-        return result.value, result.derivative
+        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))[:2]
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
         """Return how `tangent` is computed: by "formula", "complex step" or "differences", with about nine digits."""
         if type(self).tangent is not Method.tangent:
             return "formula"
-        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64)).by
+        return derivative_of(lambda y: self.step(system, y, t, h), np.asarray(x, dtype=np.float64))[2]
 
     def tangent_on(self, system: System, x: Any, t: float, h: float, vectors: NDArray[Any]) -> NDArray[Any]:
         """Return the derivative of a step applied to tangent vectors (n, k)."""

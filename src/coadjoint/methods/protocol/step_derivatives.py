@@ -19,16 +19,8 @@ DIFFERENCE_STEP = 2.0**-17
 AGREEMENT = 2.0**-20
 
 
-class Derivative(NamedTuple):
-    """Value and derivative of a function at a point, and the way it was computed: "complex step" or "differences"."""
-
-    value: NDArray[np.float64]
-    derivative: NDArray[np.float64]
-    by: str
-
-
-def derivative_of(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64]) -> Derivative:
-    """Return a function (n,) -> (n,) at x with its derivative, by complex steps or else by central differences."""
+def derivative_of(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64]) -> tuple[Floats, Floats, str]:
+    """Return a function (n,) -> (n,) at x, its derivative, and how: by a "complex step", or else by "differences"."""
     # A complex step, exact for analytic functions, is compared with a difference in one direction.
     value = np.array(function(x.copy()), dtype=np.float64)
     exact = _by_complex_steps(function, x)
@@ -36,9 +28,9 @@ def derivative_of(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64
         direction = np.cos(1.0 + np.arange(len(x)))
         difference = _difference(function, x, direction)
         if np.all(np.abs(exact @ direction - difference) <= AGREEMENT * (1.0 + np.abs(exact) @ np.abs(direction))):
-            return Derivative(value, exact, "complex step")
+            return value, exact, "complex step"
     columns = [_difference(function, x, unit) for unit in np.eye(len(x))]
-    return Derivative(value, np.stack(columns, axis=1), "differences")
+    return value, np.stack(columns, axis=1), "differences"
 
 
 def _by_complex_steps(function: Callable[[NDArray[Any]], Any], x: NDArray[np.float64]) -> NDArray[np.float64] | None:

@@ -66,6 +66,10 @@ class StepMethod(SubstepMethod):
     compiles: ClassVar[bool] = True
     """Whether to compile the step by Numba; if not, each step is a Python call, without a warning."""
 
+    @property
+    def _counted(self) -> bool:  # type: ignore[override]
+        return _defines_work(self, StepMethod)
+
     @abstractmethod
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any: ...
 
@@ -123,6 +127,12 @@ class CompiledStepMethod(SubstepMethod):
         """
         return None
 
+    @property
+    def _counted(self) -> bool:  # type: ignore[override]
+        of_library = isinstance(self.compiled_step, str)
+        own_operations = type(self).operations is not CompiledStepMethod.operations
+        return of_library or own_operations or _defines_work(self, CompiledStepMethod)
+
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
@@ -133,3 +143,9 @@ class CompiledStepMethod(SubstepMethod):
         """Return the work of the operations of a step, or of its iterations."""
         operations = self.operations(system)
         return work_of_iterations(system, group) if operations is None else work_of_operations(operations, substeps)
+
+
+def _defines_work(method: SubstepMethod, family: Any) -> bool:
+    """Return whether a scheme of the user defines its work instead of that of its family."""
+    kind = type(method)
+    return kind.work is not SubstepMethod.work or kind.work_of_substeps is not family.work_of_substeps

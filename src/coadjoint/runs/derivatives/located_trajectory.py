@@ -23,7 +23,7 @@ from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.parameter_differences import NODES, WEIGHTS
-from coadjoint.systems.user_functions import takes_time
+from coadjoint.systems.user_functions import with_time
 
 Floats = NDArray[np.float64]
 
@@ -197,22 +197,23 @@ def _gradient(system: Any, g: Any, x: Floats, t: float) -> Floats:
     number = coordinate_of(g, "", coordinates_of(system), len(x))
     if number is not None:
         return np.asarray(np.eye(len(x))[number])
-    return np.asarray(derivative_of(function_of_rows(system, g, t), x).derivative[0])
+    return np.asarray(derivative_of(function_of_rows(system, g, t), x)[1][0])
 
 
 def function_of_rows(system: Any, quantity: Any, t: float) -> Callable[[NDArray[Any]], NDArray[Any]]:
     """Return a quantity at a time as a function of a row of numbers, of which matrices are projected."""
     if isinstance(quantity, Quadratic):
         quantity = quantity.bind(system.dim).value
-        time_argument: tuple[float, ...] = ()
-    else:
-        is_function = not isinstance(quantity, Polynomial | Invariant)
-        time_argument = (t,) if is_function and takes_time(quantity, "observe") else ()
+    elif not isinstance(quantity, Polynomial | Invariant):
+        function = with_time(quantity, "observe")
+
+        def quantity(state: Any) -> Any:
+            return function(state, t)
 
     def of_row(row: NDArray[Any]) -> NDArray[Any]:
         state = system.states_of(row)
         if system.has_matrices:
             state = system.algebra.projected(system.from_vector(row))
-        return np.ravel(quantity(state, *time_argument))
+        return np.ravel(quantity(state))
 
     return of_row

@@ -7,6 +7,7 @@ own steps, are differentiated each by a run of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.derivative_tables import ADDED_PART, DIFFERENCES, EXACT
-from coadjoint.runs.derivatives.backward import Cotangents, Gradient, Pullback
+from coadjoint.runs.derivatives.backward import Cotangents, Gradient, Pullback, pullback_of_run
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import Tangents, check_shape, read_mapping, tangents_of_run
 from coadjoint.runs.derivatives.located_trajectory import LocatedTrajectory
@@ -35,7 +36,7 @@ def jvp(prepared: PreparedRun, directions: Mapping[str, Any], **arguments: Any) 
 def vjp(prepared: PreparedRun, reverse: str, **arguments: Any) -> tuple[Solution, Pullback]:
     """Return the solution and a function for gradients; see `PreparedRun.vjp`."""
     given = Arguments(**arguments)
-    pullback = (PullbackOfMembers if _by_member(prepared, given) else _pullback)(prepared, given, reverse)
+    pullback = (_pullback_of_members if _by_member(prepared, given) else _pullback)(prepared, given, reverse)
     return pullback.solution, pullback
 
 
@@ -49,7 +50,7 @@ def _pullback(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback
     undone = read_choice(reverse, "reverse", REVERSES) == "reversible"
     if undone and (prepared.method.own_steps or not run.tables(prepared.step, run.parameters).reversible):
         raise TypeError(f'{prepared.method} has no steps that can be undone; take reverse="exact"')
-    return Pullback(run, _trajectory(run, given, reverse))
+    return pullback_of_run(run, _trajectory(run, given, reverse))
 
 
 def _derivatives_of(prepared: PreparedRun) -> DifferentiableRun:
@@ -174,57 +175,58 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
     return solution, tangents
 
 
-class PullbackOfMembers(Pullback):
-    """The function from cotangents of the outputs of a run of several members to a gradient."""
+def _pullback_of_members(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback:
+    """Return the function from cotangents of the outputs of a run of several members to a gradient."""
+    solution, pieces = _pieces(prepared, given)
+    pullbacks = [_pullback(piece.run, piece.given, reverse) for piece in pieces]
+    return Pullback(solution, partial(_gradient_of_members, prepared, solution, pieces, pullbacks))
 
-    def __init__(self, prepared: PreparedRun, given: Arguments, reverse: str) -> None:
-        self._prepared = prepared
-        self._solution, self._pieces = _pieces(prepared, given)
-        self._pullbacks = [_pullback(piece.run, piece.given, reverse) for piece in self._pieces]
 
-    @property
-    def solution(self) -> Solution:
-        return self._solution
+def _gradient_of_members(
+    prepared: PreparedRun,
+    solution: Solution,
+    pieces: Sequence[_Piece],
+    pullbacks: Sequence[Pullback],
+    given: Cotangents,
+) -> Gradient:
+    events = solution.events
 
-    def _of_all(self, given: Cotangents) -> Gradient:
-        solution, prepared, events = self._solution, self._prepared, self._solution.events
+    def of_piece(part: tuple[_Piece, Pullback]) -> Gradient:
+        piece, pullback = part
+        mine = None if events is None else events.member == piece.members
 
-        def of_piece(part: tuple[_Piece, Pullback]) -> Gradient:
-            piece, pullback = part
-            mine = None if events is None else events.member == piece.members
+        def at_points(series: Any) -> Any:
+            """Return the cotangents at the points of the member: zero at a crossing that has ended it."""
+            if series is None:
+                return None
+            points, crossings = len(pullback.solution.t), pullback.solution.events
+            if crossings is None or np.isnan(crossings.ends(1)[0]):
+                return series[:, piece.members]
+            # The last point of the member is its crossing, which the ensemble does not have.
+            own = series[:, piece.members]
+            return np.concatenate([own[: points - 1], np.zeros_like(own[:1])])
 
-            def at_points(series: Any) -> Any:
-                """Return the cotangents at the points of the member: zero at a crossing that has ended it."""
-                if series is None:
-                    return None
-                points, crossings = len(pullback.solution.t), pullback.solution.events
-                if crossings is None or np.isnan(crossings.ends(1)[0]):
-                    return series[:, piece.members]
-                # The last point of the member is its crossing, which the ensemble does not have.
-                own = series[:, piece.members]
-                return np.concatenate([own[: points - 1], np.zeros_like(own[:1])])
-
-            return pullback._of_all(
-                Cotangents(
-                    x=at_points(given.x),
-                    attitude=at_points(given.attitude),
-                    energy=at_points(given.energy),
-                    observed={name: at_points(one) for name, one in given.observed.items()},
-                    events={name: one[mine] for name, one in given.events.items()},
-                )
+        return pullback._gradient(
+            Cotangents(
+                x=at_points(given.x),
+                attitude=at_points(given.attitude),
+                energy=at_points(given.energy),
+                observed={name: at_points(one) for name, one in given.observed.items()},
+                events={name: one[mine] for name, one in given.events.items()},
             )
+        )
 
-        found, error = _of_each(of_piece, list(zip(self._pieces, self._pullbacks, strict=True)))
-        values = {}
-        # Members of a batch may have further parameters, or others of the same name.
-        parameters = [name for name in found[0] if name in prepared.parameters]
-        for name in [*(name for name in ("x0", "attitude0") if name in found[0]), *parameters]:
-            stacked = _beside(self._pieces, [one[name] for one in found], len(solution.x0), axis=0)
-            summed = name in parameters and not prepared.system.is_batch
-            values[name] = stacked.sum(axis=0) if summed else stacked
-        gradient = Gradient(values, _rules(found, parameters))
-        _raise(error, solution, gradient)
-        return gradient
+    found, error = _of_each(of_piece, list(zip(pieces, pullbacks, strict=True)))
+    values = {}
+    # Members of a batch may have further parameters, or others of the same name.
+    parameters = [name for name in found[0] if name in prepared.parameters]
+    for name in [*(name for name in ("x0", "attitude0") if name in found[0]), *parameters]:
+        stacked = _beside(pieces, [one[name] for one in found], len(solution.x0), axis=0)
+        summed = name in parameters and not prepared.system.is_batch
+        values[name] = stacked.sum(axis=0) if summed else stacked
+    gradient = Gradient(values, _rules(found, parameters))
+    _raise(error, solution, gradient)
+    return gradient
 
 
 def _beside(pieces: Sequence[_Piece], parts: Sequence[Any], count: int, axis: int) -> Any:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
 from coadjoint.program.generators import group_side
-from coadjoint.runs.derivatives.backward import Pullback, read_cotangents
+from coadjoint.runs.derivatives.backward import gradient_of, read_cotangents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import tangents_of_outputs
 from coadjoint.runs.partial_steps import check_partial_steps
@@ -67,7 +67,7 @@ class ParametrizedRun:
         initial = prepared.initial_attitude
         self._attitudes = initial if np.ndim(initial) == 3 else None
         self._last_run: tuple[Any, DifferentiableRun] = None, self._run
-        self._last_pullback: tuple[Any, Pullback] | None = None
+        self._last_trajectory: tuple[Any, Trajectory] | None = None
 
     def arguments(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of a call by name, in the order of the names."""
@@ -106,7 +106,7 @@ class ParametrizedRun:
     def solve(self, values: Mapping[str, Floats], for_gradient: bool) -> list[Floats]:
         """Integrate; `for_gradient` caches the trajectory for `gradients`."""
         run = self._run_at(values).prepared.run
-        solution = self._pullback(values).solution if for_gradient else run(**self._at(values).keywords)
+        solution = self._trajectory(values).solution if for_gradient else run(**self._at(values).keywords)
         return [one for one in (solution.x, solution.attitude) if one is not None]
 
     def tangents(self, values: Mapping[str, Floats], directions: Mapping[str, Floats]) -> list[Floats]:
@@ -124,11 +124,12 @@ class ParametrizedRun:
     ) -> list[Floats]:
         """Return the cotangents of values for several of the outputs, of parameters also `by_member`."""
         wanted = list(names)
-        pullback, parameters = self._pullback(values), [name for name in wanted if name in self._shapes]
+        run, trajectory = self._run_at(values), self._trajectory(values)
+        parameters = [name for name in wanted if name in self._shapes]
         found = []
         for of_x, *of_attitude in zip(*cotangents, strict=True):
-            given = read_cotangents(pullback.solution, of_x, next(iter(of_attitude), None))
-            gradient = pullback.gradient(given, parameters, by_member)
+            given = read_cotangents(trajectory.solution, of_x, next(iter(of_attitude), None))
+            gradient = gradient_of(run, trajectory, given, parameters, by_member)
             found.append([gradient[name] for name in wanted])
         return [np.array(one) for one in zip(*found, strict=True)]
 
@@ -154,15 +155,14 @@ class ParametrizedRun:
             self._last_run = key, run
         return run
 
-    def _pullback(self, values: Mapping[str, Floats]) -> Pullback:
+    def _trajectory(self, values: Mapping[str, Floats]) -> Trajectory:
         """Integrate for a gradient."""
-        key, last = _key(values), self._last_pullback
+        key, last = _key(values), self._last_trajectory
         if last is not None and last[0] == key:
             return last[1]
-        run = self._run_at(values)
-        pullback = Pullback(run, Trajectory(run, self._at(values), "exact"))
-        self._last_pullback = key, pullback
-        return pullback
+        trajectory = Trajectory(self._run_at(values), self._at(values), "exact")
+        self._last_trajectory = key, trajectory
+        return trajectory
 
 
 def _key(values: Mapping[str, Floats]) -> tuple[Any, ...]:

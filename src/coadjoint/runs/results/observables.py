@@ -19,7 +19,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
-from coadjoint.systems.user_functions import takes_time
+from coadjoint.systems.user_functions import takes_time, with_time
 from coadjoint.validation import read_number
 
 Floats = NDArray[np.float64]
@@ -63,13 +63,11 @@ class Observed:
     def _of_matrices(self, name: str, t: Floats, points: Floats) -> Floats:
         """Evaluate a Python function of a matrix at all points; NaN for failed members."""
         assert self._matrices is not None
-        function, system = self._quantities[name], self._matrices
-        timed = takes_time(function, name)
+        function, system = with_time(self._quantities[name], name), self._matrices
         values = np.full(points.shape[:2], np.nan)
         for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
             W = system.states_of(points[k, m, : system.dim].copy())
-            value = function(W, float(t[k])) if timed else function(W)
-            values[k, m] = read_number(value, f"what observe[{short(name)}] returns at t = {t[k]:g}")
+            values[k, m] = read_number(function(W, float(t[k])), f"what observe[{short(name)}] returns at t = {t[k]:g}")
         return values
 
 
