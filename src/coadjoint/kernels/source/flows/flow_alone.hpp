@@ -175,10 +175,11 @@ class LoneMember {
         return valid;
     }
 
-    void end(int64_t failed) {
+    void end(int64_t failed, int64_t status = OVERFLOWED) {
         const Arrays& arrays = loop.arrays;
         arrays.evaluations[member] += rows_applied(tables, loop.k0, failed ? failed : loop.k1);
-        if (failed) loop.overflow(member, failed, too_long);
+        if (failed && status == OVERFLOWED) loop.overflow(member, failed, too_long);
+        if (failed && status != OVERFLOWED) loop.fail(member, failed, status, std::numeric_limits<double>::quiet_NaN());
         shared_steps.begin_as_measured();
         shared_copy(momenta.at, size, arrays.momenta + member * size);
         shared_steps.end_as_measured();

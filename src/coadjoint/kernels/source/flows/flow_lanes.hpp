@@ -130,6 +130,14 @@ struct FlowLanes : RowsTarget<A, A, C> {
                                                     loop.tables.section[3], t, loop.schedule.h, angles);
     }
 
+    // To be called after the `rows` of step k: stop lanes that are not finite, and record the others.
+    INLINE void after(int64_t k, int64_t rows, const A& t, A* copies, A* scratch, AngleWorkspace<A>& angles) {
+        evaluations += rows;
+        stop_where_infinite(k, copies, scratch, angles);
+        if (k % CHECKPOINT_INTERVAL == 0) store_checkpoint(k);
+        recorder.after(k, [&](bool saving) { return finished(k, saving, t, copies, scratch, angles); });
+    }
+
     // Finish copies, including the group element if it is saved.
     NOINLINE FinishedRows<A> finished(int64_t k, bool saving, const A& t, A* copies, A* scratch,
                                       AngleWorkspace<A>& angles) {
@@ -185,13 +193,8 @@ void advance_lanes(const FlowLoop& loop, const LaneSweeps<A, C>& sweeps, const M
         sweeps.step(tables, targets, used, from, to, t, schedule.h, angles);
         int64_t left = 0;
         for (int b = 0; b < used; ++b) {
-            FlowLanes<A, C>& lane_group = *lane_groups[b];
-            lane_group.evaluations += to - from;
-            lane_group.stop_where_infinite(k, copies.at, scratch.at, angles);
-            if (k % CHECKPOINT_INTERVAL == 0) lane_group.store_checkpoint(k);
-            lane_group.recorder.after(
-                k, [&](bool saving) { return lane_group.finished(k, saving, t, copies.at, scratch.at, angles); });
-            left += lane_group.left;
+            lane_groups[b]->after(k, to - from, t, copies.at, scratch.at, angles);
+            left += lane_groups[b]->left;
         }
         if (left == 0) break;
     }

@@ -66,6 +66,23 @@ NOINLINE void angle_cotangents(const Action& action, const C& constants, uint32_
     });
 }
 
+// The change of the rotation by an angle theta over the time tau: a rational rotation by phi rotates by 2 atan(phi/2).
+template <class A, class N>
+INLINE A rate_of(double tau, const N& frequency, const A& theta) {
+    const A half = 0.5 * frequency * (tau * theta);
+    return A(tau) / fma(half, half, A(1.0));
+}
+
+// The angles of the group element for the `count` angles from `base` on, of a part with rational rotations.
+template <class A, class C>
+const A* rational_angles(const FlowTables& tables, const C& constants, int64_t base, int64_t count, double tau,
+                         AngleWorkspace<A>& workspace) {
+    for (int64_t a = 0; a < count; ++a)
+        workspace.rotated.at[a] = rational_angle(tau * workspace.theta.at[a],
+                                                 constants.template number_at<A>(tables.frequency, base + a));
+    return workspace.rotated.at;
+}
+
 // The sum over the rows of a group element: `part(first, step)` is that of the rows first, first + step, ..., which are
 // lanes, or for members as lanes as many sums, so that a member has the bits of its run alone.
 template <class A, class G, class Part>
@@ -155,66 +172,21 @@ NOINLINE void term_cotangents(const Terms& terms, const C& constants, const int6
                               const A& t, const A* of_rows, int64_t first, bool of_coefficients_only, A* cotangents,
                               const CoefficientCotangents<A>& coefficients, HessianWorkspace<A>& workspace,
                               const EntriesByColumn* by_column = nullptr) {
-    const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
-    if (terms.kind[k] == LINEAR) {
-        const bool of_x = !of_coefficients_only && !by_column;
-        const auto rows = [&](int64_t low, int64_t high) {
-            for (int64_t row = start + low; row < start + high; ++row) {
-                const A of_row = of_rows[row - first];
-                coefficients.offset[row] += of_row;
-                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry) {
-                    const uint32_t column = terms.column[entry];
-                    coefficients.weight[entry] = fma(of_row, x[column], coefficients.weight[entry]);
-                    if (of_x)
-                        cotangents[column] = fma(constants.template number_at<A>(terms.weight, entry), of_row,
-                                                 cotangents[column]);
-                }
-            }
-        };
-        of_x ? rows(0, count) : share(count, rows);
-        if (!of_coefficients_only && by_column)
-            by_column->add(cotangents,
-                           [&](uint32_t entry) { return constants.template number_at<A>(terms.weight, entry); },
-                           [&](uint32_t row) { return of_rows[row - first]; });
-    } else if (terms.kind[k] == POLYNOMIAL) {
-        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
-            const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
-            const auto product_without = [&](uint32_t one, uint32_t other) {
-                A product(1.0);
-                for (uint32_t factor = low; factor < high; ++factor)
-                    product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
-                                                 (factor == one) + (factor == other));
-                return product;
-            };
-            for (uint32_t one = low; one < high; ++one) {
-                const A of_row = of_rows[terms.factor_row[one] - first];
-                coefficients.coefficient[monomial] =
-                    fma(of_row, product_without(one, high), coefficients.coefficient[monomial]);
-                if (of_coefficients_only) continue;
-                for (uint32_t other = low; other < high; ++other) {
-                    if (one == other && terms.exponent[one] < 2) continue;
-                    A& cotangent = cotangents[terms.target[terms.factor_row[other]]];
-                    const A coefficient = constants.template number_at<A>(terms.coefficient, monomial);
-                    cotangent = fma(coefficient * product_without(one, other), of_row, cotangent);
-                }
-            }
-        }
-    } else if (of_coefficients_only) {
-        const A* change = by_coefficients(terms, constants, functions, k, x, t, workspace);
-        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
-            for (int64_t i = 0; i < count; ++i)
-                coefficients.coefficient[monomial] =
-                    fma(*change++, of_rows[start + i - first], coefficients.coefficient[monomial]);
-    } else {
-        for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
-        call_function(constants, functions, k, workspace.arguments.at, count, t, workspace.matrix.at,
-                      count * count, workspace.calls.data());
-        for (int64_t i = 0; i < count; ++i)
-            for (int64_t j = 0; j < count; ++j) {
-                A& cotangent = cotangents[terms.target[start + j]];
-                cotangent = fma(workspace.matrix.at[i * count + j], of_rows[start + i - first], cotangent);
-            }
-    }
+    if (of_coefficients_only || terms.kind[k] != FUNCTION)
+        each_coefficient(terms, constants, functions, k, x, t, workspace,
+                         [&](int64_t index, int64_t row, const A& factor) {
+                             coefficients.offset[index] = fma(of_rows[row - first], factor, coefficients.offset[index]);
+                         });
+    if (of_coefficients_only) return;
+    if (by_column)
+        return by_column->add(cotangents,
+                              [&](uint32_t entry) { return constants.template number_at<A>(terms.weight, entry); },
+                              [&](uint32_t row) { return of_rows[row - first]; });
+    each_second_derivative(terms, constants, functions, k, x, t, workspace, false,
+                           [&](int64_t row, uint32_t coordinate, const A& number, const auto& product) {
+                               cotangents[coordinate] =
+                                   fma(number * product(A(1.0)), of_rows[row - first], cotangents[coordinate]);
+                           });
 }
 
 // One term of an entry of D_a: x[to] changes by factor x[from], and if it rotates, x[from] by -factor x[to].

@@ -341,11 +341,8 @@ class RowsBackward {
         find_angles(tables, constants, part, at.x, moment, angles);
         if (simple) undo_simple(part, tau, theta, at);
         share(count, [&](int64_t first, int64_t last) {
-            for (int64_t a = first; a < last; ++a) {
-                // A rational rotation by phi rotates by 2 atan(phi/2).
-                const A half = 0.5 * number(tables.frequency, base + a) * (tau * theta[a]);
-                of_angles.at[a] *= A(tau) / fma(half, half, A(1.0));
-            }
+            for (int64_t a = first; a < last; ++a)
+                of_angles.at[a] *= rate_of(tau, number(tables.frequency, base + a), theta[a]);
         });
         const bool single = tables.only[part] >= 0;
         const A single_angle = single ? theta[0] : A(0.0);
@@ -361,11 +358,10 @@ class RowsBackward {
             undo_part(all.dual, of_x);
         }
         if (with_group && tables.bent[part]) {
-            for (int64_t a = 0; a < count; ++a)
-                angles.rotated.at[a] = rational_angle(-tau * theta[a], A(number(tables.frequency, base + a)));
+            const A* rotated = rational_angles(tables, constants, base, count, -tau, angles);
             const auto undo_bent = [&](const Action& action, const Vectors<G>& vectors) {
                 CachedRotation<A> other;
-                act<PLAIN, true>(action, constants, part, 1.0, false, single_angle, angles.rotated.at, other,
+                act<PLAIN, true>(action, constants, part, 1.0, false, single_angle, rotated, other,
                                  vectors);
             };
             undo_bent(tables.group, at.group);

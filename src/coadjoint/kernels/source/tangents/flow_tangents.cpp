@@ -15,61 +15,52 @@ static FlowLoop without_tangents(const FlowTangentLoop& loop) {
 }
 
 static void advance_member(const FlowTangentLoop& loop, int64_t member) {
-    const FlowTables& tables = loop.tables.base;
+    typedef ManyMembers Side;
+    const FlowLoop plain = without_tangents(loop);
+    const FlowTables& tables = plain.tables;
     const Schedule& schedule = loop.schedule;
-    const Arrays& arrays = loop.arrays;
-    const int64_t size = arrays.size;
+    const int64_t size = loop.arrays.size;
     TangentBundle<double, TangentLanes> bundle(loop.tables.tangents);
     bundle.begin(loop.memory_of(member), loop.k0 == 0);
     FlowTangentState<double, TangentLanes, SharedConstants> tangent_state(
         tables, SharedConstants{}, loop.tables.tangents.hessians, size, bundle.rows);
-    RecorderBySize<ManyMembers> recorder(
-        without_tangents(loop), member,
-        tables.compensated ? sweep<CORRECTED, false, ManyMembers, ManyMembers, SharedConstants>
-                           : sweep<PLAIN, false, ManyMembers, ManyMembers, SharedConstants>,
-        tables.compensated ? sweep<CORRECTED, false, double, GroupRows, SharedConstants>
-                           : sweep<PLAIN, false, double, GroupRows, SharedConstants>,
-        tables.compensated);
-    AlignedArray<double> momenta(2 * size), copies(2 * size);
-    double *x = momenta.at, *dx = momenta.at + size;
-    std::copy_n(arrays.momenta + member * size, size, x);
-    std::copy_n(arrays.errors + member * size, size, dx);
-    const int64_t work = (1 + 4 * bundle.rows) * work_of_step(without_tangents(loop));
-    int64_t failed = 0, too_long = 0, k = loop.k0 + 1;
-    tangent_state.too_long = &too_long;
+    const auto sweep_momentum = tables.compensated ? sweep<CORRECTED, false, double, GroupRows, SharedConstants>
+                                                   : sweep<PLAIN, false, double, GroupRows, SharedConstants>;
+    RecorderBySize<Side> recorder(plain, member,
+                                  tables.compensated ? sweep<CORRECTED, false, Side, Side, SharedConstants>
+                                                     : sweep<PLAIN, false, Side, Side, SharedConstants>,
+                                  sweep_momentum, tables.compensated);
+    LoneMember alone(plain, member, 2 * size, sweep_momentum);
+    const Vectors<double> momentum = alone.momentum();
+    tangent_state.too_long = momentum.too_long;
+    const int64_t work = (1 + 4 * bundle.rows) * work_of_step(plain);
+    int64_t failed = 0, k = loop.k0 + 1;
     bool parallel = false;
     const auto no_group = [](int64_t, double*) { return true; };
-    SharedSteps shared_steps(schedule.threads, size);
     for (; k <= loop.k1 && !failed && !parallel; ++k) {
         loop.interrupts.after(work);
-        shared_steps.begin();
-        const double t = schedule.t0 + double(k - 1) * schedule.h;
-        tangent_state.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], x, dx, bundle.held(), t,
-                            schedule.h);
-        if (!finite(size, x))
-            failed = k;
-        else if (!(failed = recorder.after(k, x, dx, no_group)))
-            parallel = !bundle.after(k);
-        shared_steps.end();
+        alone.shared_steps.begin();
+        tangent_state.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], momentum.at,
+                            momentum.errors, bundle.held(), start_of(schedule, member, k), schedule.h);
+        if (!finite(size, momentum.at)) {
+            failed = alone.step_that_failed(k);
+            break;
+        }
+        if (k % CHECKPOINT_INTERVAL == 0) alone.store_checkpoint(k);
+        if (!(failed = recorder.after(k, momentum.at, momentum.errors, no_group))) parallel = !bundle.after(k);
+        alone.shared_steps.end();
     }
     if (const int64_t earlier = recorder.flush()) failed = earlier;
-    const int64_t last = failed ? failed : k - 1, taken = last - loop.k0, start = loop.k0 == 0;
-    arrays.evaluations[member] += start * (int64_t(tables.section[1]) - tables.section[0]) +
-                                  (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
-    if (failed)
-        loop.overflow(member, failed, too_long && failed == k - 1);
-    else if (parallel)
-        loop.fail(member, last, PARALLEL, std::numeric_limits<double>::quiet_NaN());
-    else
+    if (!failed && !parallel)
         bundle.end(
             1, [&](int) { return loop.memory_of(member); },
             [&](TangentLanes* vectors) {
-                std::copy_n(x, 2 * size, copies.at);
+                AlignedArray<double> copies(2 * size);
+                std::copy_n(momentum.at, 2 * size, copies.at);
                 tangent_state.sweep(tables.section[2], tables.section[3], copies.at, copies.at + size, vectors,
-                                    schedule.t0 + double(last - 1) * schedule.h, schedule.h);
+                                    start_of(schedule, member, loop.k1), schedule.h);
             });
-    std::copy_n(x, size, arrays.momenta + member * size);
-    std::copy_n(dx, size, arrays.errors + member * size);
+    alone.end(failed ? failed : parallel ? k - 1 : 0, failed ? OVERFLOWED : PARALLEL);
 }
 
 // Members as lanes, each with all of its vectors.
@@ -92,21 +83,18 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
                                              scratch);
     tangent_state.too_long = lane_group.too_long;
     const int64_t work = (1 + bundle.rows) * MEMBER_LANES * work_of_step(plain);
-    A t(schedule.t0);
     for (int64_t k = loop.k0 + 1; k <= loop.k1 && lane_group.left > 0; ++k) {
         loop.interrupts.after(work);
-        t = A(schedule.t0 + double(k - 1) * schedule.h);
+        const A t = lane_group.start_of_step(k);
         const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
         tangent_state.sweep(from, to, lane_group.momentum.at, lane_group.momentum.errors, bundle.held(), t, schedule.h);
-        lane_group.evaluations += to - from;
-        lane_group.stop_where_not(finite(size, lane_group.momentum.at), k);
-        lane_group.recorder.after(
-            k, [&](bool saving) { return lane_group.finished(k, saving, t, copies.at, scratch.at, angles); });
+        lane_group.after(k, to - from, t, copies.at, scratch.at, angles);
         lane_group.stop_where_not(bundle.after(k), k, PARALLEL);
     }
     bundle.end(int(count), memory_of, [&](A* vectors) {
         std::copy_n(lane_group.momentum.at, 2 * size, copies.at);
-        tangent_state.sweep(tables.section[2], tables.section[3], copies.at, copies.at + size, vectors, t, schedule.h);
+        tangent_state.sweep(tables.section[2], tables.section[3], copies.at, copies.at + size, vectors,
+                            lane_group.start_of_step(loop.k1), schedule.h);
     });
 }
 

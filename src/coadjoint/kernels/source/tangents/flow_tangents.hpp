@@ -23,42 +23,17 @@ NOINLINE void add_angle_changes(const Action& action, const C& constants, uint32
     });
 }
 
-// Add the changes of the rows of term k under directions of its offsets, weights and coefficients. Entry i of direction b
-// is at i * rows + b, after those of the offsets those of the weights, and of the coefficients. The derivatives of functions
-// by their coefficients are at `functions`.
+// Add the changes of the rows of term k under directions of its offsets, weights and coefficients: entry i of direction b
+// is at i * rows + b. The derivatives of functions by their coefficients are at `functions`.
 template <class A, class V, class C>
 NOINLINE void add_coefficient_changes(const Terms& terms, const C& constants, const int64_t* functions, int64_t k,
                                       const A* x, const A& t, const V* directions, int64_t rows, V* out, int64_t first,
                                       HessianWorkspace<A>& workspace) {
-    const int64_t start = terms.row[k], stop = terms.row[k + 1], all = terms.row[terms.size];
-    const V *weight = directions + all * rows, *coefficient = weight + terms.entry[all] * rows;
-    const auto add = [&](int64_t row, const A& factor, const V* direction) {
-        const V by(factor);
-        for (int64_t b = 0; b < rows; ++b)
-            out[(row - first) * rows + b] = fma(by, direction[b], out[(row - first) * rows + b]);
-    };
-    if (terms.kind[k] == LINEAR)
-        share(stop - start, [&](int64_t low, int64_t high) {
-            for (int64_t row = start + low; row < start + high; ++row) {
-                add(row, A(1.0), directions + row * rows);
-                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                    add(row, x[terms.column[entry]], weight + entry * rows);
-            }
-        });
-    if (terms.kind[k] == POLYNOMIAL)
-        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
-            for (uint32_t one = terms.factor[monomial]; one < terms.factor[monomial + 1]; ++one) {
-                A product(1.0);
-                for (uint32_t factor = terms.factor[monomial]; factor < terms.factor[monomial + 1]; ++factor)
-                    product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
-                                                 factor == one);
-                add(terms.factor_row[one], product, coefficient + monomial * rows);
-            }
-    if (terms.kind[k] == FUNCTION) {
-        const A* change = by_coefficients(terms, constants, functions, k, x, t, workspace);
-        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial)
-            for (int64_t row = start; row < stop; ++row) add(row, *change++, coefficient + monomial * rows);
-    }
+    each_coefficient(terms, constants, functions, k, x, t, workspace, [&](int64_t index, int64_t row, const A& factor) {
+        const V by(factor), *direction = directions + index * rows;
+        V* change = out + (row - first) * rows;
+        for (int64_t b = 0; b < rows; ++b) change[b] = fma(by, direction[b], change[b]);
+    });
 }
 
 // The group element of a state, (d, d), with tangent vectors of it, and the directions of coefficients that all have; none
@@ -278,9 +253,7 @@ struct FlowTangentState {
             }
             share(count, [&](int64_t first, int64_t last) {
                 for (int64_t a = first; a < last; ++a) {
-                    // A rational rotation by phi rotates by 2 atan(phi/2).
-                    const A half = added ? A(0.0) : 0.5 * number(tables.frequency, base + a) * (tau * theta[a]);
-                    const V by(A(tau) / fma(half, half, A(1.0)));
+                    const V by(added ? A(tau) : rate_of(tau, number(tables.frequency, base + a), theta[a]));
                     for (int64_t b = 0; b < rows; ++b) changes.at[a * rows + b] *= by;
                 }
             });
@@ -301,10 +274,9 @@ struct FlowTangentState {
                 else
                     follow_row(tables.state, part, tau, single, theta, cached, of_momentum);
                 if (further.group && tables.bent[part]) {
-                    for (int64_t a = 0; a < count; ++a)
-                        angles.rotated.at[a] = rational_angle(tau * theta[a], A(number(tables.frequency, base + a)));
-                    follow_row(tables.group, part, 1.0, false, angles.rotated.at, cached, group);
-                    follow_row(tables.group, part, 1.0, false, angles.rotated.at, cached, of_group);
+                    const A* rotated = rational_angles(tables, constants, base, count, tau, angles);
+                    follow_row(tables.group, part, 1.0, false, rotated, cached, group);
+                    follow_row(tables.group, part, 1.0, false, rotated, cached, of_group);
                 } else if (further.group) {
                     follow_row(tables.group, part, tau, single, theta, cached, group);
                     follow_row(tables.group, part, tau, single, theta, cached, of_group);

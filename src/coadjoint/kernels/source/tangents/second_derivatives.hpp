@@ -31,18 +31,86 @@ struct HessianWorkspace {
         : arguments(sizes.rows + 1), matrix(sizes.rows * sizes.columns), calls((sizes.rows + 1) * (sizes.columns + 1)) {}
 };
 
-// The derivatives of the rows of a FUNCTION term by its coefficients, (coefficients, rows), from the function at its
-// address; none if it has no coefficients.
+// `results` numbers of the function of FUNCTION term k, from its address in `functions`.
 template <class A, class C>
-const A* by_coefficients(const Terms& terms, const C& constants, const int64_t* functions, int64_t k, const A* x,
-                         const A& t, HessianWorkspace<A>& workspace) {
+const A* call_derivatives(const Terms& terms, const C& constants, const int64_t* functions, int64_t k, const A* x,
+                          const A& t, int64_t results, HessianWorkspace<A>& workspace) {
     const int64_t start = terms.row[k], count = terms.row[k + 1] - start;
-    const int64_t results = int64_t(terms.monomial[k + 1] - terms.monomial[k]) * count;
     for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
     if (results > 0)
         call_function(constants, functions, k, workspace.arguments.at, count, t, workspace.matrix.at, results,
                       workspace.calls.data());
     return workspace.matrix.at;
+}
+
+// `product` times the derivative of a monomial without its coefficient, once by each of two factors.
+template <class A>
+INLINE A times_derivative(A product, const Terms& terms, uint32_t monomial, const A* x, uint32_t one, uint32_t other) {
+    for (uint32_t factor = terms.factor[monomial]; factor < terms.factor[monomial + 1]; ++factor)
+        product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
+                                     (factor == one) + (factor == other));
+    return product;
+}
+
+// Call `visit(index, row, factor)` for the derivatives of the rows of term k by its offsets, weights and coefficients, whose
+// indices are in this order, each after those of all terms. Those of functions are at `functions`.
+template <class A, class C, class Visit>
+INLINE void each_coefficient(const Terms& terms, const C& constants, const int64_t* functions, int64_t k, const A* x,
+                             const A& t, HessianWorkspace<A>& workspace, const Visit& visit) {
+    const int64_t start = terms.row[k], stop = terms.row[k + 1], all = terms.row[terms.size];
+    const int64_t weights = all, coefficients = all + terms.entry[all];
+    const uint32_t begin = terms.monomial[k], end = terms.monomial[k + 1];
+    if (terms.kind[k] == LINEAR) {
+        share(stop - start, [&](int64_t low, int64_t high) {
+            for (int64_t row = start + low; row < start + high; ++row) {
+                visit(row, row, A(1.0));
+                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                    visit(weights + entry, row, x[terms.column[entry]]);
+            }
+        });
+    } else if (terms.kind[k] == POLYNOMIAL) {
+        for (uint32_t monomial = begin; monomial < end; ++monomial)
+            for (uint32_t one = terms.factor[monomial]; one < terms.factor[monomial + 1]; ++one)
+                visit(coefficients + monomial, int64_t(terms.factor_row[one]),
+                      times_derivative(A(1.0), terms, monomial, x, one, terms.factor[monomial + 1]));
+    } else {
+        const A* change =
+            call_derivatives(terms, constants, functions, k, x, t, int64_t(end - begin) * (stop - start), workspace);
+        for (uint32_t monomial = begin; monomial < end; ++monomial)
+            for (int64_t row = start; row < stop; ++row) visit(coefficients + monomial, row, *change++);
+    }
+}
+
+// Call `visit(row, coordinate, number, product)` for the derivatives of the rows of term k by coordinates: each is
+// product(number), or number * product(1). Those of functions are at `hessians`. Threads share linear rows if `shared`.
+template <class A, class C, class Visit>
+INLINE void each_second_derivative(const Terms& terms, const C& constants, const int64_t* hessians, int64_t k,
+                                   const A* x, const A& t, HessianWorkspace<A>& workspace, bool shared,
+                                   const Visit& visit) {
+    const int64_t start = terms.row[k], count = terms.row[k + 1] - start;
+    const auto itself = [](const A& number) { return number; };
+    if (terms.kind[k] == LINEAR) {
+        const auto rows = [&](int64_t low, int64_t high) {
+            for (int64_t row = start + low; row < start + high; ++row)
+                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
+                    visit(row, terms.column[entry], constants.template number_at<A>(terms.weight, entry), itself);
+        };
+        shared ? share(count, rows) : rows(0, count);
+    } else if (terms.kind[k] == POLYNOMIAL) {
+        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
+            const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
+            const A coefficient = constants.template number_at<A>(terms.coefficient, monomial);
+            for (uint32_t one = low; one < high; ++one)
+                for (uint32_t other = low; other < high; ++other)
+                    if (one != other || terms.exponent[one] >= 2)
+                        visit(int64_t(terms.factor_row[one]), terms.target[terms.factor_row[other]], coefficient,
+                              [&](const A& number) { return times_derivative(number, terms, monomial, x, one, other); });
+        }
+    } else {
+        const A* entry = call_derivatives(terms, constants, hessians, k, x, t, count * count, workspace);
+        for (int64_t i = 0; i < count; ++i)
+            for (int64_t j = 0; j < count; ++j) visit(start + i, terms.target[start + j], *entry++, itself);
+    }
 }
 
 // Fill out[(row - first) * rows] with the change of every row of term k along the vectors. The rows are those of
@@ -51,40 +119,13 @@ template <class A, class V, class C>
 NOINLINE void gradient_changes(const Terms& terms, const C& constants, const int64_t* hessians, int64_t k, const A* x,
                                const A& t, const V* vectors, int64_t rows, V* out, int64_t first,
                                HessianWorkspace<A>& workspace) {
-    const int64_t start = terms.row[k], stop = terms.row[k + 1], count = stop - start;
-    V* changes = out + (start - first) * rows;
-    std::fill_n(changes, count * rows, V(0.0));
-    const auto add = [&](int64_t position, const A& factor, int64_t coordinate) {
-        const V by(factor);
-        for (int64_t b = 0; b < rows; ++b)
-            changes[position * rows + b] = fma(by, vectors[coordinate * rows + b], changes[position * rows + b]);
-    };
-    if (terms.kind[k] == LINEAR) {
-        share(count, [&](int64_t low, int64_t high) {
-            for (int64_t row = start + low; row < start + high; ++row)
-                for (uint32_t entry = terms.entry[row]; entry < terms.entry[row + 1]; ++entry)
-                    add(row - start, constants.template number_at<A>(terms.weight, entry), terms.column[entry]);
-        });
-    } else if (terms.kind[k] == POLYNOMIAL) {
-        for (uint32_t monomial = terms.monomial[k]; monomial < terms.monomial[k + 1]; ++monomial) {
-            const uint32_t low = terms.factor[monomial], high = terms.factor[monomial + 1];
-            for (uint32_t one = low; one < high; ++one)
-                for (uint32_t other = low; other < high; ++other) {
-                    if (one == other && terms.exponent[one] < 2) continue;
-                    A product = constants.template number_at<A>(terms.coefficient, monomial);
-                    for (uint32_t factor = low; factor < high; ++factor)
-                        product *= factor_derivative(x[terms.target[terms.factor_row[factor]]], terms.exponent[factor],
-                                                     (factor == one) + (factor == other));
-                    add(terms.factor_row[one] - start, product, terms.target[terms.factor_row[other]]);
-                }
-        }
-    } else {
-        for (int64_t i = 0; i < count; ++i) workspace.arguments.at[i] = x[terms.target[start + i]];
-        call_function(constants, hessians, k, workspace.arguments.at, count, t, workspace.matrix.at,
-                      count * count, workspace.calls.data());
-        for (int64_t i = 0; i < count; ++i)
-            for (int64_t j = 0; j < count; ++j) add(i, workspace.matrix.at[i * count + j], terms.target[start + j]);
-    }
+    std::fill_n(out + (terms.row[k] - first) * rows, (terms.row[k + 1] - terms.row[k]) * rows, V(0.0));
+    each_second_derivative(terms, constants, hessians, k, x, t, workspace, true,
+                           [&](int64_t row, uint32_t coordinate, const A& number, const auto& product) {
+                               const V by(product(number)), *vector = vectors + coordinate * rows;
+                               V* change = out + (row - first) * rows;
+                               for (int64_t b = 0; b < rows; ++b) change[b] = fma(by, vector[b], change[b]);
+                           });
 }
 
 }  // namespace coadjoint
