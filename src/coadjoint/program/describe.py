@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from coadjoint.program.actions import Action
 from coadjoint.program.blocks import RULES, BlockKind
 from coadjoint.program.parts.decompose import decompose
-from coadjoint.program.parts.part import BodyShare, Part
+from coadjoint.program.parts.part import BodyShare, Form
 from coadjoint.program.parts.split import separated_functions
 from coadjoint.program.sweeps import Swept
 from coadjoint.program.table import Program, build_program
@@ -81,7 +80,7 @@ def describe(system: LiePoissonSystem, method: Swept) -> Description:
     """Describe a splitting of a system; the result is printable."""
     program = build_program(system, method)
     names = coordinate_names(system)
-    parts = tuple(_describe_part(names, program, number, part) for number, part in enumerate(program.parts))
+    parts = tuple(_describe_part(names, program, number, forms) for number, forms in enumerate(program.parts))
     first, last = int(program.rows.section[1]), int(program.rows.section[2])
     step = [parts[int(program.rows.part[row])] for row in range(first, last)]
     return Description(
@@ -107,7 +106,7 @@ def _sum_found(names: Sequence[str], terms: Sequence[Term]) -> str:
     return "the sum of " + " and ".join([*pieces[:MAX_SHOWN], *more]) if len(pieces) > 1 else "".join(pieces)
 
 
-def _describe_part(names: Sequence[str], program: Program, number: int, part: Part) -> PartDescription:
+def _describe_part(names: Sequence[str], program: Program, number: int, forms: Sequence[Form]) -> PartDescription:
     blocks: Counter[str] = Counter()
     action = program.state
     for run in range(action.run[number], action.run[number + 1]):
@@ -118,7 +117,7 @@ def _describe_part(names: Sequence[str], program: Program, number: int, part: Pa
         acting = 0 if bodies[0].other else acting[0], 0
     multiplications, functions = (a + b for a, b in zip(acting, shares, strict=True))
     # The coordinates of separated functions are repeated.
-    generators = tuple(dict.fromkeys(_form_name(names, form) for form in part.forms))
+    generators = tuple(dict.fromkeys(_form_name(names, form) for form in forms))
     if bodies:
         generators = tuple(_body_name(names, body) for body in bodies)
     return PartDescription(generators, dict(blocks), multiplications, functions)
@@ -172,7 +171,7 @@ def share_work(program: Program, number: int) -> tuple[int, int]:
     return multiplications, functions
 
 
-def _form_name(names: Sequence[str], form: tuple[tuple[int, ...], tuple[Any, ...]]) -> str:
+def _form_name(names: Sequence[str], form: Form) -> str:
     words = [names[i] if value == 1 else f"{float(value):.4g} {names[i]}" for i, value in zip(*form, strict=True)]
     shown = words if len(words) <= MAX_SHOWN else [*words[:MAX_SHOWN], "..."]
     return " + ".join(shown).replace("+ -", "- ")

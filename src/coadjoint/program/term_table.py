@@ -42,9 +42,12 @@ class Terms(NamedTuple):
 
 
 class TermTable:
-    """Builder of the table; `functions` maps the index of a FUNCTION term to its Python functions."""
+    """Builder of the table; `functions` maps the index of a FUNCTION term to its Python functions. With `used_rows`, as
+    for values, quadratic terms have rows only for coordinates that they depend on.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, used_rows: bool = False) -> None:
+        self._used_rows = used_rows
         self.functions: dict[int, FunctionTerm] = {}
         self._kind: list[NDArray[Any]] = []
         self._rows: list[NDArray[Any]] = [np.zeros(1, dtype=np.int64)]
@@ -60,12 +63,12 @@ class TermTable:
     def __len__(self) -> int:
         return sum(map(len, self._kind))
 
-    def _add_rows(self, kind: int, target: NDArray[Any], offset: Any, indptr: Any, column: Any, weight: Any) -> None:
+    def _add_rows(self, kind: int, target: NDArray[Any], offset: Any, weights: Rows) -> None:
         self._kind.append(np.array([kind]))
         self._rows.append(self._rows[-1][-1:] + len(target))
         self._target.append(np.asarray(target))
         self._offset.append(np.asarray(offset))
-        self._weights.append(SparseRows(np.asarray(indptr), np.asarray(column), np.asarray(weight)))
+        self._weights.append(weights)
         self._monomials.append(np.array([len(self._coefficient)]))
 
     def add_linear_terms(self, row: Any, offset: NDArray[Any], weights: Rows) -> None:
@@ -80,22 +83,11 @@ class TermTable:
 
     def add_linear(self, target: Any, offset: Any, indptr: Any, column: Any, weight: Any) -> None:
         """Add rows offset + weight . x in compressed sparse form."""
-        self._add_rows(LINEAR, np.asarray(target), offset, indptr, column, weight)
-
-    def _add_repeated_rows(self, offset: Any, matrix: RepeatedRows) -> None:
-        """Add rows offset + weight . x of a term whose targets are those of the rows."""
-        self._kind.append(np.array([LINEAR]))
-        self._rows.append(self._rows[-1][-1:] + len(offset))
-        self._monomials.append(np.array([len(self._coefficient)]))
-        self._target.append(matrix.targets)
-        self._offset.append(offset)
-        self._weights.append(matrix)
+        self._add_rows(LINEAR, target, offset, SparseRows(np.asarray(indptr), np.asarray(column), np.asarray(weight)))
 
     def _add_empty_rows(self, kind: int, coordinates: Sequence[int]) -> None:
-        empty = np.zeros(0)
         size = len(coordinates)
-        target = np.asarray(coordinates, dtype=np.int64)
-        self._add_rows(kind, target, np.zeros(size), np.zeros(size + 1, dtype=np.int64), empty, empty)
+        self._add_rows(kind, np.asarray(coordinates, dtype=np.int64), np.zeros(size), SparseRows.empty(size))
 
     def add_polynomial(self, coordinates: Sequence[int], polynomial: Polynomial) -> None:
         """Add a polynomial of the given coordinates (constant monomials have no gradient)."""
@@ -120,10 +112,12 @@ class TermTable:
 
     def quadratic(self, term: QuadraticTerm) -> None:
         """Add a quadratic term, with one row per coordinate."""
-        if isinstance(term, RepeatedTerm):
-            self._add_repeated_rows(term.linear, term.matrix)
-            return
-        self.add_linear(np.arange(len(term.linear)), term.linear, term.indptr, term.indices, term.values)
+        offset, weights = term.linear, rows_of_form(term)
+        target: NDArray[Any] = np.arange(len(offset), dtype=np.uint32)
+        if self._used_rows and not (used := (offset != 0) | (np.diff(weights.start) > 0)).all():
+            target = np.flatnonzero(used)
+            offset, weights = values_at(offset, target), weights.take(target)
+        self._add_rows(LINEAR, target, offset, weights)
 
     def polynomial(self, term: PolynomialTerm) -> None:
         """Add a polynomial, with one row per variable in it."""
@@ -189,25 +183,11 @@ class TermTable:
         )
 
 
-class ValueTable(TermTable):
-    """Table of terms whose values are evaluated; quadratic terms have rows only for coordinates they depend on."""
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        """Add a quadratic term by its nonzero rows."""
-        if isinstance(term, RepeatedTerm):
-            used = (term.linear != 0) | (term.matrix.lengths > 0)
-            if used.all():
-                self._add_repeated_rows(term.linear, term.matrix)
-            else:
-                rows = np.flatnonzero(used)
-                self._add_repeated_rows(values_at(term.linear, rows), term.matrix.take(rows))
-            return
-        rows = np.flatnonzero((term.linear != 0) | (np.diff(term.indptr) > 0))
-        if len(rows) == len(term.linear):
-            super().quadratic(term)  # the arrays of the term, instead of copies
-            return
-        selected = SparseRows(term.indptr, term.indices.astype(np.uint32), term.values).take(rows)
-        self.add_linear(rows, term.linear[rows], selected.start, selected.coordinate, selected.value)
+def rows_of_form(term: QuadraticTerm) -> Rows:
+    """Return the sparse rows of M of a quadratic term, as they are stored."""
+    if isinstance(term, RepeatedTerm):
+        return term.matrix
+    return SparseRows(term.indptr, term.indices.astype(np.uint32, copy=False), term.values)
 
 
 def _joined(pieces: list[NDArray[Any]], dtype: Any) -> NDArray[Any]:

@@ -128,8 +128,8 @@ def test_the_forms_of_a_part_commute(name, choice):
     algebra = SYSTEMS[name][0]
     parts = split(system(name), choice)
     for part in parts:
-        for a, f in enumerate(part.forms):
-            assert all(bracket_is_zero(algebra, f, g) for g in part.forms[:a])
+        for a, f in enumerate(part):
+            assert all(bracket_is_zero(algebra, f, g) for g in part[:a])
 
 
 @pytest.mark.thinned(10)
@@ -149,8 +149,8 @@ def test_the_pieces_add_up_to_the_hamiltonian(name, choice):
             total, size = [0 * x[0]] * s.dim, [0 * x[0]] * s.dim
             for p, part in enumerate(read.program.parts):
                 angles = read.angles(p, x, 0.25)
-                assert len(angles) == len(part.forms)
-                for angle, form in zip(angles, part.forms, strict=True):
+                assert len(angles) == len(part)
+                for angle, form in zip(angles, part, strict=True):
                     for i, value in zip(*form, strict=True):
                         exact = Fraction(value)
                         term = angle * (x[0] * 0 + exact.numerator) / exact.denominator
@@ -169,9 +169,7 @@ def test_any_lattice_of_spins_has_three_parts(count):
     with bounded_work():
         parts = split(s)
         program = build_program(s, co.Splitting(order=2))
-    assert [sorted(i for (i,), _ in part.forms) for part in parts] == [
-        list(range(axis, 3 * count, 3)) for axis in range(3)
-    ]
+    assert [sorted(i for (i,), _ in part) for part in parts] == [list(range(axis, 3 * count, 3)) for axis in range(3)]
     assert len(program.state.kind) == 3  # one run for each part, however many spins
 
 
@@ -201,10 +199,10 @@ def test_only_parts_with_a_function_of_time_are_timed():
 def test_explicit_parts_are_used_in_their_order():
     s = system("e(3) diagonal")
     parts = split(s, [[5, 4, 3], [2], [1], [0]])
-    assert [sorted(i for (i,), _ in part.forms) for part in parts] == [[3, 4, 5], [2], [1], [0]]
+    assert [sorted(i for (i,), _ in part) for part in parts] == [[3, 4, 5], [2], [1], [0]]
     program = build_program(s, co.Splitting(parts=[[5, 4, 3], [2], [1], [0]]))
     first = program.parts[int(program.rows.part[0])]
-    assert {i for form, _ in first.forms for i in form} == {3, 4, 5}
+    assert {i for form, _ in first for i in form} == {3, 4, 5}
     unused = co.LiePoissonSystem(E3, co.Quadratic([1.0, 2.0, 0, 0, 0, 3.0]))
     assert len(split(unused, [[0, 3], [1], [4, 5], [2]])) == 3
 
@@ -213,7 +211,7 @@ def test_a_piece_is_kept_whole():
     """Its flow is exact as it stands, also where the choice is one coordinate each."""
     for choice in ("auto", "coordinates"):
         parts = split(system("pieces on e(3)"), choice)
-        homes = [{i for form, _ in part.forms for i in form} for part in parts]
+        homes = [{i for form, _ in part for i in form} for part in parts]
         assert any({3, 4} <= home for home in homes) and any({1, 4} <= home for home in homes)
 
 
@@ -230,10 +228,10 @@ def test_as_few_parts_as_commuting_sets_that_cover_the_coordinates(name):
     parts = split(system, "auto")
     assert len(parts) <= count
     assert len(decompose(system, "auto").parts) <= len(parts)
-    covered = sorted(i for part in parts for form, _ in part.forms for i in form)
+    covered = sorted(i for part in parts for form, _ in part for i in form)
     assert covered == list(range(algebra.dim))
     for part in parts:
-        chosen = [i for form, _ in part.forms for i in form]
+        chosen = [i for form, _ in part for i in form]
         assert all(algebra.commuting(i, j) for i in chosen for j in chosen)
 
 

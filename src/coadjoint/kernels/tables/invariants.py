@@ -13,7 +13,7 @@ from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.sources import INDEPENDENT, CoefficientNumbers, Sources, sources_of
-from coadjoint.program.term_table import ValueTable
+from coadjoint.program.term_table import TermTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.user_functions import Formula, takes_time
@@ -56,7 +56,7 @@ def invariants_table(
     compact: bool = False,
 ) -> CompiledTables:
     """Return a `Watch` of named invariants of states with `size` coordinates; names appear in messages."""
-    table, first, constant, period, owners = ValueTable(), [0], [], [], {}
+    table, first, constant, period, owners = TermTable(used_rows=True), [0], [], [], {}
 
     def end_invariant(name: str, offset: float, wrapped: float) -> None:
         owners.update(dict.fromkeys(range(first[-1], len(table)), name))

@@ -222,9 +222,19 @@ class Commutators:
         """Return [F, G]."""
         return self.adjoint_operator(F)(G)
 
-    def adjoint_operator(self, F: Exact) -> AdjointOperator:
-        """Return the map G -> [F, G], for many G."""
-        return AdjointOperator(self, [self.sign * entry for entry in self.ring.field(F)])
+    def adjoint_operator(self, F: Exact) -> Callable[[Exact], Exact]:
+        """Return the derivation G -> [F, G] along the field sign J(x) grad F, for many G."""
+        components = enumerate(self.sign * entry for entry in self.ring.field(F))
+        moving = [(i, component) for i, component in components if component != 0]
+
+        def bracket(G: Exact) -> Exact:
+            slopes = [G.derivative(i) for i, _ in moving]
+            count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, moving, strict=True))
+            self.check_available_memory(count)
+            products = (component * slope for slope, (_, component) in zip(slopes, moving, strict=True) if slope != 0)
+            return self.ring.truncated(_sum_in_pairs(products, self.ring.zero))
+
+        return bracket
 
     def check_available_memory(self, count: int) -> None:
         """Count the products of monomials of a bracket; raise ValueError if the total or the memory is too large."""
@@ -249,23 +259,6 @@ def check_products(count: float) -> None:
             f"{SECONDS_PER_PRODUCT * count:.0e} s, and at most {MAX_PRODUCTS:.0e} are allowed; take a lower order or "
             "a system of fewer coordinates, or measure the energy error of a run"
         )
-
-
-class AdjointOperator:
-    """The derivation G -> [F, G] = sign {G, F} along the field sign J(x) grad F."""
-
-    def __init__(self, commutators: Commutators, field: Sequence[Exact]) -> None:
-        self._commutators, self._ring = commutators, commutators.ring
-        self._moving = [(i, component) for i, component in enumerate(field) if component != 0]
-        self.lengths = [len(component) for component in field]
-
-    def __call__(self, G: Exact) -> Exact:
-        """Return the bracket; raise ValueError if it is too large."""
-        slopes = [G.derivative(i) for i, _ in self._moving]
-        count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, self._moving, strict=True))
-        self._commutators.check_available_memory(count)
-        products = (component * slope for slope, (_, component) in zip(slopes, self._moving, strict=True) if slope != 0)
-        return self._ring.truncated(_sum_in_pairs(products, self._ring.zero))
 
 
 def _sum_in_pairs(polynomials: Iterable[Exact], zero: Exact) -> Exact:
@@ -293,9 +286,7 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
     lengths: list[list[list[int]]] | None = None
     for number, flow in enumerate(reversed(flows)):
         if lengths is None and commutators.spent > WARN_PRODUCTS:
-            lengths = [
-                [commutators.adjoint_operator(W).lengths for W in remaining.values()] for remaining in reversed(flows)
-            ]
+            lengths = [[list(map(len, ring.field(W))) for W in remaining.values()] for remaining in reversed(flows)]
         if lengths is not None:
             commutators.check_cost([counts for remaining in lengths[number:] for counts in remaining], R[:-1])
         for j, W in flow.items():
@@ -322,7 +313,7 @@ def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: in
     return terms
 
 
-def _transported(ad: AdjointOperator, j: int, series: list[Exact]) -> list[Exact]:
+def _transported(ad: Callable[[Exact], Exact], j: int, series: list[Exact]) -> list[Exact]:
     """Return exp(h^j ad) of a series in h."""
     result, current = list(series), list(series)
     for m in range(1, len(series) // j + 1):

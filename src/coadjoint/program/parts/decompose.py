@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -128,10 +128,9 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     return _AUTOMATIC_CACHE[system]
 
 
-def remember(system: LiePoissonSystem, candidate: ShiftCandidate, order: tuple[int, ...]) -> None:
+def remember(system: LiePoissonSystem, shift: Shift, parts: Parts, order: tuple[int, ...]) -> None:
     """Cache an automatic decomposition that was chosen together with those of other systems."""
-    choice = ChosenParts(order, candidate.shift)
-    _AUTOMATIC_CACHE[system] = _decomposition(candidate.parts, quadratic_casimirs(system), choice)
+    _AUTOMATIC_CACHE[system] = _decomposition(parts, quadratic_casimirs(system), ChosenParts(order, shift))
 
 
 # Systems are immutable, so decompositions are cached for the lifetime of the system.
@@ -142,28 +141,21 @@ _BODY_FLOW_CACHE: Mapping[str, WeakKeyDictionary[LiePoissonSystem, Decomposition
 _CHECKED_CACHE: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionary()
 
 
-class ShiftCandidate(NamedTuple):
-    """Casimirs subtracted, and the parts of the shifted Hamiltonian."""
-
-    shift: Shift
-    parts: Parts
-
-
 def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64]) -> Decomposition:
     """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n). A
     Casimir that is a sum of terms of H is always subtracted: in other units than those of the points, its flows may be
     the fastest ones, with errors that cancel only in part.
     """
     alternatives = candidates(system, len(points) > 0)
-    orders = best_orders(system, [candidate.parts for candidate in alternatives], points)
+    orders = best_orders(system, [parts for _, parts in alternatives], points)
 
     @cache
     def angles(k: int) -> list[tuple[Any, NDArray[Any]]]:
-        parts = alternatives[k].parts
+        _, parts = alternatives[k]
         return angles_of(parts, parts.offset, parts.weights.value)
 
     def leaves_out(k: int, other: int) -> bool:
-        fewer = len(alternatives[k].parts.offset) < len(alternatives[other].parts.offset)
+        fewer = len(alternatives[k][1].offset) < len(alternatives[other][1].offset)
         return fewer and bool(leave_out(angles(k), angles(other)))
 
     best, (order, least) = 0, orders[0]
@@ -199,15 +191,16 @@ def leave_out(fewer: Sequence[tuple[Any, NDArray[Any]]], more: Sequence[tuple[An
     return held
 
 
-def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[ShiftCandidate]:
+def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[tuple[Shift, Parts]]:
     """Return the shifts that leave the fewest parts, with these parts; only one if `comparing` is False."""
     terms, casimirs = system.hamiltonian.terms(), quadratic_casimirs(system)
-    best = [ShiftCandidate((), split(system, "auto", terms))]
-    fewest = len(best[0].parts)
-    shifts = list(candidate_shifts(system, best[0].parts, casimirs)) if fewest > 1 else []
+    unshifted = split(system, "auto", terms)
+    best: list[tuple[Shift, Parts]] = [((), unshifted)]
+    fewest = len(unshifted)
+    shifts = list(candidate_shifts(system, unshifted, casimirs)) if fewest > 1 else []
     # For many shifts of a large system the parts are counted without being built.
     counts = [0] * len(shifts) if comparing else count_parts(system, casimirs, shifts)
-    work, spent = _shift_work(system, best[0].parts), 0
+    work, spent = _shift_work(system, unshifted), 0
     for number, (shift, count) in enumerate(zip(shifts, counts, strict=True)):
         if count >= fewest:
             continue
@@ -219,7 +212,7 @@ def candidates(system: LiePoissonSystem, comparing: bool = True) -> list[ShiftCa
         if len(parts) < fewest:
             best, fewest = [], len(parts)
         if not best or (comparing and len(parts) == fewest):
-            best.append(ShiftCandidate(shift, parts))
+            best.append((shift, parts))
     return best
 
 

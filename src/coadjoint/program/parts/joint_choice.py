@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +15,13 @@ from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, M
 from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
     ChosenParts,
-    ShiftCandidate,
     angles_of,
     candidates,
     leave_out,
     remember,
     sample_points,
 )
-from coadjoint.program.parts.part import COMPUTED
+from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.parts.split import split
 from coadjoint.program.shifts.shift import (
     MAX_SINGULAR_DIMENSION,
@@ -176,22 +175,13 @@ def _factors(stack: SystemStack, rule: Rule, number: int | None) -> dict[str, ND
     return {name: (stack.coefficients[diagonal[i]] if i in diagonal else zeros) / entry for name, i, entry in rule}
 
 
-class _Alternative(NamedTuple):
-    """A candidate with its coefficients, the sources of its parts, and its angles for all members."""
-
-    candidate: ShiftCandidate
-    stack: SystemStack
-    sources: Sources
-    angles: list[tuple[Any, Floats]]
-
-
 def _ordered(
     stack: SystemStack, rules: Sequence[tuple[Rule, dict[str, NDArray[Any]]]], casimirs: dict[str, QuadraticCasimir]
 ) -> list[tuple[tuple[Any, ...], SystemStack]]:
     """Choose among the candidates of members for which they have the same structure, and their orders."""
     system, count = stack.first, stack.size
     points, every, plain = sample_points(system.dim), np.arange(count), np.ones(count, dtype=bool)
-    alternatives = []
+    alternatives = candidates(system, len(points) > 0)
     for _, by_name in rules:
         shift = tuple((name, float(values[0])) for name, values in by_name.items() if values[0])
         terms = shifted_terms(stack.terms, casimirs, shift)
@@ -203,20 +193,23 @@ def _ordered(
         kept = np.flatnonzero(plain)
         reduced = [(rule, {name: values[kept] for name, values in by_name.items()}) for rule, by_name in rules]
         return _ordered(stack.take(kept), reduced, casimirs) if len(kept) else []
-    for candidate in candidates(system, len(points) > 0):
-        found = _alternative(stack, candidate, rules, casimirs)
-        if found is None:
-            return []
-        alternatives.append(found)
-    fewest = len(alternatives[0].candidate.parts)
+    of_members = [_of_members(stack, *alternative, rules, casimirs) for alternative in alternatives]
+    found = [one for one in of_members if one is not None]
+    if len(found) < len(of_members):
+        return []
+    fewest = len(alternatives[0][1])
     unordered = fewest < 2 or not len(points) or not has_hessians(system, stack.terms)
     if not unordered and fewest > MAX_PERMUTED:
         return []
     sized = (
-        [joint_sizes(system.algebra, c.parts, sources, own.split, points) for c, own, sources, _ in alternatives]
+        [
+            joint_sizes(system.algebra, parts, sources, own.split, points)
+            for (_, parts), (own, sources, _) in zip(alternatives, found, strict=True)
+        ]
         if not unordered
         else [(np.zeros((1, count)), np.zeros((1, count))) for _ in alternatives]
     )
+    angles = [one for _, _, one in found]
     best, clear = np.zeros(count, dtype=np.int64), np.ones(count, dtype=bool)
     order, least, error, decided = smallest(*sized[0])
     clear &= decided
@@ -225,8 +218,8 @@ def _ordered(
         clear &= decided
         always, never = (np.zeros(count, dtype=bool) for _ in range(2))
         for b in range(k):
-            always |= (best == b) & leave_out(alternatives[k].angles, alternatives[b].angles)
-            never |= (best == b) & leave_out(alternatives[b].angles, alternatives[k].angles)
+            always |= (best == b) & leave_out(angles[k], angles[b])
+            never |= (best == b) & leave_out(angles[b], angles[k])
         bound = least * IMPROVEMENT_FACTOR
         with np.errstate(invalid="ignore"):  # infinite sizes, which are not clear
             decided = np.abs(size - bound) > other_error + error
@@ -239,33 +232,34 @@ def _ordered(
     for b, o in sorted({*zip(best[clear].tolist(), order[clear].tolist(), strict=True)}):
         members = np.flatnonzero(clear & (best == b) & (order == o))
         if members[0] == 0:
-            remember(system, alternatives[b].candidate, orders[o])
-        result.append(((b, o), alternatives[b].stack.take(members)))
+            remember(system, *alternatives[b], orders[o])
+        result.append(((b, o), found[b][0].take(members)))
     return result
 
 
-def _alternative(
+def _of_members(
     stack: SystemStack,
-    candidate: ShiftCandidate,
+    shift: Shift,
+    parts: Parts,
     rules: Sequence[tuple[Rule, dict[str, NDArray[Any]]]],
     casimirs: dict[str, QuadraticCasimir],
-) -> _Alternative | None:
-    """Return a candidate of the first system for all of them; None if its parts are no copies of terms."""
+) -> tuple[SystemStack, Sources, list[tuple[Any, Floats]]] | None:
+    """Return the coefficients of all members after a shift of the first one, with the sources of its parts and their
+    angles for all members; None if the parts are no copies of terms.
+    """
     by_name: dict[str, NDArray[Any]] = {}
-    if candidate.shift:
+    if shift:
         for _, factors in rules:
-            shift = tuple((name, float(values[0])) for name, values in factors.items() if values[0])
-            if shift == candidate.shift:
+            if shift == tuple((name, float(values[0])) for name, values in factors.items() if values[0]):
                 by_name = {name: factors[name] for name, _ in shift}
                 break
         else:
             return None
     chosen = _Shifted(stack, casimirs, by_name).chosen(np.arange(stack.size))
-    terms = shifted_terms(stack.terms, casimirs, candidate.shift)
-    parts = candidate.parts
+    terms = shifted_terms(stack.terms, casimirs, shift)
     sources = sources_of_parts(term_table(parts).table(), parts, terms)
     if sources.computed:
         return None
     constants = {"offset": parts.offset, "weight": parts.weights.value}
     offset, weight = (sources.multiples[name].at(each, chosen.split) for name, each in constants.items())
-    return _Alternative(candidate, chosen, sources, angles_of(parts, offset, weight))
+    return chosen, sources, angles_of(parts, offset, weight)

@@ -67,15 +67,12 @@ COMPUTED = -1
 """Source of shares that are no copies of a term of H: completed squares, bodies, and other choices of parts."""
 
 
-@dataclass(frozen=True)
-class Part:
-    """The commuting forms l_a of one exact flow, as sparse (coordinates, values), for display."""
-
-    forms: tuple[tuple[tuple[int, ...], tuple[Any, ...]], ...]
+Form = tuple[tuple[int, ...], tuple[Any, ...]]
+"""A linear form by its coordinates and their coefficients."""
 
 
 @dataclass(eq=False, repr=False)
-class Parts(Sequence[Part]):
+class Parts(Sequence[tuple[Form, ...]]):
     """Parts by columns: part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], each
     with one row of `forms` and the angle offset + weights.x, unless a rule in `nonlinear_shares` gives it. `source` is
     the term of H that a share is a copy of, or COMPUTED; `pivots` (angles, 3) are those of `Squares` with forms in
@@ -210,16 +207,17 @@ class Parts(Sequence[Part]):
         return replace(ordered, share=share, timed=timed)
 
     @overload
-    def __getitem__(self, index: int) -> Part: ...
+    def __getitem__(self, index: int) -> tuple[Form, ...]: ...
 
     @overload
-    def __getitem__(self, index: slice) -> Sequence[Part]: ...
+    def __getitem__(self, index: slice) -> Sequence[tuple[Form, ...]]: ...
 
-    def __getitem__(self, index: int | slice) -> Part | Sequence[Part]:
+    def __getitem__(self, index: int | slice) -> tuple[Any, ...]:
+        """Return the forms of a part, or of several."""
         if isinstance(index, slice):
             return tuple(self[p] for p in range(len(self))[index])
         p = range(len(self))[index]
         first, last = self.row[self.share[p : p + 2]]
         edges = pairwise(self.forms.start[first : last + 1].tolist())
         coordinate, value = self.forms.coordinate, self.forms.value
-        return Part(tuple((tuple(coordinate[a:b].tolist()), tuple(value[a:b].tolist())) for a, b in edges))
+        return tuple((tuple(coordinate[a:b].tolist()), tuple(value[a:b].tolist())) for a, b in edges)

@@ -15,7 +15,8 @@ from coadjoint.program.commutation import has_noncommuting, noncommuting
 from coadjoint.program.generators import check_products
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, Squares, sparse_squares
-from coadjoint.program.sparse_rows import Rows, SparseRows, order_by, run_starts, starts_of
+from coadjoint.program.sparse_rows import SparseRows, order_by, run_starts, starts_of
+from coadjoint.program.term_table import rows_of_form
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
 from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm
@@ -150,7 +151,7 @@ def _colors(i: Integers, j: Integers, algebra: LieAlgebra) -> Integers:
 def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     """Build one part per set of coordinates, with the rows of M as angles."""
     row = np.append(np.flatnonzero(run_starts(label)), len(members))
-    matrix = _rows_of(term)
+    matrix = rows_of_form(term)
     weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
     units = SparseRows.units(members)
     if isinstance(weights, RepeatedRows):
@@ -158,18 +159,12 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     return Parts.linear(units, values_at(term.linear, members), weights, row, source=0)
 
 
-def _rows_of(term: QuadraticTerm) -> Rows:
-    if isinstance(term, RepeatedTerm):
-        return term.matrix
-    return SparseRows(term.indptr, term.indices.astype(np.uint32, copy=False), term.values)
-
-
 def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
     """Build one part per completed square; also return the label of its set."""
     ends = np.append(np.flatnonzero(run_starts(label[members])), len(members))
     local_index = np.zeros(len(term.linear), dtype=np.int64)
     local_index[members] = np.arange(len(members)) - np.repeat(ends[:-1], np.diff(ends))
-    matrix = _rows_of(term).take(members)
+    matrix = rows_of_form(term).take(members)
     local, linear = local_index[matrix.coordinate], term.linear[members]
     cache: dict[Any, Squares] = {}
     squares: list[Squares] = []
