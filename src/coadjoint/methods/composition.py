@@ -17,7 +17,6 @@ from coadjoint.methods.splitting import Splitting
 from coadjoint.program.numbers import Number
 from coadjoint.program.table import Program
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice, read_finite, read_integer
 
@@ -99,11 +98,6 @@ class Composition(Composed):
         """The composition in the form of the family of the base: one table of flows, or substeps."""
         return self.base.composed(self.coefficients)
 
-    @property
-    def innermost(self) -> Method:
-        """The base that is not a composition itself."""
-        return self.base.innermost if isinstance(self.base, Composition) else self.base
-
     def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
         """Return the base and the fractions, with those of the base multiplied out."""
         base, fractions = self.base.steps_between_forces()
@@ -167,8 +161,7 @@ def even_order(base: Method, order: int, jump: str = "triple") -> Method:
     >>> method.order, method.symmetric, len(method.fractions)
     (6, True, 9)
     """
-    if not isinstance(base, Method):
-        raise TypeError(f"base is {short(base)}; give a scheme such as Splitting(order=1)")
+    check_base(base, "even_order", "Splitting(order=1)")
     target = read_integer(order, "order", 2, MAX_ORDER)
     read_choice(jump, "jump", SIDE_STEPS)
     method = base if base.symmetric else base.symmetrized()
