@@ -76,7 +76,7 @@ class MemberBatch:
 
     def _bind(self, tables: Any, watch: Any) -> None:
         self._pointed_tables = tables, watch
-        self._advance = partial(_loop(self._name), ctypes.byref(tables), ctypes.byref(watch), *self._positions)
+        self._advance = partial(kernel_loop(self._name), ctypes.byref(tables), ctypes.byref(watch), *self._positions)
 
     def with_tables(self, tables: Any, watch: Any) -> MemberBatch:
         """Return the same members with other `as_structure` tables; faster than a new batch."""
@@ -117,11 +117,12 @@ class MemberBatch:
         members, first, last, stride = (int(position.value or 0) for position in self._positions)
         run = WholeRun(tables, watch, members, first, last, stride, extent, schedule_address, stop)
         run.pointed = pointed, self._members
-        return partial(_loop(f"{self._name}_whole"), ctypes.byref(run))
+        return partial(kernel_loop(f"{self._name}_whole"), ctypes.byref(run))
 
 
 @cache
-def _loop(name: str) -> Any:
+def kernel_loop(name: str) -> Any:
+    """Return a function of the library that can be interrupted, and that returns a count or a negative outcome."""
     function = getattr(interruptible_kernels(), name)
     function.restype = as_int64
     return function

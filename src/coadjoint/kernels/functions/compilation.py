@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import types
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ from numba import carray
 from numba import types as numba_types
 
 from coadjoint.interruption import deferred
-from coadjoint.kernels.functions.contents import cell_value, compilation_key, contents_of, is_own
+from coadjoint.kernels.functions.contents import cell_value, compilation_key, contents_of, global_reads, is_own
 from coadjoint.systems.user_functions import MultipleOf
 
 POINTER = numba_types.CPointer(numba_types.float64)
@@ -54,13 +53,6 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
 def compiled_digests() -> set[str]:
     """Return the digests of all compiled functions."""
     return {digest for digest, _ in _COMPILED}
-
-
-def fresh_dispatchers(function: Any) -> Any:
-    """Return a function in which each dispatcher is replaced by one without machine code."""
-    if isinstance(function, types.FunctionType):
-        return _copied(function, {})
-    return _with_fresh_dispatchers(function, {}, False)
 
 
 def _cache(cache: dict[Any, Any], key: Any, value: Any) -> None:
@@ -117,13 +109,13 @@ def _copied(
     for new, old in zip(cells, function.__closure__ or (), strict=True):
         for value in cell_value(old):
             new.cell_contents = _with_fresh_dispatchers(value, fresh, compiles)
-    attributes = _attributes(function.__code__)
+    _, attributes, _ = global_reads(function.__code__)
     for name in attributes & names.keys():
         names[name] = _with_fresh_dispatchers(_module(names[name], attributes, fresh), fresh, False)
     return copy
 
 
-def _module(value: Any, attributes: set[str], fresh: dict[int, tuple[Any, Any]]) -> Any:
+def _module(value: Any, attributes: frozenset[str], fresh: dict[int, tuple[Any, Any]]) -> Any:
     """Return a copy of a module with fresh dispatchers if it has any that are read; return other values unchanged."""
     if not isinstance(value, types.ModuleType):
         return value
@@ -135,11 +127,6 @@ def _module(value: Any, attributes: set[str], fresh: dict[int, tuple[Any, Any]])
     copy = types.ModuleType(value.__name__)
     vars(copy).update({**vars(value), **replaced})
     return copy
-
-
-def _attributes(code: types.CodeType) -> set[str]:
-    inside = [constant for constant in code.co_consts if isinstance(constant, types.CodeType)]
-    return set(code.co_names).union(*map(_attributes, inside))
 
 
 def callback_of(
@@ -178,20 +165,18 @@ def warn_many_functions(functions: Sequence[Callable[..., Any]]) -> None:
 
 def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
     # The result is NaN until the function returns: if it raises, the NaN remains and stops the run.
-    inner = _inner(function)
+    inner = called_in_machine_code(function)
     body = _array(inner, size, results, timed) if flat and not scalar else _value(inner, size, scalar, timed)
     return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
 
 
-def _inner(function: Any) -> Any:
-    """Return a function in the form that compiled code calls."""
+def called_in_machine_code(function: Any) -> Any:
+    """Return a function in the form that compiled code calls, in which no dispatcher has machine code yet."""
     if isinstance(function, MultipleOf):
-        return _multiple(_inner(function.function), function.factor, function.scalar)
-    return (
-        numba.njit(boundscheck=True, **_INTERNAL_OPTIONS)(fresh_dispatchers(function))
-        if inspect.isfunction(function)
-        else fresh_dispatchers(function)
-    )
+        return _multiple(called_in_machine_code(function.function), function.factor, function.scalar)
+    if isinstance(function, types.FunctionType):
+        return numba.njit(boundscheck=True, **_INTERNAL_OPTIONS)(_copied(function, {}))
+    return _with_fresh_dispatchers(function, {}, False)
 
 
 # Called by compiled code only, so that no Python wrappers are compiled.

@@ -20,7 +20,7 @@ import numpy as np
 from numba import carray, types
 from numba.extending import overload_method
 
-from coadjoint.kernels.functions.compilation import compile_cached, fresh_dispatchers, numba_error_text
+from coadjoint.kernels.functions.compilation import called_in_machine_code, compile_cached, numba_error_text
 from coadjoint.kernels.library import kernels
 
 NUMBERS = types.CPointer(types.float64)
@@ -134,7 +134,7 @@ def compiled_step(
 def _compiled(function: Callable[..., Any], names: tuple[str, ...], values: tuple[Any, ...], derivatives: bool) -> Any:
     scheme: Any = namedtuple("Scheme", names or ("nothing",))(*(values or (0,)))
     system_kind, hamiltonian_kind = SYSTEMS[derivatives], HAMILTONIANS[derivatives]
-    inner = numba.njit(error_model="numpy", boundscheck=True)(fresh_dispatchers(function))
+    inner = called_in_machine_code(function)
 
     def call(system_numbers: Any, x: Any, t: float, h: float, out: Any) -> int:
         numbers = carray(system_numbers, (2,))

@@ -45,8 +45,7 @@ class CompiledShiftCorrection:
     """Tables of one shift, whose generator X is multiplied by `rate`."""
 
     def __init__(self, tables: UnshiftTables, rate: float) -> None:
-        self._keepalive, self._rate = as_structure(tables), rate
-        self.tables, self.rate = tables, rate
+        self.tables, self.rate, self._keepalive = tables, rate, as_structure(tables)
         self._address, self._packed = ctypes.byref(self._keepalive), packer(Unshifted)
         self._kernel = kernels().unshift
         self.most = _largest_norm(tables, rate)
@@ -56,8 +55,7 @@ class CompiledShiftCorrection:
     def at_rate(self, rate: float) -> CompiledShiftCorrection:
         """Return the same shift with another rate."""
         other = copy(self)
-        other._rate = other.rate = rate
-        other.most = _largest_norm(self.tables, rate)
+        other.rate, other.most = rate, _largest_norm(self.tables, rate)
         return other
 
     def fill(
@@ -82,7 +80,7 @@ class CompiledShiftCorrection:
         for k in range(0, points, points_per_call):
             stop = min(k + points_per_call, points)
             # Packed bytes take a tenth of the time of a ctypes structure.
-            numbers = x0, g0, loop_groups, out_address, members, first, last, k, stop, self._rate, elapsed_address
+            numbers = x0, g0, loop_groups, out_address, members, first, last, k, stop, self.rate, elapsed_address
             self._kernel(self._address, self._packed(*numbers), schedule)
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.library import interruptible_kernels
-from coadjoint.kernels.loop import CompiledLoop, StopFlag, raise_outcome
+from coadjoint.kernels.loop import CompiledLoop, StopFlag, kernel_loop, raise_outcome
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_by_coefficients, addresses_of
 from coadjoint.kernels.tables.field import terms_of_field
 from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational, with_properties
@@ -182,16 +180,9 @@ def _marked_like(action: Action, marked: Action) -> Action:
     return mark_rational(action, np.diff(starts[marked.run]) > 0)
 
 
-@cache
-def _kernel(name: str) -> Any:
-    function = getattr(interruptible_kernels(), name)
-    function.restype = ctypes.c_int64
-    return function
-
-
 def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop: StopFlag) -> bool:
     """Call a kernel for the members `first` to `last` - 1 of a run; return whether all equations were solved."""
-    outcome = _kernel(name)(
+    outcome = kernel_loop(name)(
         ctypes.byref(as_structure(tables)),
         ctypes.byref(as_structure(run)),
         ctypes.c_int64(first),

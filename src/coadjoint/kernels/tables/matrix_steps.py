@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import inspect
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -120,14 +119,9 @@ def _adapted(
     import numba
     from numba import carray
 
-    from coadjoint.kernels.functions.compilation import SIGNATURE, fresh_dispatchers
+    from coadjoint.kernels.functions.compilation import SIGNATURE, called_in_machine_code
 
-    inner: Any = (
-        numba.njit(error_model="numpy", boundscheck=True)(fresh_dispatchers(function))
-        if inspect.isfunction(function)
-        else fresh_dispatchers(function)
-    )
-
+    inner: Any = called_in_machine_code(function)
     blocks = np.array(traceless, dtype=np.int64).reshape(-1, 2)
 
     @numba.njit(error_model="numpy")  # type: ignore[untyped-decorator]

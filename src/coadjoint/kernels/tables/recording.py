@@ -109,9 +109,7 @@ class FlaggedSteps(NamedTuple):
 
     def select(self, rows: NDArray[Any]) -> FlaggedSteps:
         """Return some of the rows, by a mask or by indices."""
-        members, steps, codes = self.members[rows], self.steps[rows], self.codes[rows]
-        states, groups = self.states[rows], self.groups[rows]
-        return FlaggedSteps(members, steps, codes, states, groups, self.before[rows], self.after[rows])
+        return FlaggedSteps(*(array[rows] for array in self))
 
 
 class EventArrays:

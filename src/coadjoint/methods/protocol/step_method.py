@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from coadjoint.kernels.functions.step_functions import step_function
+from coadjoint.kernels.functions.compiled_functions import step_function
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, function_tables, step_tables
 from coadjoint.methods.protocol.composed import SubstepMethod
