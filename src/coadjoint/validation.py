@@ -290,20 +290,6 @@ def set_fields(instance: Any, **fields: Any) -> None:
         object.__setattr__(instance, name, value)
 
 
-def read_mode(mode: Any, value: Any, form: str) -> tuple[int, int, complex]:
-    """Return the two whole numbers of a mode and its coefficient; TypeError or ValueError with the `form` to give."""
-    try:
-        first, second = (int(number) for number in mode)
-        coefficient = complex(value)
-        if (first, second) != tuple(mode):
-            raise ValueError
-    except (TypeError, ValueError):
-        raise TypeError(f"modes has {short(mode)}: {short(value)}; give {form}") from None
-    except OverflowError:
-        raise ValueError(f"modes has {short(mode)}: {short(value)}, too large for float64; give {form}") from None
-    return first, second, coefficient
-
-
 def read_path(value: Any, what: str) -> Path:
     """Validate the name of a file or folder and return a Path."""
     if not isinstance(value, str | Path):

@@ -26,7 +26,8 @@ import numpy.typing as npt
 
 from coadjoint.memory import available, check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import read_complex, read_mode
+from coadjoint.systems.matrices.torus_modes import read_mode
+from coadjoint.validation import read_complex
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
