@@ -1,4 +1,4 @@
-"""Registry of ready-made systems: each is one file in a folder of `FOLDERS`, registered by a decorator."""
+"""Registry of ready-made systems: functions in files of `FOLDERS`, registered by a decorator."""
 
 from __future__ import annotations
 

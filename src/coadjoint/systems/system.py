@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, Self
@@ -81,11 +80,10 @@ class System:
     """Whether attitudes of bodies are part of the state."""
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
-    closed_form: Callable[..., Any] | None = None
-    """The function ``exact(x0, t, attitude)`` that was given."""
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
+    _exact: Callable[..., Any] | None = None
 
     @property
     def _kind(self) -> type[System]:
@@ -106,6 +104,11 @@ class System:
     def parameters(self) -> dict[str, Any] | None:
         """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
+
+    @property
+    def closed_form(self) -> Callable[..., Any] | None:
+        """The given function ``exact(x0, t, attitude)``, or None."""
+        return self._exact
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return the structure matrix J(x), dense.
@@ -277,7 +280,7 @@ class System:
         TypeError
             No closed form is known.
         """
-        return require_closed_form(self.closed_form, self.name)(x0, t, attitude)
+        return require_closed_form(self._exact, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> Self:
         """Return the system with damping, torques or noise, after the forces that it has.
@@ -314,16 +317,14 @@ class System:
         forced = copy.copy(plain)
         vars(forced).pop("in_numbers", None)
         name = truncate_title(f"{plain.name} with {', '.join(labels_of(acting))}")
-        set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, closed_form=None)
+        set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, _exact=None)
         return forced
 
     def among(self, first: int, last: int) -> Self:
         """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
         if not first or not self.has_noise:
             return self
-        forces: list[Any] = list(self.forces)
-        renumbered = [replace(force, stream=force.stream + first) if force.random else force for force in forces]
-        return self.unforced.with_forces(*renumbered)
+        return self.unforced.with_forces(*(force.of_members_from(first) for force in self.forces))
 
     @property
     def distinct(self) -> tuple[Self, ...]:

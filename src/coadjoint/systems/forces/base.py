@@ -114,6 +114,11 @@ class Force(metaclass=ExplainedCalls):
         """Return how many numbers at the end of the state the force holds, and with_forces makes room for."""
         return 0
 
+    def of_members_from(self, first: int) -> Force:
+        """Return the force with the noise of the members of an ensemble from the number `first` on."""
+        force: Any = self
+        return replace(force, stream=force.stream + first) if self.random else self
+
     def check_steps(self, t0: float, h: float) -> None:
         """Raise ValueError if the force cannot act in steps of length h from time t0."""
         if h < 0.0 and not self.reversible:

@@ -34,6 +34,7 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import (
     check_traceable,
     check_user_hamiltonian,
     is_array_of_jax,
+    is_user_defined,
 )
 from coadjoint.systems.user_functions import (
     SumOfShares,
@@ -389,7 +390,7 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[st
     if isinstance(H, Quadratic):
         H.check_dimension(n, owner)
     bound = H.bind(n)
-    if type(H).__module__.partition(".")[0] != __name__.partition(".")[0]:
+    if is_user_defined(H):
         check_user_hamiltonian(bound, n)
     return bound
 

@@ -305,13 +305,15 @@ class SplitHamiltonian(Summable):
         TypeError
             A piece is of a user-defined type without multiples.
         """
+        pieces = []
         for number, piece in enumerate(self.pieces):
             if not isinstance(piece, Summable):
                 raise TypeError(
                     f"piece {number} is {short(piece)}, which has no method times; multiply the piece itself"
                 )
+            pieces.append(piece.times(factor))
         result = copy.copy(self)
-        result.pieces = tuple(piece.times(factor) for piece in self.pieces if isinstance(piece, Summable))
+        result.pieces = tuple(pieces)
         return result
 
     has_linear = True

@@ -24,6 +24,7 @@ from coadjoint.systems.hamiltonians.repeated_rows import BYTES_PER_ENTRY
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summable
 from coadjoint.systems.hamiltonians.terms import Term, built_in
+from coadjoint.systems.hamiltonians.user_hamiltonian import is_user_defined
 from coadjoint.validation import is_real
 
 
@@ -120,18 +121,14 @@ def _flatten(argument: Iterable[Any]) -> Iterable[Any]:
             yield from _flatten(summand.summands)
         elif isinstance(summand, PolynomialHamiltonian):
             yield summand.polynomial
-        elif isinstance(summand, Polynomial | Summable) or _is_user_defined(summand):
+        elif isinstance(summand, Polynomial | Summable):
+            yield summand
+        elif is_user_defined(summand) and isinstance(summand, HamiltonianLike) and not isinstance(summand, type):
             yield summand
         elif is_plain_function(summand):
             yield Hamiltonian(summand)
         else:
             raise TypeError(f"{short(summand)} is not a Hamiltonian and cannot be added to one; give one, or a number")
-
-
-def _is_user_defined(argument: Any) -> bool:
-    """Return whether it is a Hamiltonian of a user-defined type."""
-    is_foreign = type(argument).__module__.partition(".")[0] != __name__.partition(".")[0]
-    return is_foreign and not isinstance(argument, type) and isinstance(argument, HamiltonianLike)
 
 
 def _simple_sum(first: Quadratic | Polynomial, second: Quadratic | Polynomial) -> Quadratic | Polynomial:

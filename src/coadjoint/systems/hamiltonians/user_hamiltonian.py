@@ -169,6 +169,11 @@ class ParsedFunction:
         return short(self.text)
 
 
+def is_user_defined(H: Any) -> bool:
+    """Return whether it is an object of a user-defined type."""
+    return type(H).__module__.partition(".")[0] != __name__.partition(".")[0]
+
+
 def check_user_hamiltonian(H: Any, n: int) -> None:
     """Raise an error if value, gradient, second derivatives and terms of a bound user-defined Hamiltonian disagree."""
     kind = type(H).__name__
