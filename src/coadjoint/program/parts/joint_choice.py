@@ -232,7 +232,8 @@ def _ordered(
     for b, o in sorted({*zip(best[clear].tolist(), order[clear].tolist(), strict=True)}):
         members = np.flatnonzero(clear & (best == b) & (order == o))
         if members[0] == 0:
-            remember(system, *alternatives[b], orders[o])
+            shift, parts = alternatives[b]
+            remember(system, shift, parts, orders[o])
         result.append(((b, o), found[b][0].take(members)))
     return result
 
