@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -38,14 +38,6 @@ LONGEST = 8
 ZERO_CHANGE = 256 * UNIT_ROUNDOFF
 
 
-class Described(NamedTuple):
-    """Steps of a scheme for a system without forces, and the table: at least the energy and the parameters."""
-
-    steps: Steps
-    table: Mapping[str, Any]
-    field: StageField
-
-
 class XlaRun:
     """A prepared run over a time span as operations of JAX, for values by name: x0, inputs and parameters."""
 
@@ -59,10 +51,11 @@ class XlaRun:
             self._steps, self._table = self._describe_members(method, group)
         elif self._system.forces:
             forced = cast(Forced, prepared.scheme)
-            steps, self._table, field = _described(self._system.unforced, forced.inner, group)
+            steps, self._table = _steps_and_table(self._system.unforced, forced.inner, group)
+            field = _field(self._system.unforced, self._table)
             self._steps = steps_between_forces(steps, self._system, field, forced)
         else:
-            self._steps, self._table, _ = _described(self._system.unforced, method, group)
+            self._steps, self._table = _steps_and_table(self._system.unforced, method, group)
         self._linear = self._number_linear_terms()
         self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
@@ -88,20 +81,19 @@ class XlaRun:
     def _describe_members(self, method: Any, group: Any) -> tuple[Any, Mapping[str, Any]]:
         """Return the steps and the table of the first member of a batch; set the constants of all members."""
         batch = self._system
-        each = [_described(system, method, group) for system in batch.distinct]
-        first = each[0]
-        constants = [one.steps.constants(one.table["energy"]["coefficients"]) for one in each]
+        each = [_steps_and_table(system, method, group) for system in batch.distinct]
+        constants = [steps.constants(table["energy"]["coefficients"]) for steps, table in each]
         shapes = [jax.tree.map(jnp.shape, one) for one in constants]
         if any(
-            shape != shapes[0] or _structure_differs(system, one, batch.distinct[0], first)
-            for system, one, shape in zip(batch.distinct, each, shapes, strict=True)
+            shape != shapes[0] or _structure_differs(system, table, batch.distinct[0], each[0][1])
+            for system, (_, table), shape in zip(batch.distinct, each, shapes, strict=True)
         ):
             raise TypeError(
                 f"{CALLER} takes batches whose members have the same parts and structure constants, and no functions, "
                 f'not {batch.name}; take parts="coordinates", or backend="compiled"'
             )
         self._constants = jax.tree.map(lambda *own: jnp.stack(own)[batch.owners], *constants)
-        return first.steps, first.table
+        return each[0]
 
     def _number_linear_terms(self) -> Mapping[int, int]:
         """Return the number of the monomial of each coordinate that is an input."""
@@ -302,17 +294,21 @@ def _member_numbers_of_batch(size: int, batched: Any, x0: Any, *parameters: Any)
     return member_numbers(*firsts), False
 
 
-def _described(system: Any, method: Any, group: Any) -> Described:
-    """Return the steps of a scheme for a system without forces."""
+def _field(system: Any, table: Mapping[str, Any]) -> StageField:
+    """Return the field of a system without forces, with the coefficients of the energy in its table."""
+    return StageField(system, table["energy"]["monomials"])
+
+
+def _steps_and_table(system: Any, method: Any, group: Any) -> tuple[Steps, Mapping[str, Any]]:
+    """Return the steps of a scheme for a system without forces, and a table with at least the energy and parameters."""
     scheme = method.expanded
     if not system.has_structure_constants:
         raise TypeError(f'{CALLER} takes systems on a Lie algebra, not {system.name}; take backend="compiled"')
     table: Mapping[str, Any] = {"fixed": [], **energy_and_parameters(system)}
-    field = StageField(system, table["energy"]["monomials"])
     if isinstance(scheme, RungeKuttaMethod) and scheme.solver == "implicit":
         if group is not None:
             raise TypeError(f'{CALLER} computes attitudes by splittings only, not by {method}; take backend="compiled"')
-        return Described(stage_steps(field, scheme.coefficients()), table, field)
+        return stage_steps(_field(system, table), scheme.coefficients()), table
     if not isinstance(scheme, FlowMethod):
         raise TypeError(
             f'{CALLER} takes splittings and implicit Runge-Kutta methods, not {method}; take backend="compiled"'
@@ -321,19 +317,22 @@ def _described(system: Any, method: Any, group: Any) -> Described:
         raise TypeError(f"{CALLER} has no compensated sums, as {method} wants; take compensated=False")
     program = scheme.program(system, group=group)
     table = program.to_mapping()
-    return Described(table_steps(table, program.functions, *_of_group(program, group)), table, field)
+    return table_steps(table, program.functions, *_of_group(program, group)), table
 
 
-def _structure_differs(system: Any, one: Described, first_system: Any, first: Described) -> bool:
+def _structure_differs(
+    system: Any, table: Mapping[str, Any], first_system: Any, first_table: Mapping[str, Any]
+) -> bool:
     """Return whether a member of a batch has more than other numbers than the first one, or functions."""
-    keys = [key for key in first.table if key not in (*DEPENDENT, "energy", "parameters", "provenance", "fixed")]
-    pairs = [(one.table[key], first.table[key]) for key in keys if key != "shift"]
+    keys = [key for key in first_table if key not in (*DEPENDENT, "energy", "parameters", "provenance", "fixed")]
+    pairs = [(table[key], first_table[key]) for key in keys if key != "shift"]
     pairs += zip(system.algebra.triples, first_system.algebra.triples, strict=True)
     # As lists: monomials of several degrees are no array.
-    monomials = [[*map(tuple, each.table["energy"]["monomials"])] for each in (one, first)]
-    casimirs = [[shift["exponents"] for shift in each.table.get("shift", ())] for each in (one, first)]
+    monomials = [[*map(tuple, each["energy"]["monomials"])] for each in (table, first_table)]
+    casimirs = [[shift["exponents"] for shift in each.get("shift", ())] for each in (table, first_table)]
     differ = monomials[0] != monomials[1] or casimirs[0] != casimirs[1]
-    return bool(one.field.functions) or differ or not all(np.array_equal(*pair) for pair in pairs)
+    has_functions = any(term.called for term in system.hamiltonian.terms())
+    return has_functions or differ or not all(np.array_equal(*pair) for pair in pairs)
 
 
 def _of_group(program: Any, group: Any) -> tuple[int | None, list[Any]]:
