@@ -49,6 +49,14 @@ class FlowTables(NamedTuple):
     properties: NDArray[np.uint8]
     step: float
 
+    def at_step(self, h: float) -> FlowTables | None:
+        """Return the tables of another step; None unless they are exact multiples by a power of two, of either sign."""
+        ratio = h / self.step
+        if abs(math.frexp(ratio)[0]) != 0.5 or ratio * self.step != h:
+            return None
+        tau = self.tau * ratio
+        return self._replace(tau=tau, step=h) if np.array_equal(tau / ratio, self.tau) else None
+
 
 FLOW_LOOP = "flow_advance"
 """Name of the loop. Between calls the state is unfinished: the last flow of a step is merged with the first of the
@@ -102,15 +110,6 @@ def with_properties(tables: FlowTables) -> FlowTables:
     if kernels().flow_properties(ctypes.byref(as_structure(found)), ctypes.c_int64(len(found.only))):
         raise MemoryError("not enough memory for the properties of the parts")
     return found
-
-
-def at_step(tables: FlowTables, h: float) -> FlowTables | None:
-    """Return the tables of another step; None unless they are exact multiples by a power of two, with either sign."""
-    ratio = h / tables.step
-    if abs(math.frexp(ratio)[0]) != 0.5 or ratio * tables.step != h:
-        return None
-    tau = tables.tau * ratio
-    return tables._replace(tau=tau, step=h) if np.array_equal(tau / ratio, tables.tau) else None
 
 
 def mark_rational(action: Action, rational: NDArray[np.bool_]) -> Action:

@@ -47,6 +47,10 @@ class RungeKuttaTables(NamedTuple):
         """Terms of the Hamiltonian, as `FlowTables` have them."""
         return self.field.terms
 
+    def at_step(self, h: float) -> RungeKuttaTables:
+        """Return the tables of another step: they do not depend on it."""
+        return self
+
 
 RUNGE_KUTTA_LOOP = "runge_kutta_advance"
 """Name of the loop in the library."""

@@ -56,6 +56,10 @@ class Stepping(NamedTuple):
     tables: StepTables
     serial: int = 0
 
+    def at_step(self, h: float) -> Stepping:
+        """Return the tables of another step: they do not depend on it, except for those of an inner loop."""
+        return self
+
 
 def step_address(step: Any) -> int:
     """Return the address of a step: an object with an ``address``, or a name (`STEP_SCHEME` in its C++ file)."""

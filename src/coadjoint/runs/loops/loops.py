@@ -185,19 +185,9 @@ class Loops:
 
     def at_step(self, h: float) -> Loops | None:
         """Return the loops of another step, by the same tables; None if they must be built again."""
-        from coadjoint.kernels.tables.flow import FlowTables, at_step
-        from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
-        from coadjoint.kernels.tables.steps import Stepping
-
-        def unchanged(tables: Any, _: float) -> Any:
-            return tables
-
-        # Tables of stages and of steps do not depend on the step, except in an inner loop.
-        rules: dict[Any, Any] = {FlowTables: at_step, RungeKuttaTables: unchanged, Stepping: unchanged}
         compiled = []
         for loop in self.compiled:
-            rule = None if loop.referenced else rules.get(type(loop.tables))
-            tables = None if rule is None else rule(loop.tables, h)
+            tables = None if loop.referenced else loop.tables.at_step(h)
             if tables is None:
                 return None
             compiled.append(replace(loop, tables=tables))
