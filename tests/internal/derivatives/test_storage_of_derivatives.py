@@ -13,12 +13,6 @@ BODY = co.systems.rigid_body((1, 2, 3))
 TOP = co.systems.heavy_top(inertia=(1.0, 2.0, 2.5), lever=(0.1, 0.2, 1.0))
 
 
-def stretches_of(pullback):
-    """The stretches of steps of a pullback of one run."""
-    _, trajectory = pullback._gradient.args
-    return trajectory.stretches
-
-
 @pytest.mark.parametrize(
     "method", [co.Splitting(order=4), co.Splitting(compensated=True), co.GaussLegendre(2)], ids=str
 )
@@ -47,7 +41,7 @@ def test_number_of_checkpoints_is_bounded(monkeypatch):
     for numbers in (2**15, 1):
         monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", numbers)
         sol, pullback = large.vjp(x1, (0.0, 0.01 * steps), save_every=steps)
-        lengths = [one.k1 - one.k0 for one in stretches_of(pullback)]
+        lengths = [one.k1 - one.k0 for one in pullback._gradient.args[1].stretches]
         assert lengths == ([40] if numbers > 1 else [16, 16, 8])
         gradients[numbers] = pullback(np.ones(sol.x.shape))["x0"]
     assert np.array_equal(gradients[1], gradients[2**15])
@@ -55,11 +49,11 @@ def test_number_of_checkpoints_is_bounded(monkeypatch):
     monkeypatch.setattr(differentiable_run, "NUMBERS_OF_STRETCH", 3)
     for size, count in ((2**25, 1000), (4800, 100)):
         monkeypatch.setattr(differentiable_run, "BYTES_OF_CHECKPOINTS", size)
-        assert len(stretches_of(ready.vjp(x0, (0.0, 1000 * H), 1000)[1])) == count
+        assert len(ready.vjp(x0, (0.0, 1000 * H), 1000)[1]._gradient.args[1].stretches) == count
     # A thousand steps of their own lengths store about a kilobyte each.
     monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
     ready = co.prepare(BODY, co.ReversibleSteps(co.Splitting(), 0.1), 300.0, attitude=True)
-    assert len(stretches_of(ready.vjp(x0, (0.0, 300.0))[1])) > 1024
+    assert len(ready.vjp(x0, (0.0, 300.0))[1]._gradient.args[1].stretches) > 1024
 
 
 def test_matrices_that_exceed_the_memory_are_refused_before_they_are_allocated(monkeypatch):
