@@ -10,13 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.program.modified_energy.second_order import (
-    IMPROVEMENT_FACTOR,
-    MAX_PERMUTED,
-    has_hessians,
-    joint_sizes,
-    smallest,
-)
+from coadjoint.program.modified_energy.joint_orders import joint_sizes, smallest
+from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
 from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
     ChosenParts,
