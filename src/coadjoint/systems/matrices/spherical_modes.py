@@ -26,7 +26,6 @@ import numpy.typing as npt
 
 from coadjoint.memory import available, check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.torus_modes import read_mode
 from coadjoint.validation import read_complex
 
 Floats = npt.NDArray[np.float64]
@@ -173,6 +172,20 @@ def harmonics_of_matrix(W: Any) -> Complexes:
     c[..., :, 0].imag = 0.0
     c[..., 0, 0] = 0.0
     return c
+
+
+def read_mode(mode: Any, value: Any, form: str) -> tuple[int, int, complex]:
+    """Return the two whole numbers of a mode and its coefficient; TypeError or ValueError with the `form` to give."""
+    try:
+        first, second = (int(number) for number in mode)
+        coefficient = complex(value)
+        if (first, second) != tuple(mode):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise TypeError(f"modes has {short(mode)}: {short(value)}; give {form}") from None
+    except OverflowError:
+        raise ValueError(f"modes has {short(mode)}: {short(value)}, too large for float64; give {form}") from None
+    return first, second, coefficient
 
 
 def read_harmonics(argument: Any, N: int) -> Complexes:

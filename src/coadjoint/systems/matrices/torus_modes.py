@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
+from coadjoint.systems.matrices.spherical_modes import read_mode
 from coadjoint.validation import read_complex, read_finite
 
 Complexes = npt.NDArray[np.complex128]
@@ -63,20 +64,6 @@ def read_modes(argument: Any, N: int) -> Complexes:
             )
         w[n1, n2], w[-n1, -n2] = number, number.conjugate()
     return w
-
-
-def read_mode(mode: Any, value: Any, form: str) -> tuple[int, int, complex]:
-    """Return the two whole numbers of a mode and its coefficient; TypeError or ValueError with the `form` to give."""
-    try:
-        first, second = (int(number) for number in mode)
-        coefficient = complex(value)
-        if (first, second) != tuple(mode):
-            raise ValueError
-    except (TypeError, ValueError):
-        raise TypeError(f"modes has {short(mode)}: {short(value)}; give {form}") from None
-    except OverflowError:
-        raise ValueError(f"modes has {short(mode)}: {short(value)}, too large for float64; give {form}") from None
-    return first, second, coefficient
 
 
 def _read_array(argument: Any, N: int) -> Complexes:
