@@ -23,7 +23,7 @@ NATURAL_TIMES = 2.0
 SPANS_TRIED = 4
 """Number of spans, each half of the previous one, that are tried until the motion has a reference."""
 # Larger relative errors are outside the asymptotic range.
-COARSE_ERROR = 0.05
+ROUGH_ERROR = 0.05
 MAX_STEPS_COMPILED, MAX_STEPS_PYTHON = 512, 128
 """Upper limits on steps over the span for compiled and other steps, unless the given step needs more."""
 MAX_GIVEN_STEPS = 4096  # over the span, if the given step is short
@@ -68,15 +68,13 @@ class Study:
 
     @property
     def order(self) -> OrderFit | None:
-        """The order of the errors that are below `COARSE_ERROR` and above round-off."""
-        inside = [k for k, error in enumerate(self.errors) if error < COARSE_ERROR]
+        """The order of the errors that are below `ROUGH_ERROR` and above round-off."""
+        inside = [k for k, error in enumerate(self.errors) if error < ROUGH_ERROR]
         return measured_order(*([values[k] for k in inside] for values in (self.steps, self.errors, self.floors)))
 
     def coarse_step(self, h: float) -> float:
         """Return the largest step at which the scheme still approximates the motion; at least the given one."""
-        accurate = [
-            self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < COARSE_ERROR / 5
-        ]
+        accurate = [self.span / n for n, error in zip(self.counts, self.errors, strict=True) if error < ROUGH_ERROR / 5]
         largest = accurate[0] if accurate else h
         return largest if abs(largest) > 1.01 * abs(h) else h
 
@@ -146,7 +144,7 @@ def study(subject: Subject) -> Study | None:
         return result.errors[k] > FLOOR_FACTOR * result.floors[k]
 
     # First larger steps until errors are above round-off, then smaller ones down to round-off, then larger ones up to
-    # `COARSE_ERROR`.
+    # `ROUGH_ERROR`.
     succeeded = run(first)
     while succeeded and first > 1 and not above_floor(first):
         first = max(1, first // 2)
@@ -161,7 +159,7 @@ def study(subject: Subject) -> Study | None:
         run(count)
     count = first
     for _ in range(MAX_TRIALS):
-        if count == 1 or (result.errors and result.errors[0] > COARSE_ERROR):
+        if count == 1 or (result.errors and result.errors[0] > ROUGH_ERROR):
             break
         count = min(count - 1, math.floor(count / ratio))
         if not run(count):
@@ -237,7 +235,7 @@ def _order_row(subject: Subject, study: Study, declared: str, evidence: dict[str
         reason = "fewer than three errors between 5 % and round-off; take another step"
         if not any(error > FLOOR_FACTOR * floor for error, floor in zip(study.errors, study.floors, strict=True)):
             holds, measured, reason = True, f"no error above round-off at any step up to {study.steps[0]:.3g}", ""
-        elif min(study.errors) > COARSE_ERROR:
+        elif min(study.errors) > ROUGH_ERROR:
             holds, measured = False, f"errors of {min(study.errors):.1g} and more at every step"
             reason = study.failed[-1] if study.failed else ""
     else:
@@ -287,7 +285,7 @@ def _reference_row(subject: Subject, study: Study, p: int | None, declared: str,
         bound += allowed_error(change, (study.counts[-2] / study.counts[-1]) ** (p or 1))
     holds: bool | None = last <= bound
     reason = study.reference.contradiction
-    if holds and last > COARSE_ERROR:
+    if holds and last > ROUGH_ERROR:
         holds, reason = False, "no step came near the motion"
     if study.given in study.counts:
         error = study.errors[study.counts.index(study.given)]
