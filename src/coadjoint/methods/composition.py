@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.keyword_hints import suggest_keywords
@@ -19,9 +19,6 @@ from coadjoint.program.table import Program
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice, read_finite, read_integer
-
-if TYPE_CHECKING:
-    pass
 
 MAX_SUM = 1000.0  # of absolute coefficients: states move so much farther, and rounding with them
 MAX_SUBSTEPS = 1000  # of a step; tables of flows stay small

@@ -94,7 +94,7 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledSource:
 
     Returns
     -------
-    CompiledStep
+    CompiledSource
         The value of `compiled_step` for a scheme that derives from `CompiledStepMethod`. It refers to the file as it
         was at the time of this call.
 

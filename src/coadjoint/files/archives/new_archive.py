@@ -37,7 +37,7 @@ from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import (
     TIME,
     ExtraMetadata,
-    accounts_of,
+    accounts_of_work,
     coordinates_of,
     start_variables,
     summary_variables,
@@ -113,7 +113,7 @@ class PlannedRun(NamedTuple):
         """Return the attributes that identify the run; `piece` is its solution at the start."""
         return {
             **attributes_of(piece),
-            ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of(piece)),
+            ACCOUNTS_ATTRIBUTE: json.dumps(accounts_of_work(piece)),
             **function_attributes(self.prepared),
             FIRST_STEP: self.first_step(),
         }

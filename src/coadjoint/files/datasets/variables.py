@@ -184,7 +184,7 @@ def coordinates_of(solution: Solution) -> Variables:
     tenths = next(iter(changes.values())).tenths.shape[-1]
     add("tenth", np.arange(1, tenths + 1), "number of a tenth of the run")
     if solution.work:
-        add("account", [f"{force}: {name}" for force, name in accounts_of(solution)], "force, and what it changes")
+        add("account", [f"{force}: {name}" for force, name in accounts_of_work(solution)], "force, and what it changes")
     return coordinates
 
 
@@ -246,7 +246,7 @@ def _shape_of_numbers(value: Any) -> tuple[int, ...] | None:
     return array.shape if array.dtype.kind in "iuf" else None
 
 
-def accounts_of(solution: Solution) -> list[tuple[str, str]]:
+def accounts_of_work(solution: Solution) -> list[tuple[str, str]]:
     """Return the pairs of force and invariant for which work is recorded."""
     return [(force, name) for force, of_force in solution.work.items() for name in of_force]
 
