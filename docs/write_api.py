@@ -41,7 +41,7 @@ MEMBERS_OF = (
     (
         "A system",
         co.System,
-        "energy exact hamiltonian_field jacobian labels parameters power reversible shape structure_matrix unforced "
+        "energy exact hamiltonian_field jacobian parameters power shape structure_matrix unforced "
         "vector_field with_forces",
     ),
     ("A system of matrices, in addition", co.MatrixSystem, "from_vector in_numbers spectrum stream_of to_vector"),

@@ -1,8 +1,9 @@
-"""Functions of what is made of runs and solutions, such as ``sol.plot()``, by name; imported on first use."""
+"""Shortcuts: attributes of a field, and functions of what is made of runs, such as ``sol.plot()``, by name."""
 
 from __future__ import annotations
 
 import importlib
+from operator import attrgetter
 from typing import Any
 
 SHORTCUTS = {
@@ -33,7 +34,12 @@ SHORTCUTS = {
 """Name -> "module:function"."""
 
 
+def of(path: str) -> Any:
+    """Return a property that is an attribute or a method of an object in a field, such as "base.order"."""
+    return property(attrgetter(path), doc=f"That of `{path.partition('.')[0]}`.")
+
+
 def shortcut(name: str) -> Any:
-    """Return the function of a later layer that is registered under a name."""
+    """Return the function of a later layer that is registered under a name; it is imported on first use."""
     module, _, function = SHORTCUTS[name].partition(":")
     return getattr(importlib.import_module(module), function)

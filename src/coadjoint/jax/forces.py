@@ -32,7 +32,7 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
     plain = system.unforced
     flows: list[Flow] = [
         force.describe_to(ForceReaders(plain, field, f"a function of {label}", scheme.order), plain)
-        for label, force in system.labelled_forces
+        for label, force in zip(system.labels, system.forces, strict=True)
     ]
 
     def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:

@@ -11,12 +11,13 @@ from typing import Any
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.protocol.composed import MAX_ORDER, Composed, check_base, of
+from coadjoint.methods.protocol.composed import MAX_ORDER, Composed, check_base
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.splitting import Splitting
 from coadjoint.program.numbers import Number
 from coadjoint.program.table import Program
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.shortcuts import of
 from coadjoint.systems.system import System
 from coadjoint.validation import read_choice, read_finite, read_integer
 

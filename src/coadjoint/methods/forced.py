@@ -153,7 +153,7 @@ class Forced(Wrapper):
         """Raise ValueError if there are substeps backward in time and a force that does not run backward."""
         if len(self.fractions) == 1:
             return
-        for label, force in system.labelled_forces:
+        for label, force in zip(system.labels, system.forces, strict=True):
             if not force.reversible:
                 raise ValueError(
                     f"{label} does not run backward, and {self.base} takes steps backward in time, as every scheme of "
@@ -166,7 +166,7 @@ class Forced(Wrapper):
             raise TypeError(f"{system.name} has no forces; take {type(self.base).__name__} alone")
         self.check_backward(system)
         inner = declared_properties(self.base, system.unforced)
-        breaking = [label for label, force in system.labelled_forces if not force.casimirs]
+        breaking = [label for label, force in zip(system.labels, system.forces, strict=True) if not force.casimirs]
         every = list(system.labels)
         broken = [("Poisson map", inner.poisson, every), ("energy", inner.energy, every)]
         broken += [("Casimirs", inner.casimirs != "none", breaking)]

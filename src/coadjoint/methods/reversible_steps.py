@@ -18,12 +18,13 @@ from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
-from coadjoint.methods.protocol.composed import Wrapper, check_base, of
+from coadjoint.methods.protocol.composed import Wrapper, check_base
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.splitting import Splitting
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states

@@ -102,7 +102,7 @@ class Inputs:
             return
         from coadjoint.kernels.tables.forces import linear_coefficients_in
 
-        for label, force in self.system.labelled_forces:
+        for label, force in zip(self.system.labels, self.system.forces, strict=True):
             contained = sorted({*linear_coefficients_in(force, self._unforced)} & {*self.in_energy.tolist()})
             if contained:
                 raise TypeError(

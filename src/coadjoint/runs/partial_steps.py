@@ -35,7 +35,7 @@ SINGLE_THREAD_ROWS = 256
 
 def noises_of(system: Any) -> list[str]:
     """Return the labels of the forces that are noise."""
-    return [label for label, force in system.labelled_forces if force.random]
+    return [label for label, force in zip(system.labels, system.forces, strict=True) if force.random]
 
 
 def reject_noise(system: Any) -> None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs
@@ -39,6 +40,16 @@ class Batch:
     # Member m is distinct[owners[m]]; the last of `axes` is the fastest; unless `combined`, each has every state.
     is_batch: Literal[True] = True
     has_matrices = False
+    # Members have them in common, up to parameters.
+    dim = of("first.dim")
+    shape = of("first.shape")
+    sign = of("first.sign")
+    unforced = of("first.unforced")
+    forces = of("first.forces")
+    labels = of("first.labels")
+    has_noise = of("first.has_noise")
+    states_of = of("first.states_of")
+    rows_of = of("first.rows_of")
 
     def __init__(
         self, systems: Iterable[System], axes: Mapping[str, Axis] | None = None, combined: bool = True
@@ -49,6 +60,7 @@ class Batch:
         self.systems: tuple[Any, ...] = read_list(systems, "systems", rule)
         if not self.systems:
             raise ValueError("the batch is empty; give at least one system")
+        self.first = self.systems[0]
         numbers = dict[int, int]()
         self.owners = np.array([numbers.setdefault(id(system), len(numbers)) for system in self.systems])
         firsts = np.unique(self.owners, return_index=True)[1].tolist()
@@ -58,39 +70,13 @@ class Batch:
                 raise TypeError(
                     f"member {m} of the batch is {short(system)}; it must be a LiePoissonSystem or a PoissonSystem"
                 )
-            difference = _difference(self.systems[0], system)
+            difference = _difference(self.first, system)
             if difference:
                 raise ValueError(f"member {m} of the batch {difference}; members may differ only in their constants")
-        self.dim, self.shape, self.sign = self.systems[0].dim, self.systems[0].shape, self.systems[0].sign
         self.axes, self.combined = dict(axes or {}), combined
         lengths = [axis.length for axis in self.axes.values()]
         if self.axes and prod(lengths) != len(self.systems):
             raise ValueError(f"the axes have the lengths {lengths}, and there are {len(self.systems)} systems")
-
-    @property
-    def unforced(self) -> Any:
-        """The Hamiltonian part of the first member."""
-        return self.systems[0].unforced
-
-    @property
-    def forces(self) -> Any:
-        """The forces of the first member."""
-        return self.systems[0].forces
-
-    @property
-    def has_noise(self) -> bool:
-        """Whether a force of the first member, and so of each, is random."""
-        return bool(self.systems[0].has_noise)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Labels of the forces, which are common to all members."""
-        return self.systems[0].labels
-
-    @property
-    def labelled_forces(self) -> Any:
-        """The forces of the first member with their labels, which are common to all members."""
-        return self.systems[0].labelled_forces
 
     @property
     def in_numbers(self) -> Batch:
@@ -100,14 +86,6 @@ class Batch:
     def of_member(self, member: int) -> Any:
         """Return the system of a member."""
         return self.systems[member]
-
-    def states_of(self, rows: NDArray[Any]) -> NDArray[Any]:
-        """Return rows of numbers (..., dim) as states (..., *shape)."""
-        return self.systems[0].states_of(rows)
-
-    def rows_of(self, states: NDArray[Any]) -> NDArray[Any]:
-        """Return states (..., *shape) as rows of numbers (..., dim)."""
-        return self.systems[0].rows_of(states)
 
     def among(self, first: int, last: int) -> Batch:
         """Return the batch of members `first` to `last` - 1; noise keeps the numbering of this batch."""
@@ -143,7 +121,7 @@ def selected(batch: Batch, members: NDArray[np.int64], first: int = 0) -> Batch:
     part.distinct = tuple(system.among(first, first + len(members)) for system in chosen)
     part.owners = np.argsort(order)[places]
     part.systems = tuple(part.distinct[owner] for owner in part.owners.tolist())
-    part.dim, part.shape, part.sign = batch.dim, batch.shape, batch.sign
+    part.first = part.systems[0]
     part.axes, part.combined = {}, True
     return part
 

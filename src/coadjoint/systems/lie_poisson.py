@@ -104,7 +104,7 @@ class LiePoissonSystem(System):
     name: str
     _casimirs: dict[str, Any] | None
     _parameters: dict[str, Any] | None
-    _exact: Callable[..., Any] | None
+    closed_form: Callable[..., Any] | None
     _integrals: Mapping[str, Any]
     _layout: dict[str, Any]
 
@@ -147,7 +147,7 @@ class LiePoissonSystem(System):
             self,
             hamiltonian=in_coordinates_of(self, self.hamiltonian),
             _parameters=read_parameters(parameters),
-            _exact=read_closed_form(exact),
+            closed_form=read_closed_form(exact),
             _layout=read_layout(layout),
         )
 

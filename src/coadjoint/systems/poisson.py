@@ -86,7 +86,7 @@ class PoissonSystem(System):
     name: str
     _casimirs: dict[str, Any]
     _parameters: dict[str, Any] | None
-    _exact: Callable[..., Any] | None
+    closed_form: Callable[..., Any] | None
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class PoissonSystem(System):
             self,
             hamiltonian=in_coordinates_of(self, self.hamiltonian),
             _parameters=read_parameters(parameters),
-            _exact=read_closed_form(exact),
+            closed_form=read_closed_form(exact),
         )
         check_structure(self)
         if derivative is not None:

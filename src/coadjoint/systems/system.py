@@ -49,6 +49,10 @@ class System:
         Lattice and shape of sites, for pictures; empty by default.
     forces : tuple of Force
         Damping, torques and noise, given by `with_forces`; mostly empty.
+    labels : tuple of str
+        Labels of the forces, numbered from the second of a type on.
+    reversible : bool
+        Whether all forces can run backward in time.
 
     Examples
     --------
@@ -73,6 +77,10 @@ class System:
     algebra: Any = None
     representation: Any = None
     forces: tuple[Force, ...] = ()
+    labels: tuple[str, ...] = ()
+    reversible: bool = True
+    has_noise = False
+    """Whether a force is random, so that neither a field nor states between two steps exist."""
     is_batch: Literal[False] = False
     has_matrices = False
     """Whether states are matrices, with streams, traces and spectra."""
@@ -83,12 +91,9 @@ class System:
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
-    _exact: Callable[..., Any] | None = None
-
-    @property
-    def _kind(self) -> type[System]:
-        """The class of the systems with which a batch mixes this one."""
-        return type(self)
+    _kind = property(type, doc="The class of the systems with which a batch mixes this one.")
+    closed_form: Callable[..., Any] | None = None
+    """The given function ``exact(x0, t, attitude)``, or None."""
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -104,11 +109,6 @@ class System:
     def parameters(self) -> dict[str, Any] | None:
         """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
-
-    @property
-    def closed_form(self) -> Callable[..., Any] | None:
-        """The given function ``exact(x0, t, attitude)``, or None."""
-        return self._exact
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return the structure matrix J(x), dense.
@@ -280,7 +280,7 @@ class System:
         TypeError
             No closed form is known.
         """
-        return require_closed_form(self._exact, self.name)(x0, t, attitude)
+        return require_closed_form(self.closed_form, self.name)(x0, t, attitude)
 
     def with_forces(self, *forces: Force) -> Self:
         """Return the system with damping, torques or noise, after the forces that it has.
@@ -316,8 +316,10 @@ class System:
         plain, acting = forces_on(self.unforced, (*self.forces, *forces))
         forced = copy.copy(plain)
         vars(forced).pop("in_numbers", None)
-        name = truncate_title(f"{plain.name} with {', '.join(labels_of(acting))}")
-        set_fields(forced, forces=acting, name=name, _unforced=plain, _parameters=None, _exact=None)
+        set_fields(forced, forces=acting, labels=labels_of(acting), _unforced=plain, _parameters=None, closed_form=None)
+        set_fields(forced, name=truncate_title(f"{plain.name} with {', '.join(forced.labels)}"))
+        set_fields(forced, reversible=all(force.reversible for force in acting))
+        set_fields(forced, has_noise=any(force.random for force in acting))
         return forced
 
     def among(self, first: int, last: int) -> Self:
@@ -347,26 +349,6 @@ class System:
     def rows_of(self, states: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return states (..., *shape) as rows of numbers (..., dim)."""
         return states.reshape(*states.shape[: -len(self.shape)], self.dim)
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """Labels of the forces, numbered from the second of a type on."""
-        return labels_of(self.forces)
-
-    @property
-    def labelled_forces(self) -> tuple[tuple[str, Force], ...]:
-        """The forces with their labels."""
-        return tuple(zip(self.labels, self.forces, strict=True))
-
-    @property
-    def has_noise(self) -> bool:
-        """Whether a force is random, so that neither a field nor states between two steps exist."""
-        return any(force.random for force in self.forces)
-
-    @property
-    def reversible(self) -> bool:
-        """Whether all forces can run backward in time."""
-        return all(force.reversible for force in self.forces)
 
     @ignore_overflow
     def power(self, x: npt.ArrayLike, t: float = 0.0) -> dict[str, float]:
@@ -398,7 +380,8 @@ class System:
         """
         y, t = self._vector(x), read_number(t, "t")
         gradient = self.hamiltonian.gradient(y, t)
-        return {label: float(gradient @ force.field(self.unforced, y, t)) for label, force in self.labelled_forces}
+        powers = (float(gradient @ force.field(self.unforced, y, t)) for force in self.forces)
+        return dict(zip(self.labels, powers, strict=True))
 
     def __repr__(self) -> str:
         if not self.forces:

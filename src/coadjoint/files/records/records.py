@@ -139,7 +139,8 @@ def _batch_entries(batch: Batch, missing: list[str]) -> dict[str, Any]:
 
 def _forced_entries(system: System, missing: list[str]) -> dict[str, Any]:
     """Return the Hamiltonian part, and the forces by name and parameters."""
-    inner, forces = record_of(system.unforced), {label: _force_record(force) for label, force in system.labelled_forces}
+    inner = record_of(system.unforced)
+    forces = dict(zip(system.labels, map(_force_record, system.forces), strict=True))
     missing += inner.get("not_stored", ())
     missing += [f"force: {label}" for label, force in forces.items() if force is None]
     return {"forces": [force for force in forces.values() if force is not None], "system": inner}

@@ -88,7 +88,7 @@ def accounts_of(system: Any) -> tuple[tuple[str, str], ...]:
     tracked_casimirs = (
         hamiltonian_part.quadratic_casimirs if hamiltonian_part.has_matrices else hamiltonian_part.casimirs
     )
-    for label, force in system.labelled_forces:
+    for label, force in zip(system.labels, system.forces, strict=True):
         names = ["energy", *(() if force.casimirs else tracked_casimirs)]
         accounts += [(label, name) for name in names]
     return tuple(accounts)
@@ -215,7 +215,7 @@ def forced_loop(
     accounts, first = accounts_of(system), 0
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
-    for label, force in system.labelled_forces:
+    for label, force in zip(system.labels, system.forces, strict=True):
         count = sum(account == label for account, _ in accounts)
         reader = _ForceTableBuilder(system.unforced, first, count, order)
         tables.append(force.describe_to(reader, system.unforced))

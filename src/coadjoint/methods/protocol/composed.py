@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep, joined_steps
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import of
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
@@ -27,11 +27,6 @@ if TYPE_CHECKING:
 
 FULL_STEP = (1.0,)  # fractions of a step that is not composed
 MAX_ORDER = 12  # highest order of a composition that is tested, unless that of the base is higher
-
-
-def of(path: str) -> Any:
-    """Return a property that is an attribute or a method of another scheme, such as "base.order"."""
-    return property(attrgetter(path), doc=f"That of `{path.partition('.')[0]}`.")
 
 
 class Wrapper(Method):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.kernels.tables.structures import unrecorded
-from coadjoint.methods.protocol.composed import Composed, Wrapper, of
+from coadjoint.methods.protocol.composed import Composed, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.program.generators import NotSplittable
 from coadjoint.program.numbers import Number, precision_of
@@ -27,6 +27,7 @@ from coadjoint.program.parts.decompose import (
     decompose,
 )
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
+from coadjoint.shortcuts import of
 from coadjoint.systems.hamiltonians.linear_term import with_placeholders
 from coadjoint.systems.hamiltonians.split_hamiltonian import MAX_COORDINATES
 from coadjoint.systems.system import System

@@ -45,7 +45,7 @@ def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
     for name in list(vars(changed)):
         if isinstance(getattr(type(system), name, None), cached_property):
             del vars(changed)[name]
-    fields: dict[str, Any] = {"hamiltonian": hamiltonian, "_exact": None, "_parameters": None, "_integrals": {}}
+    fields: dict[str, Any] = {"hamiltonian": hamiltonian, "closed_form": None, "_parameters": None, "_integrals": {}}
     for name, value in fields.items():
         if hasattr(system, name):
             object.__setattr__(changed, name, value)

@@ -125,7 +125,7 @@ class MatrixSystem(System):
         self.energy_function = read_energy(energy, self.timed)
         self.energy_sign = read_sign(energy_sign, "energy_sign")
         self.name = read_title(name, "name")
-        self._parameters, self._exact = read_parameters(parameters), read_closed_form(exact)
+        self._parameters, self.closed_form = read_parameters(parameters), read_closed_form(exact)
         self.powers = read_integer(powers, "powers", 0, MAX_POWERS)
         self.shape = algebra.shape
         self.matrix_shape: tuple[int, ...] = algebra.shape  # also of states given as vectors
@@ -295,7 +295,7 @@ class MatrixSystem(System):
         """Return the closed-form solution; raise TypeError if none is known, or for an attitude, which it never has."""
         if attitude is not False:
             raise TypeError(f"attitude is {short(attitude)}; the closed form of {self.name} has none")
-        return np.asarray(require_closed_form(self._exact, self.name)(x0, t))
+        return np.asarray(require_closed_form(self.closed_form, self.name)(x0, t))
 
     def to_vector(self, W: Any) -> Floats:
         """Return matrices (..., N, N) as vectors: entry by entry, real and imaginary parts."""
