@@ -54,8 +54,7 @@ from coadjoint.validation import read_bool, read_list, read_number
 # Safety factor of the target error.
 SAFETY_FACTOR = 3.0
 MODERATE_ORDER = 8  # orders above it get smaller targets, as their errors rise faster with the step
-# Upper bound of the cost of variable steps, relative to their first trial.
-TRIAL_COST_FACTOR = 1.5
+TRIAL_COST_FACTOR = 1.5  # upper bound of the cost of variable steps, relative to their first trial
 # Smallest target of the error, which is used as a divisor.
 MIN_GOAL = 2.0**-1000
 
