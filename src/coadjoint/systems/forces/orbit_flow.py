@@ -32,15 +32,6 @@ class Bracket(NamedTuple):
     i_of_input: Integers
     c_of_input: Floats
 
-    @classmethod
-    def of(cls, algebra: Any, sign: int) -> Bracket:
-        """Return the bracket of an algebra."""
-        i, j, k, c = algebra.triples
-        c = sign * np.asarray(c, dtype=np.float64)
-        i, j, k, c = np.append(i, j), np.append(j, i), np.append(k, k), np.append(c, -c)
-        rows, columns = _padded(i, (j, k), c, algebra.dim), _padded(k, (j, i), c, algebra.dim)
-        return cls(*rows, *columns)
-
     def generator(self, v: Floats) -> Floats:
         """Return the entries of D_v, padded."""
         return self.c * v[self.j]
@@ -199,7 +190,10 @@ def _padded(rows: Integers, columns: Sequence[Integers], values: Floats, n: int)
 @lru_cache(maxsize=16)
 def bracket_of(algebra: Any, sign: int) -> Bracket:
     """Return the bracket of an algebra, which is cached."""
-    return Bracket.of(algebra, sign)
+    i, j, k, c = algebra.triples
+    c = sign * np.asarray(c, dtype=np.float64)
+    i, j, k, c = np.append(i, j), np.append(j, i), np.append(k, k), np.append(c, -c)
+    return Bracket(*_padded(i, (j, k), c, algebra.dim), *_padded(k, (j, i), c, algebra.dim))
 
 
 @lru_cache(maxsize=16)
