@@ -23,12 +23,19 @@ from coadjoint.systems.forces.base import (
     read_matrix,
     read_seed,
 )
-from coadjoint.systems.forces.orbit_flow import Exponential, Midpoint, OrbitFlow, bracket_of, constant_hessian
+from coadjoint.systems.forces.orbit_flow import (
+    Exponential,
+    Midpoint,
+    OrbitFlow,
+    bracket_of,
+    constant_hessian,
+    exponential,
+    exponential_with_tangent,
+)
 from coadjoint.validation import read_nonnegative
 
 MAX_SUBSTEPS = 192  # iterations of the midpoint rule; convergent ones take some ten
 SERIES_TOLERANCE = 2.0**-40  # of |x|: below it a correction that stagnates is round-off
-MAX_TERMS = 60  # of a power series, whose arguments are scaled to norm one: 1/60! is below 2^-270
 
 
 @dataclass(frozen=True)
@@ -333,47 +340,6 @@ def _product(system: Any, x: NDArray[Any], u: NDArray[Any]) -> NDArray[Any]:
 
 def _product_of(metric: Any, matrix: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(apply_metric(metric, matrix) if np.ndim(metric) != 1 else np.asarray(metric)[:, None] * matrix)
-
-
-def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
-    """Return exp(D_v) x, D_v x = sign J(x) v, by its power series in substeps."""
-    D, substeps = _generator(system, v)
-    for _ in range(substeps):
-        term, total, negligible = x, np.zeros_like(x), 2.0**-60 * np.abs(x).max(initial=0.0)
-        for k in range(1, MAX_TERMS):
-            term = D @ term / (k * substeps)
-            total = total + term
-            if not np.abs(term).max(initial=0.0) > negligible:
-                break
-        x = x + total
-    return np.asarray(x)
-
-
-def exponential_with_tangent(
-    system: Any, v: NDArray[Any], x: NDArray[Any]
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Return exp(D_v) x and its derivatives (n, n) by x and by v, of the same series."""
-    D, substeps = _generator(system, v)
-    # Columns: the state, its derivatives by x, and those by v, for which D_w x = sign J(x) w is a source.
-    n, J = len(x), system.algebra.structure_matrix
-    columns = np.concatenate([x[:, None], np.eye(n), np.zeros((n, n))], axis=1)
-    for _ in range(substeps):
-        term, total, negligible = columns, np.zeros_like(columns), 2.0**-60 * np.abs(columns).max()
-        for k in range(1, MAX_TERMS):
-            image = D @ term
-            image[:, n + 1 :] += system.sign * np.asarray(J(term[:, 0]), dtype=np.float64)
-            term = image / (k * substeps)
-            total += term
-            if not np.abs(term).max() > negligible:
-                break
-        columns = columns + total
-    return columns[:, 0], columns[:, 1 : n + 1], columns[:, n + 1 :]
-
-
-def _generator(system: Any, v: NDArray[Any]) -> tuple[NDArray[np.float64], int]:
-    """Return the matrix of D_v, and the number of substeps of its exponential, each of norm at most one."""
-    D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
-    return D, max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
 
 
 @lru_cache(maxsize=16)
