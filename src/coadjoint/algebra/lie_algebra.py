@@ -131,10 +131,7 @@ class LieAlgebra(Structure, metaclass=Constructors):
         self._constants, self._dim, self._basis, self._name = triples, dim, basis, name
         self._representation = representation
         coordinates = names_of_basis(self.basis) if casimirs else ()
-        self._casimirs = {
-            key: casimir.named(coordinates) if isinstance(casimir, Polynomial) else casimir
-            for key, casimir in casimirs.items()
-        }
+        self._casimirs = {key: casimir.named(coordinates) for key, casimir in casimirs.items()}
 
     @property
     def _constant_count(self) -> int:

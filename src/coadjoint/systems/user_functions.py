@@ -98,20 +98,8 @@ def bodies_of_shares(bodies: int) -> Callable[[Any], tuple[int, int]]:
     return callable_from_compiled(lambda share: (int(share), shares) if share >= 0.0 else (0, 1))
 
 
-@dataclass(frozen=True, eq=False)
-class Formula:
-    """A function of x with the same function as tables, which the kernels evaluate without compiling the function."""
-
-    function: Callable[..., Any]
-    kernel_forms: Forms
-
-    def __call__(self, *arguments: Any) -> Any:
-        """Return the value at x."""
-        return self.function(*arguments)
-
-
 def forms_of(function: Any) -> Forms | None:
-    """Return the tables of a `Formula` or of a multiple of one; None for any other function."""
+    """Return the tables of a function that has them, which the kernels evaluate without compiling it, or None."""
     return getattr(function, "kernel_forms", None)
 
 
@@ -131,8 +119,7 @@ def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
 def takes_time(function: Callable[..., Any], name: str) -> bool:
     """Return whether `function` takes ``(x, t)`` rather than ``(x)``; raise TypeError otherwise."""
     # A second argument counts as the time if it has no default, or if its name is ``t``.
-    while isinstance(function, MultipleOf | Formula):
-        function = function.function
+    function, _ = without_multiples(function)
     if not callable(function):
         raise TypeError(f"{name} is {short(function)}; give a function of (x) or (x, t)")
     if isinstance(function, np.ufunc):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -74,6 +74,10 @@ class Invariant:
     def _transformed(self, change: Callable[[Polynomial], Polynomial]) -> Any:
         """Return None: in other coordinates a function of the user is not known."""
         return None
+
+    def named(self, names: Sequence[str]) -> Invariant:
+        """Return the invariant unchanged: its text has no names of coordinates."""
+        return self
 
     def gradient_and_size(self, x: Any) -> tuple[NDArray[Any], NDArray[Any], int]:
         """Return the gradient, its absolute values, and a bound of the operations: twenty bits may be lost."""
@@ -209,7 +213,9 @@ class LogarithmicSum:
         """
         if self.period is None:
             raise ValueError("the angles of this sum have no common period; give them weights in a simple ratio")
-        value, gradient = _functions(self.forms(), self.dim)
+        forms = self.forms()
+        value, gradient = _functions(forms, self.dim)
+        value.kernel_forms = forms  # which the kernels evaluate without compiling it
         return LogarithmicInvariant(value, gradient, self.period, self)
 
     def forms(self) -> Forms:
@@ -265,7 +271,7 @@ class LogarithmicInvariant(Invariant):
         return self.formula.transformed(change).invariant()
 
 
-def _functions(forms: Forms, dim: int) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
+def _functions(forms: Forms, dim: int) -> tuple[Any, Any]:
     """Return value and gradient as functions; `field/forms.hpp` implements the value in the kernels."""
     count, role, weight, first, coefficient, begin, coordinate = forms
 

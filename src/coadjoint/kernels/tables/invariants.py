@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.invariants.invariant import Invariant, LogarithmicInvariant
+from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.program.multiples import Multiples, concatenated
@@ -16,7 +16,7 @@ from coadjoint.program.sources import INDEPENDENT, CoefficientNumbers, Sources, 
 from coadjoint.program.term_table import TermTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
-from coadjoint.systems.user_functions import Formula, takes_time
+from coadjoint.systems.user_functions import takes_time
 
 
 def watch_tables(system: Any, invariants: Mapping[str, Any], compact: bool = False) -> CompiledTables:
@@ -105,7 +105,4 @@ def function_of_all(invariant: Invariant, size: int) -> FunctionTerm:
     """Return an `Invariant` as a term that reads all coordinates."""
     timed = takes_time(invariant.value, "an invariant")
     gradient = invariant.gradient or invariant.value
-    value = invariant.value
-    if isinstance(invariant, LogarithmicInvariant):
-        value = Formula(value, invariant.formula.forms())
-    return FunctionTerm(np.arange(size), value, gradient, None, timed=timed)
+    return FunctionTerm(np.arange(size), invariant.value, gradient, None, timed=timed)

@@ -16,7 +16,6 @@ from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sph
 from coadjoint.systems.hamiltonians.split_hamiltonian import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import Formula
 from coadjoint.validation import read_finite, read_positive
 
 
@@ -100,7 +99,7 @@ def separable_cosh(
     return LiePoissonSystem(g, Separable(functions), name="separable_cosh", parameters=parameters)
 
 
-def _functions(mass: float, kappa: float) -> tuple[Formula, ...]:
+def _functions(mass: float, kappa: float) -> tuple[Callable[[Any], Any], ...]:
     """Return H_i and its derivatives with tables, which the kernels evaluate bit-identically with every C library."""
 
     def value(y: Any) -> Any:
@@ -113,18 +112,20 @@ def _functions(mass: float, kappa: float) -> tuple[Formula, ...]:
         return mass * np.cosh(kappa * y)
 
     return (
-        _formula(value, SINH_SQUARED, 2.0 * mass, 0.5 * kappa, kappa),
-        _formula(slope, SINH, mass, kappa, kappa),
-        _formula(curvature, COSH, mass, kappa, 1.0),
+        _with_forms(value, SINH_SQUARED, 2.0 * mass, 0.5 * kappa, kappa),
+        _with_forms(slope, SINH, mass, kappa, kappa),
+        _with_forms(curvature, COSH, mass, kappa, 1.0),
     )
 
 
-def _formula(function: Callable[[Any], Any], role: int, weight: float, rate: float, divisor: float) -> Formula:
-    """Return a function with its table: a multiple of a function of (rate x), over a divisor."""
+def _with_forms(function: Any, role: int, weight: float, rate: float, divisor: float) -> Callable[[Any], Any]:
+    """Return a function to which its table is added: a multiple of a function of (rate x), over a divisor."""
 
     def integers(*numbers: int) -> npt.NDArray[np.int64]:
         return np.array(numbers, dtype=np.int64)
 
     weights, coefficients = np.array([0.0, weight]), np.array([divisor, rate])
-    forms = Forms(2, integers(HOLD, role), weights, integers(0, 1, 2), coefficients, integers(0, 0, 1), integers(0))
-    return Formula(function, forms)
+    function.kernel_forms = Forms(
+        2, integers(HOLD, role), weights, integers(0, 1, 2), coefficients, integers(0, 0, 1), integers(0)
+    )
+    return function  # type: ignore[no-any-return]

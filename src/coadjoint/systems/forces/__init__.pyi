@@ -7,6 +7,7 @@ from .base import Force as Force
 from .body_torque import Pointing as Pointing
 from .custom_force import OwnForce as OwnForce
 from .double_bracket import DoubleBracketDamping as DoubleBracketDamping
+from .double_bracket import HeatBath as HeatBath
 from .environment_torques import Drag as Drag
 from .environment_torques import GravityGradient as GravityGradient
 from .environment_torques import MagneticDipole as MagneticDipole
@@ -15,7 +16,6 @@ from .fluid_forces import BetaPlane as BetaPlane
 from .fluid_forces import Friction as Friction
 from .fluid_forces import RandomForcing as RandomForcing
 from .fluid_forces import Viscosity as Viscosity
-from .heat_bath import HeatBath as HeatBath
 from .linear_damping import LinearDamping as LinearDamping
 from .registry import get as get
 from .registry import names as names

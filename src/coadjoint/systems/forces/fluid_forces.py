@@ -12,8 +12,17 @@ from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import ForceReader, normal_deviates, read_seed
-from coadjoint.systems.forces.mode_force import ModeRates, OnLayer, PerMode, modes_of, read_layer, values_by_scale
-from coadjoint.systems.matrices.mode_basis import ModeBasis, Numbers, Waves
+from coadjoint.systems.forces.mode_force import (
+    ModeBasis,
+    ModeRates,
+    Numbers,
+    OnLayer,
+    PerMode,
+    Waves,
+    modes_of,
+    read_layer,
+    values_by_scale,
+)
 from coadjoint.systems.matrices.torus_modes import representatives
 from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer, read_nonnegative, read_number

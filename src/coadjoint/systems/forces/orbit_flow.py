@@ -1,4 +1,4 @@
-"""Exponentials exp(D_v) x on coadjoint orbits by sparse structure constants, with their transposed derivatives."""
+"""Exponentials exp(D_v) x on coadjoint orbits: by dense matrices, and by sparse ones with transposed derivatives."""
 
 from __future__ import annotations
 
@@ -31,15 +31,6 @@ class Bracket(NamedTuple):
     j_of_input: Integers
     i_of_input: Integers
     c_of_input: Floats
-
-    @classmethod
-    def of(cls, algebra: Any, sign: int) -> Bracket:
-        """Return the bracket of an algebra."""
-        i, j, k, c = algebra.triples
-        c = sign * np.asarray(c, dtype=np.float64)
-        i, j, k, c = np.append(i, j), np.append(j, i), np.append(k, k), np.append(c, -c)
-        rows, columns = _padded(i, (j, k), c, algebra.dim), _padded(k, (j, i), c, algebra.dim)
-        return cls(*rows, *columns)
 
     def generator(self, v: Floats) -> Floats:
         """Return the entries of D_v, padded."""
@@ -196,10 +187,54 @@ def _padded(rows: Integers, columns: Sequence[Integers], values: Floats, n: int)
     return tuple(found)
 
 
+def exponential(system: Any, v: NDArray[Any], x: NDArray[Any]) -> NDArray[Any]:
+    """Return exp(D_v) x, D_v x = sign J(x) v, by its power series in substeps."""
+    D, substeps = _generator(system, v)
+    for _ in range(substeps):
+        term, total, negligible = x, np.zeros_like(x), NEGLIGIBLE * np.abs(x).max(initial=0.0)
+        for k in range(1, MAX_TERMS):
+            term = D @ term / (k * substeps)
+            total = total + term
+            if not np.abs(term).max(initial=0.0) > negligible:
+                break
+        x = x + total
+    return np.asarray(x)
+
+
+def exponential_with_tangent(
+    system: Any, v: NDArray[Any], x: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return exp(D_v) x and its derivatives (n, n) by x and by v, of the same series."""
+    D, substeps = _generator(system, v)
+    # Columns: the state, its derivatives by x, and those by v, for which D_w x = sign J(x) w is a source.
+    n, J = len(x), system.algebra.structure_matrix
+    columns = np.concatenate([x[:, None], np.eye(n), np.zeros((n, n))], axis=1)
+    for _ in range(substeps):
+        term, total, negligible = columns, np.zeros_like(columns), NEGLIGIBLE * np.abs(columns).max()
+        for k in range(1, MAX_TERMS):
+            image = D @ term
+            image[:, n + 1 :] += system.sign * np.asarray(J(term[:, 0]), dtype=np.float64)
+            term = image / (k * substeps)
+            total += term
+            if not np.abs(term).max() > negligible:
+                break
+        columns = columns + total
+    return columns[:, 0], columns[:, 1 : n + 1], columns[:, n + 1 :]
+
+
+def _generator(system: Any, v: NDArray[Any]) -> tuple[NDArray[np.float64], int]:
+    """Return the matrix of D_v, and the number of substeps of its exponential, each of norm at most one."""
+    D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
+    return D, max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
+
+
 @lru_cache(maxsize=16)
 def bracket_of(algebra: Any, sign: int) -> Bracket:
     """Return the bracket of an algebra, which is cached."""
-    return Bracket.of(algebra, sign)
+    i, j, k, c = algebra.triples
+    c = sign * np.asarray(c, dtype=np.float64)
+    i, j, k, c = np.append(i, j), np.append(j, i), np.append(k, k), np.append(c, -c)
+    return Bracket(*_padded(i, (j, k), c, algebra.dim), *_padded(k, (j, i), c, algebra.dim))
 
 
 @lru_cache(maxsize=16)
