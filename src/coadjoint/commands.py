@@ -1,21 +1,290 @@
-"""The command ``coadjoint``: its subcommands, messages and exit statuses, which are documented in `coadjoint.cli`."""
+"""The command ``coadjoint``: its commands on the library itself, messages and exit statuses.
+
+What the library contains, its checks on this machine, the paper, the gallery, and exports are here; commands that run
+files are in `coadjoint.run_commands`. Exit statuses are documented in `coadjoint.cli`.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
+import inspect
 import sys
 import time
 import warnings
-from collections.abc import Sequence
-from typing import TextIO
+from collections.abc import Collection, Mapping, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, TextIO
 
 import click
 
-from coadjoint import __version__, library_commands, run_commands
-from coadjoint.errors import in_one_line, unknown_name
+from coadjoint import __version__, run_commands
+from coadjoint.errors import ConfigurationError, in_one_line, unknown_name
 from coadjoint.long_operations import LongWait
+from coadjoint.optional_packages import require_packages
+from coadjoint.short_repr import short
+from coadjoint.validation import read_choice
 
 BROKEN_PIPE_STATUS = 141  # broken pipe: 128 + SIGPIPE
+MAX_NUMBER_LENGTH = 60  # characters of a parameter, which is read as an exact fraction
+
+
+@click.command("systems")
+@click.argument("name", required=False)
+@click.option("--json", "json_path", metavar="PATH", help="Path of a file of the description of NAME: .json.")
+def list_systems(name: str | None, json_path: str | None) -> None:
+    """List the ready-made systems with their parameters, or describe one, NAME, with a first run.
+
+    The description has parameters with units, algebra, Casimirs, integrals, whether a closed form and an attitude
+    exist, and a suggested scheme and step.
+    """
+    from coadjoint.systems.registry import ready_made_systems
+
+    known = ready_made_systems()
+    if name is not None:
+        return _show_system(_check_system_name(name, known), json_path)
+    if json_path is not None:
+        raise click.UsageError("--json writes the description of one system; give its name")
+    for system_name, builder in sorted(known.items()):
+        signature = inspect.signature(builder).parameters
+        _describe(system_name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
+
+
+def _check_system_name(name: str, known: Collection[str]) -> str:
+    try:
+        return read_choice(name, "system", known)
+    except ValueError as reason:
+        raise click.UsageError(str(reason)) from None
+
+
+def _show_system(name: str, json_path: str | None) -> None:
+    import json
+
+    from coadjoint.files.output.output_files import TEXTS, check_target, write_text
+    from coadjoint.summaries import summarize_system, system_text
+
+    target = None if json_path is None else check_target(json_path, TEXTS)
+    summary = summarize_system(name)
+    click.echo(system_text(summary))
+    if target is not None:
+        write_text(json.dumps(summary, indent=1), target)
+        click.echo(f"written: {target}")
+
+
+@click.command("algebras")
+@click.argument("name", required=False)
+@click.argument("parameters", nargs=-1, metavar="[KEY=NUMBER]...")
+def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
+    """List the algebras of the catalogue, or show dimension, brackets and Casimirs of one, NAME.
+
+    Parameters of an algebra follow its name, such as A4,9 b=0.5.
+    """
+    from coadjoint.summaries import algebra_of, algebra_text, listed_algebras
+
+    if name is None:
+        for line in listed_algebras():
+            click.echo(line)
+        return
+    try:
+        click.echo(algebra_text(algebra_of(name, dict(map(_read_parameter, parameters)))))
+    except (ValueError, TypeError) as reason:
+        raise click.UsageError(str(reason)) from None
+
+
+def _read_parameter(text: str) -> tuple[str, Fraction]:
+    key, _, number = text.partition("=")
+    try:
+        if len(text) > MAX_NUMBER_LENGTH:
+            raise ValueError
+        # An exponent can denote a number of any size.
+        return key, Fraction(float(number) if "e" in number.lower() else number)
+    except (ValueError, ArithmeticError):
+        raise ValueError(f"{short(text)} is not a parameter; give name and number, such as b=0.5 or b=1/3") from None
+
+
+@click.command("methods")
+@click.argument("name", required=False)
+def list_methods(name: str | None) -> None:
+    """List the schemes with their parameters, or describe one, NAME."""
+    from coadjoint.methods import registry
+
+    if name is not None:
+        try:
+            text = registry.documentation_of(name)
+        except ValueError as reason:
+            raise click.UsageError(str(reason)) from None
+        _describe(name, registry.parameters_of(name), text)
+        click.echo("".join(f"    {line}".rstrip() + "\n" for line in text.splitlines()[1:]), nl=False)
+        return
+    for name in registry.names():
+        _describe(name, registry.parameters_of(name), registry.documentation_of(name))
+
+
+def _describe(name: str, parameters: Mapping[str, Any], documentation: str) -> None:
+    empty = inspect.Parameter.empty
+    arguments = ", ".join(key if default is empty else f"{key}={default!r}" for key, default in parameters.items())
+    click.echo(f"{name}({arguments})\n    {documentation.partition(chr(10))[0]}")
+
+
+@click.command("selftest")
+@click.option("--quiet", is_flag=True, help="Print only the checks that fail.")
+def check_installation(quiet: bool) -> None:
+    """Check the installed package on this machine, in under a minute; print each measurement and its bound.
+
+    The exit status is 0 if every check passes. A check skipped because of a missing package does not fail.
+    """
+    from coadjoint.experiments.selftest import selftest
+
+    started, failed, skipped, count = time.monotonic(), 0, 0, 0
+    for check in selftest():
+        count, failed, skipped = count + 1, failed + (not check.passed), skipped + bool(check.skipped)
+        if not (quiet and check.passed):
+            click.echo(str(check))
+    if not quiet:
+        seconds = time.monotonic() - started
+        click.echo(f"coadjoint {__version__}: {count} checks, {failed} failed, {skipped} skipped, {seconds:.1f} s")
+    if failed:
+        raise click.exceptions.Exit(1)
+
+
+@click.command("schema")
+def print_schema() -> None:
+    """Print the JSON Schema of configuration files, for editors."""
+    import json
+
+    from coadjoint.files.configuration.schema import schema
+
+    click.echo(json.dumps(schema(), indent=1, ensure_ascii=False))
+
+
+@click.command("reproduce")
+@click.option("--out", metavar="DIR", default="figures", show_default=True, help="Folder for the figures.")
+def reproduce(out: str) -> None:
+    """Repeat the experiments of Reich (1993), print a table of them and draw their figures."""
+    experiments = importlib.import_module("coadjoint.experiments.reich1993")
+    experiments.check_packages()
+    result = experiments.reproduce(_folder(out), click.echo)
+    for row in result.table:
+        click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
+    for figure in result.figures:
+        click.echo(f"written: {figure}")
+
+
+def _folder(out: str) -> Path:
+    """Return a folder, created if it does not exist."""
+    folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        raise click.UsageError(f"--out {out}: cannot be made a folder ({reason.strerror}); give another") from None
+    return folder
+
+
+@click.command("gallery")
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--out", metavar="DIR", default="gallery", show_default=True, help="Folder for pictures and page.")
+def draw_gallery(names: tuple[str, ...], out: str) -> None:
+    """Run the ready-made systems, or those with a NAME; plot each, and write a page of the plots.
+
+    The page is index.html, in the same folder. The NAME decaying_turbulence is a run of minutes.
+    """
+    from coadjoint.files.output.output_files import PAGES, write_figure, write_text
+    from coadjoint.systems.registry import gallery_systems
+
+    require_packages("a gallery", "matplotlib")
+    from coadjoint.pictures.gallery import PAGE, SCENES, gallery
+
+    known = gallery_systems()
+    selected = [_check_system_name(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
+    if not names:
+        require_packages("a gallery of all systems", "numba", "ducc0")
+    folder = _folder(out)
+
+    page = gallery(selected, lambda figure, name: write_figure(figure, folder / name), click.echo)
+    write_text(page, folder / PAGE, PAGES)
+    click.echo(f"written: {folder / PAGE}")
+
+
+@click.command("export")
+@click.argument("file", required=False, type=click.Path())
+@click.option("--free-body", is_flag=True, help="The exact step of a free rigid body: one header, C99 and C++11.")
+@click.option("--library", is_flag=True, help="The compiled library and its header; --out is a folder.")
+@click.option(
+    "-o", "--out", "path", metavar="PATH", help="Path: .h or .hpp for C, .json for a table; default: standard output."
+)
+@click.option("--name", metavar="NAME", help="What the functions of FILE begin with; default: the name of the header.")
+@click.option("--tangent", is_flag=True, help="Also the derivative of a step of FILE.")
+def export(file: str | None, free_body: bool, library: bool, path: str | None, name: str | None, tangent: bool) -> None:
+    """Write code and tables for programs in other languages.
+
+    With the configuration FILE (TOML), it is the step of this run in C99, with the bits of the library, or its table
+    for the compiled library. With --free-body, it is a header with functions for double and float. Both headers
+    allocate nothing and need only sqrt. --library copies the compiled library, which runs tables by functions of C.
+    """
+    from coadjoint.files.exports.c_statements import free_body_header
+    from coadjoint.files.exports.table_export import write_interface
+    from coadjoint.files.output.output_files import HEADERS, TEXTS, check_target, write_text
+
+    if file is None and not free_body and not library:
+        raise click.UsageError("export has nothing to write; give a configuration FILE, --free-body or --library")
+    whole = "--free-body" if free_body else "--library"
+    others = {
+        short(file): file is not None,
+        "--library": free_body and library,
+        "--name": name is not None,
+        "--tangent": tangent,
+    }
+    conflicts = [other for other, given in others.items() if given]
+    if (free_body or library) and conflicts:
+        raise click.UsageError(f"{whole} was given with {conflicts[0]}; give one of them")
+    if library:
+        if path is None:
+            raise click.UsageError("--library needs the folder --out")
+        for copy in write_interface(path):
+            click.echo(f"written: {copy}")
+        return
+    is_table = file is not None and path is not None and Path(path).suffix == ".json"
+    if is_table and (name is not None or tangent):
+        raise click.UsageError("a table has no --name and no --tangent; its derivatives are always there")
+    suffixes = TEXTS if is_table else HEADERS
+    target = None if path is None else check_target(path, suffixes)
+    if file is not None:
+        text = _exported_run(file, None if is_table else Path(path or file).stem if name is None else name, tangent)
+    else:
+        try:
+            text = free_body_header() if target is None else free_body_header(target.name)
+        except ValueError as reason:
+            raise click.UsageError(f"--out: {reason}") from None
+    if target is None:
+        return click.echo(text, nl=False)
+    write_text(text, target, suffixes)
+    click.echo(f"written: {path}")
+
+
+def _exported_run(file: str, name: str | None, tangent: bool) -> str:
+    """Return the header of a configured run, or its table if no name is given."""
+    from coadjoint.files.configuration.construction import section
+    from coadjoint.files.configuration.loading import load
+    from coadjoint.files.exports.c_export import c_header
+    from coadjoint.files.exports.table_export import table_text
+
+    prepared = load(file).ready()
+    with section(file, "export"):
+        return table_text(prepared) if name is None else c_header(prepared, name, tangent)
+
+
+ALL_COMMANDS = [
+    *run_commands.COMMANDS,
+    list_systems,
+    list_algebras,
+    list_methods,
+    check_installation,
+    print_schema,
+    reproduce,
+    draw_gallery,
+    export,
+]
 
 
 class _Commands(click.Group):
@@ -29,7 +298,7 @@ class _Commands(click.Group):
         return super().resolve_command(ctx, args)
 
 
-@click.group(cls=_Commands, commands=[*run_commands.COMMANDS, *library_commands.COMMANDS], invoke_without_command=True)
+@click.group(cls=_Commands, commands=ALL_COMMANDS, invoke_without_command=True)
 @click.version_option(__version__, prog_name="coadjoint", message="%(prog)s %(version)s")
 @click.pass_context
 def commands(context: click.Context) -> None:
@@ -86,7 +355,6 @@ def perform(arguments: Sequence[str] | None, began: float | None = None) -> tupl
 
 
 def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
-    from coadjoint.errors import ConfigurationError
     from coadjoint.files.archives.archive import ArchiveError
     from coadjoint.files.output.output_files import OutputError
 

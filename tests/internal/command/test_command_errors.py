@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint import cli, commands, library_commands, run_commands
+from coadjoint import cli, commands, run_commands
 from coadjoint.experiments.reich1993.statements import judge
 from coadjoint.files.output import output_files as output
 from configuration_files import BODY
@@ -93,7 +93,7 @@ def test_exit_status_of_errors(monkeypatch, error, status, message):
     def fail(*args):
         raise error
 
-    monkeypatch.setattr(library_commands, "_describe", fail)
+    monkeypatch.setattr(commands, "_describe", fail)
     assert commands.perform(["methods"]) == (status, message)
 
 
@@ -104,7 +104,7 @@ def test_warnings_are_printed_after_success(monkeypatch):
         if failing:
             raise ValueError("wrong")
 
-    monkeypatch.setattr(library_commands, "_describe", warned)
+    monkeypatch.setattr(commands, "_describe", warned)
     failing = []
     with warnings.catch_warnings():
         warnings.simplefilter("always")
@@ -123,7 +123,7 @@ def test_long_wait_warning_with_closed_stderr(monkeypatch):
         def flush(self):
             raise OSError("closed")
 
-    monkeypatch.setattr(library_commands, "_describe", lambda *args: warn_if_long("a run", 60.0))
+    monkeypatch.setattr(commands, "_describe", lambda *args: warn_if_long("a run", 60.0))
     for stream in (Closed(), None):
         monkeypatch.setattr("sys.stderr", stream)
         assert commands.perform(["methods"]) == (0, "")

@@ -24,8 +24,16 @@ from coadjoint.files.configuration.construction import (
     state_by_name,
     system_of_file,
 )
-from coadjoint.files.configuration.models import File, OutputTable, SweepOnly
-from coadjoint.files.configuration.parsing import ValidTables, all_errors, parse_toml, read_utf8, valid_tables
+from coadjoint.files.configuration.models import File, OutputTable, SweepTable
+from coadjoint.files.configuration.parsing import (
+    ValidTables,
+    all_errors,
+    keys_by_table,
+    named_in,
+    parse_toml,
+    read_utf8,
+    valid_tables,
+)
 from coadjoint.files.configuration.sweeps import SettingsSweep, read_sweep, swept_states, swept_system
 from coadjoint.files.datasets.variables import ExtraMetadata, Variables, over_members
 from coadjoint.files.datasets.writers import CHECKSUM
@@ -184,7 +192,7 @@ def system_of_text(text: str) -> Any:
 def outputs_of_text(text: str) -> dict[str, str | None]:
     """Return the declared paths of results of a configuration from the text of its file, as stored with a result."""
     name = "the configuration of this run"
-    return _checked(name, OutputTable, parse_toml(name, text).get("output", {})).model_dump()
+    return _checked(name, OutputTable, parse_toml(name, text).get("output", {}), "output").model_dump()
 
 
 def load(path: str | Path) -> Configuration:
@@ -203,7 +211,8 @@ def _parse_tables(
     if "sweep" in raw:
         raw_with_sweep, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
         with errors.collect():
-            parsed_sweep = read_sweep(name, raw_with_sweep, _checked(name, SweepOnly, raw_with_sweep).sweep)
+            table = _checked(name, SweepTable, raw_with_sweep["sweep"], "sweep")
+            parsed_sweep = read_sweep(name, raw_with_sweep, table)
             sweep, raw = parsed_sweep, parsed_sweep.member_tables(0)
     tables = valid_tables(raw)
     for messages in (*tables.messages, *([] if tables.has("system") else _unknown_system(raw))):
@@ -215,19 +224,18 @@ def _system(name: str, file: File, sweep: SettingsSweep | None) -> Any:
     return system_of_file(name, file) if sweep is None else swept_system(sweep, file, partial(_checked, name, File))
 
 
-def _checked(name: str, model: type[Model], raw: Mapping[str, Any]) -> Model:
-    """Validate tables against a model; ConfigurationError with the key."""
+def _checked(name: str, model: type[Model], raw: Any, *table: str) -> Model:
+    """Validate a file, or its `table`, against a model; ConfigurationError with the key."""
     try:
         return model.model_validate(raw)
     except ValidationError as error:
-        raise ConfigurationError(f"{name}: {join_messages(all_errors(error))}") from None
+        raise ConfigurationError(f"{name}: {join_messages(all_errors(error, keys_by_table(), table))}") from None
 
 
 def _unknown_system(raw: Mapping[str, Any]) -> list[str]:
     """Return the error for an unknown ready-made system, to be reported together with errors of keys."""
-    table = raw.get("system")
-    system_name = table.get("name") if isinstance(table, Mapping) else None
-    if not isinstance(system_name, str) or system_name in systems.names():
+    system_name = named_in(raw, "system")
+    if not system_name or system_name in systems.names():
         return []
     try:
         systems.get(system_name)

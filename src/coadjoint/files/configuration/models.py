@@ -368,9 +368,3 @@ class File(Table):
     events: dict[Name, EventTable] = {}
     """Events by name."""
     output: OutputTable = OutputTable()
-
-
-class SweepOnly(BaseModel):
-    """The table of a sweep alone; it generates the rest of the file."""
-
-    sweep: SweepTable

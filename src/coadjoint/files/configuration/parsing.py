@@ -96,7 +96,6 @@ def _nesting_position(text: str) -> int:
 
 CLOSE = 0.75
 """Smallest similarity of an unknown key and the key of another table that is suggested."""
-NO_TABLES: Mapping[str, Iterable[str]] = types.MappingProxyType({})
 
 
 def keys_by_table() -> dict[str, Iterable[str]]:
@@ -160,7 +159,7 @@ def place_meant(key: str) -> str | None:
     return PLACES.get(argument)
 
 
-def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> str:
+def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]]) -> str:
     """Describe an unknown key, with its place, the nearest known one, or all known ones if none is near."""
     own_table, tables = places_of(key, elsewhere)
     if own_table is not None:
@@ -186,16 +185,15 @@ def known_keys(table_path: Sequence[str | int], value: Any = None) -> list[str]:
     return [key for key in _table_at(table_path).model_fields if not is_table or key not in ("name", "sign")]
 
 
-def all_errors(error: ValidationError, elsewhere: Mapping[str, Iterable[str]] = NO_TABLES) -> list[str]:
-    """Return the errors in the tables of a file, dotted key and reason: unknown keys first."""
+def all_errors(error: ValidationError, elsewhere: Mapping[str, Iterable[str]], table: Sequence[str] = ()) -> list[str]:
+    """Return the errors in a file, or in its `table`, dotted key and reason: unknown keys first."""
     # A missing key is omitted if an unknown one is its misspelling.
     rank = {"extra_forbidden": 0, "missing": 2}
     entries = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
     messages: dict[str, str] = {}
-    elsewhere = elsewhere or keys_by_table()
     for entry in entries:
         # pydantic appends "[key]" for an invalid key of a table.
-        key_path = [key for key in entry["loc"] if key != "[key]"]
+        key_path = [*table, *(key for key in entry["loc"] if key != "[key]")]
         path = "".join(
             f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, MAX_SHOWN_LENGTH)}" for key in key_path
         )
@@ -311,13 +309,18 @@ def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
 
 def _parameters(raw: Mapping[str, Any]) -> dict[tuple[str, ...], list[str]]:
     """Return the parameter names of the system and of the scheme, by the tables to which they belong."""
-    system, method = raw.get("system"), raw.get("method")
     names: dict[tuple[str, ...], list[str]] = {}
-    if isinstance(system, Mapping) and isinstance(name := system.get("name"), str) and name in ready_made_systems():
+    if (name := named_in(raw, "system")) in ready_made_systems():
         names["system", "parameters"] = list(inspect.signature(ready_made_systems()[name]).parameters)
-    if isinstance(method, Mapping) and isinstance(name := method.get("name"), str) and name in registry.names():
+    if (name := named_in(raw, "method")) in registry.names():
         names["method",] = list(registry.parameters_of(name))
     return names
+
+
+def named_in(raw: Mapping[str, Any], table: str) -> str:
+    """Return the name in a table of a file, or '' if there is no text."""
+    name = _value_at(raw, (table, "name"))
+    return name if isinstance(name, str) else ""
 
 
 def _correct_parameter_names(
