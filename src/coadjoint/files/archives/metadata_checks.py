@@ -74,15 +74,11 @@ def check_archive(archive: Archive) -> None:
             entry[name].flag()
         if entry["seconds"].number() < 0.0:
             raise entry["seconds"].invalid_error("a number from 0 up")
-        accounts = [
-            [name.text() for name in pair.entries(2)]
-            for pair in parsed(attributes[ACCOUNTS_ATTRIBUTE], ACCOUNTS_ATTRIBUTE).entries()
-        ]
+        accounts = [pair.texts(2) for pair in parsed(attributes[ACCOUNTS_ATTRIBUTE], ACCOUNTS_ATTRIBUTE).entries()]
         functions = parsed(attributes[FUNCTIONS_ATTRIBUTE], FUNCTIONS_ATTRIBUTE).table().values()
         observed = parsed(attributes[OBSERVED_ATTRIBUTE], OBSERVED_ATTRIBUTE)
         for names in (observed["names"], *(fingerprint["named"] for fingerprint in functions)):
-            for name_entry in names.entries():
-                name_entry.text()
+            names.texts()
         observed["stored"].table()
         if "run_failed" in attributes:
             entry["run_failed"].flag()
