@@ -32,6 +32,7 @@ from coadjoint.files.records.entries import Entry, parsed
 from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
 from coadjoint.runs.piecewise_run import STATE_PREFIX
 from coadjoint.runs.times import Times, times_of
+from coadjoint.validation import is_real
 
 TEXT_ATTRIBUTES = ("system_repr", "method_repr", "coadjoint_version", "platform", "attitude_carried", FIRST_STEP)
 SUMMARY_ARRAYS = ({"drift"}, {"change", "balance", "work"})
@@ -84,7 +85,7 @@ def check_archive(archive: Archive) -> None:
             entry["run_failed"].flag()
             entry["failed_step"].integer()
             for name in ("failed_time", "failed_residual"):
-                if isinstance(attributes[name], bool) or not isinstance(attributes[name], int | float):
+                if not is_real(attributes[name]):
                     raise entry[name].invalid_error("a number")
             entry["failed_reason"].text(sys.maxsize)
         span = tuple(time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
