@@ -339,6 +339,15 @@ def test_damaged_events_are_refused():
     dataset.attrs["events"] = dataset.attrs["events"].replace('"kind"', '"sort"')
     with refused(ValueError, "events", "kind"):
         co.results.rebuild(dataset)
+    for text in ('{"mine": {}}', '{"mine": 3}', '["mine"]', '{"mine": {"g": null, "sort": 1}}', "mine"):
+        with refused(ValueError, "events"):
+            co.results.rebuild(dataset.assign_attrs(events=text))
+
+
+def test_many_events_are_read_again():
+    events = [co.Event(co.Quadratic([1, 0, 0], constant=-0.125), name=f"number {k}") for k in range(40)]
+    sol = co.integrate(BODY, X, (0, 2), 0.125, events=events)
+    assert co.results.rebuild(sol.to_xarray()).events.names == sol.events.names
 
 
 STATES = {

@@ -29,6 +29,7 @@ from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.records.entries import Entry
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
+from coadjoint.validation import is_integer
 
 FORMAT = 1
 """Version of the format; later versions of the library read earlier ones."""
@@ -340,7 +341,7 @@ def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, S
         raise ArchiveError(
             f"{path}: is no archive of a run, or its {ROOT_FILE} is damaged; other results are opened by co.load"
         ) from None
-    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
+    if not is_integer(version) or version < 1:
         raise ArchiveError(f"{path}: {VERSION_ATTRIBUTE} is {short(version)}; it must be a whole number from 1 up")
     if version > FORMAT:
         raise ArchiveError(

@@ -32,6 +32,7 @@ from coadjoint.files.records.entries import Entry, parsed
 from coadjoint.files.records.required_functions import FUNCTIONS_ATTRIBUTE, OBSERVED_ATTRIBUTE
 from coadjoint.runs.piecewise_run import STATE_PREFIX
 from coadjoint.runs.times import Times, times_of
+from coadjoint.validation import is_real
 
 TEXT_ATTRIBUTES = ("system_repr", "method_repr", "coadjoint_version", "platform", "attitude_carried", FIRST_STEP)
 SUMMARY_ARRAYS = ({"drift"}, {"change", "balance", "work"})
@@ -74,21 +75,17 @@ def check_archive(archive: Archive) -> None:
             entry[name].flag()
         if entry["seconds"].number() < 0.0:
             raise entry["seconds"].invalid_error("a number from 0 up")
-        accounts = [
-            [name.text() for name in pair.entries(2)]
-            for pair in parsed(attributes[ACCOUNTS_ATTRIBUTE], ACCOUNTS_ATTRIBUTE).entries()
-        ]
+        accounts = [pair.texts(2) for pair in parsed(attributes[ACCOUNTS_ATTRIBUTE], ACCOUNTS_ATTRIBUTE).entries()]
         functions = parsed(attributes[FUNCTIONS_ATTRIBUTE], FUNCTIONS_ATTRIBUTE).table().values()
         observed = parsed(attributes[OBSERVED_ATTRIBUTE], OBSERVED_ATTRIBUTE)
         for names in (observed["names"], *(fingerprint["named"] for fingerprint in functions)):
-            for name_entry in names.entries():
-                name_entry.text()
+            names.texts()
         observed["stored"].table()
         if "run_failed" in attributes:
             entry["run_failed"].flag()
             entry["failed_step"].integer()
             for name in ("failed_time", "failed_residual"):
-                if isinstance(attributes[name], bool) or not isinstance(attributes[name], int | float):
+                if not is_real(attributes[name]):
                     raise entry[name].invalid_error("a number")
             entry["failed_reason"].text(sys.maxsize)
         span = tuple(time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))

@@ -16,7 +16,7 @@ SHAPES = {0: "a number", 1: "a list of numbers", 2: "a list of equally long list
 
 
 def _number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not is_real(value):
         return False
     if not fits(value):
         raise ValueError(
@@ -98,7 +98,7 @@ Span = Annotated[Any, _numbers(1), nested_schema(1, minItems=2, maxItems=2)]
 Matrix = Annotated[Any, _numbers(0, 1, 2), nested_schema(0, 1, 2)]
 Sign = Annotated[
     Any,
-    _must_be("1 or -1", lambda value: not isinstance(value, bool) and value in (1, -1)),
+    _must_be("1 or -1", lambda value: is_real(value) and value in (1, -1)),
     WithJsonSchema({"enum": [1, -1]}),
 ]
 States = Annotated[

@@ -29,7 +29,7 @@ from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.base import normal_deviates, random_words
-from coadjoint.validation import is_real, read_finite, read_number
+from coadjoint.validation import is_integer, is_real, read_finite, read_number
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.models import File, SettingsTable, SweepTable
@@ -282,7 +282,7 @@ def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
     first, last = (read_number(end, kind) for end in ends)
     if count == 1:
         raise ValueError(f"count is 1, and a grid has the two ends {ends}; give a list of one value")
-    if all(isinstance(end, int) for end in ends) and kind == "linear" and (ends[1] - ends[0]) % (count - 1) == 0:
+    if all(map(is_integer, ends)) and kind == "linear" and (ends[1] - ends[0]) % (count - 1) == 0:
         return [ends[0] + k * ((ends[1] - ends[0]) // (count - 1)) for k in range(count)]
     fractions = [k / (count - 1) for k in range(count)]
     if kind == "linear":

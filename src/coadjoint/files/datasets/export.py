@@ -228,7 +228,7 @@ def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = N
 
 def events_of_dataset(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]:
     """Return the events of a stored run, with `not_stored` for functions."""
-    return events_of(Entry(dataset.attrs["events"], "events"), system) if "events" in dataset.attrs else ()
+    return events_of(dataset.attrs["events"], "events", system) if "events" in dataset.attrs else ()
 
 
 def _check_registered(description: Any) -> None:

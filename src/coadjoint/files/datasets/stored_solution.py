@@ -137,7 +137,7 @@ class StoredSolution(Solution):
     @cached_property
     def observed(self) -> Mapping[str, Floats]:
         names = parsed(self.attributes.get(OBSERVED_NAMES, "[]"), OBSERVED_NAMES)
-        return self._series("observed_", [name.text() for name in names.entries()])
+        return self._series("observed_", names.texts())
 
     @cached_property
     def work(self) -> Mapping[str, Mapping[str, Floats]]:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ STREAM, ENERGY = "stream: ", "energy: "
 MAX_DEPTH = 32
 MAX_CHARACTERS = 2000
 MAX_INTEGER = 2**62
+Value = TypeVar("Value")
 _QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
 
 
@@ -39,13 +40,22 @@ class Entry:
         """Return the error that the value must be `expected`."""
         return ValueError(f"{self.path} is {short(self.value, 60)}; it must be {expected}")
 
+    def instance(self, kind: type[Value], expected: str) -> Value:
+        """Return the value if it is of a class, or raise the error that it must be `expected`."""
+        if not isinstance(self.value, kind):
+            raise self.invalid_error(expected)
+        return self.value
+
+    @property
+    def is_table(self) -> bool:
+        """Whether the value is a table."""
+        return isinstance(self.value, dict)
+
     def table(self) -> dict[str, Entry]:
         """Return a table of entries."""
-        if not isinstance(self.value, dict):
-            raise self.invalid_error("a table")
         return {
             key: Entry(value, f"{self.path}.{in_one_line(key, 40)}", self._depth + 1)
-            for key, value in self.value.items()
+            for key, value in self.instance(dict, "a table").items()
         }
 
     def __contains__(self, key: str) -> bool:
@@ -57,6 +67,11 @@ class Entry:
             raise ValueError(f"{self.path} has no {key!r}")
         return table[key]
 
+    def optional(self, key: str, read: Callable[[Entry], Value]) -> Value | None:
+        """Return what `read` makes of an entry of a table; None if there is no such entry."""
+        table = self.table()
+        return read(table[key]) if key in table else None
+
     def reject_unknown(self, *known: str) -> Entry:
         """Reject unknown keys, whose meaning would be lost; return the entry itself."""
         for key, entry in self.table().items():
@@ -66,9 +81,15 @@ class Entry:
 
     def entries(self, length: int | None = None) -> list[Entry]:
         """Return a list of entries, of the given length if any."""
-        if not isinstance(self.value, list) or (length is not None and len(self.value) != length):
-            raise self.invalid_error("a list" if length is None else f"a list of {length} entries")
-        return [Entry(value, f"{self.path}[{i}]", self._depth + 1) for i, value in enumerate(self.value)]
+        expected = "a list" if length is None else f"a list of {length} entries"
+        values = self.instance(list, expected)
+        if length is not None and len(values) != length:
+            raise self.invalid_error(expected)
+        return [Entry(value, f"{self.path}[{i}]", self._depth + 1) for i, value in enumerate(values)]
+
+    def texts(self, length: int | None = None) -> list[str]:
+        """Return a list of texts, of the given length if any."""
+        return [entry.text() for entry in self.entries(length)]
 
     def integers(self, maximum: int, length: int | None = None) -> list[int]:
         """Return a list of integers from 0 to `maximum`, of the given length if any."""
@@ -111,9 +132,10 @@ class Entry:
 
     def text(self, most: int = MAX_CHARACTERS) -> str:
         """Return the value as text of at most `most` characters."""
-        if not isinstance(self.value, str) or len(self.value) > most:
-            raise self.invalid_error("text" if not isinstance(self.value, str) else f"text of at most {most} letters")
-        return self.value
+        text = self.instance(str, "text")
+        if len(text) > most:
+            raise self.invalid_error(f"text of at most {most} letters")
+        return text
 
     def integer(self, minimum: int = 0, maximum: int = MAX_INTEGER) -> int:
         """Return the value as an integer between bounds."""
@@ -172,10 +194,9 @@ class Entry:
 
 def parsed(value: Any, path: str) -> Entry:
     """Parse an attribute that contains JSON."""
-    if not isinstance(value, str):
-        raise ValueError(f"{path} is {short(value, 60)}; it must be text, JSON")
+    text = Entry(value, path).instance(str, "text, JSON")
     try:
-        return Entry(json.loads(value), path)
+        return Entry(json.loads(text), path)
     except ValueError as reason:
         problem = in_one_line(str(reason), 120)
     except RecursionError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 from collections.abc import Callable, Mapping
 from math import prod
 from typing import Any
@@ -16,7 +15,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.files.configuration.construction import parse_polynomial
-from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors
+from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors, parsed
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.events import Event
 from coadjoint.short_repr import short
@@ -54,9 +53,9 @@ def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> Syst
         runs = [(number.integer(0, len(members) - 1), count.integer(1)) for number, count in pairs]
         check_available_memory(BYTES_PER_MEMBER * sum(count for _, count in runs), "the members of the stored batch")
         members = [members[number] for number, count in runs for _ in range(count)]
-    axes = axes_of_record(entry["axes"], len(members)) if "axes" in entry else {}
+    axes = entry.optional("axes", lambda record: axes_of_record(record, len(members)))
     with as_value_errors(entry["members"]):
-        return Batch(members, axes)
+        return Batch(members, axes or {})
 
 
 def axes_of_record(record: Entry, members: int) -> Axes:
@@ -110,9 +109,9 @@ def _unforced_system_of(record: Entry, dim: int | None) -> Any:
     algebra = _algebra_of(record["algebra"], dim)
     hamiltonian = _hamiltonian_of(record["hamiltonian"], algebra.dim)
     casimirs = invariants_of(record["casimirs"], algebra.dim)
-    integrals = invariants_of(record["integrals"], algebra.dim) if "integrals" in record else None
-    representation = _matrices_of(record["representation"], algebra.dim) if "representation" in record else None
-    layout = record["layout"].plain_table() if "layout" in record else None
+    integrals = record.optional("integrals", lambda entry: invariants_of(entry, algebra.dim))
+    representation = record.optional("representation", lambda entry: _matrices_of(entry, algebra.dim))
+    layout = record.optional("layout", Entry.plain_table)
     sign = record["sign"].integer(-1, 1)
     with as_value_errors(record):
         return LiePoissonSystem(
@@ -129,7 +128,7 @@ def _unforced_system_of(record: Entry, dim: int | None) -> Any:
 
 def _check_stored(record: Entry, name: str) -> None:
     """Reject a record of a system whose motion depends on functions."""
-    missing = [entry.text() for entry in record["not_stored"].entries()] if "not_stored" in record else []
+    missing = record.optional("not_stored", Entry.texts) or []
     required = [what for what in missing if not what.startswith((CASIMIR, EXACT, INTEGRAL))]
     if required:
         raise ValueError(
@@ -149,11 +148,11 @@ def _algebra_of(record: Entry, expected: int | None) -> LieAlgebra:
     _check_dimension(record, dim, expected)
     with as_value_errors(record):
         check_available_memory(BYTES_PER_COORDINATE * dim, "an algebra")
-    basis = [name.text() for name in record["basis"].entries(dim)]
+    basis = record["basis"].texts(dim)
     constants = record["constants"].rows(dim, dim, dim)
     name = None if record["name"].value is None else record["name"].text()
-    representation = _matrices_of(record["representation"], dim) if "representation" in record else None
-    casimirs = invariants_of(record["casimirs"], dim) if "casimirs" in record else None
+    representation = record.optional("representation", lambda entry: _matrices_of(entry, dim))
+    casimirs = record.optional("casimirs", lambda entry: invariants_of(entry, dim))
     with as_value_errors(record):
         return LieAlgebra(
             constants,
@@ -178,7 +177,7 @@ def _matrices_of(record: Entry, dim: int) -> NDArray[np.float64]:
 def invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
     """Return polynomials and quadratic forms by name."""
     return {
-        name: _form_of(entry, dim) if isinstance(entry.value, dict) else _polynomial_of(entry, dim)
+        name: _form_of(entry, dim) if entry.is_table else _polynomial_of(entry, dim)
         for name, entry in record.table().items()
     }
 
@@ -216,7 +215,7 @@ def _hamiltonian_of(record: Entry, dim: int) -> Any:
 def _function_of(record: Entry, dim: int) -> Hamiltonian:
     record.reject_unknown("kind", "dim", "text", "names", "parameters", "factors")
     names = record["names"]
-    words = None if names.value is None else [name.text() for name in names.entries(dim)]
+    words = None if names.value is None else names.texts(dim)
     parameters = {name: value.exact() for name, value in record["parameters"].table().items()}
     text, factors = record["text"].text(MAX_CHARACTERS), [factor.exact() for factor in record["factors"].entries()]
     with as_value_errors(record):
@@ -279,11 +278,11 @@ def matrix_system_of(record: Entry) -> MatrixSystem:
     with as_value_errors(record):
         check_available_memory(300 * algebra.N**2, f"matrices of {algebra}")
     stream = _stream_of(record["stream"], algebra.N)
-    linear = _matrix_of(record["linear"], algebra) if "linear" in record else None
+    linear = record.optional("linear", lambda entry: _matrix_of(entry, algebra))
     sign, powers, name = record["energy_sign"].integer(-1, 1), record["powers"].integer(0, MAX_POWERS), record["name"]
     if "layers" in record:
         record["layers"].integer(2, 2)
-        second = _stream_of(record["second_stream"], algebra.N) if "second_stream" in record else None
+        second = record.optional("second_stream", lambda entry: _stream_of(entry, algebra.N))
         with as_value_errors(record):
             return TwoLayerSystem(algebra, stream, second, energy_sign=sign, name=name.text(), powers=powers)
     with as_value_errors(record):
@@ -351,16 +350,16 @@ def not_stored(x: NDArray[Any], t: float) -> float:
     raise ValueError("the function of this event was not stored; give the events again")
 
 
-def events_of(entry: Entry, system: Any) -> tuple[Event, ...]:
+def events_of(attribute: Any, path: str, system: Any) -> tuple[Event, ...]:
     """Parse the events of `event_record`, with `not_stored` for functions; ValueError if damaged."""
-    events = []
-    with as_value_errors(entry):
-        for name, table in json.loads(entry.text()).items():
-            if table["g"] is None:
-                events.append(Event(**{**table, "g": not_stored}, name=name))
-            elif isinstance(table["g"], dict):
-                g = invariants_of(Entry({name: table["g"]}, entry.path), system.dim)[name]
-                events.append(Event(**{**table, "g": g}, name=name))
-            else:
-                events.append(event_of_file(name, table, system))
-    return tuple(events)
+    return tuple(_event_of(name, table, system) for name, table in parsed(attribute, path).table().items())
+
+
+def _event_of(name: str, record: Entry, system: Any) -> Event:
+    g = record.reject_unknown("g", "direction", "count", "terminal")["g"]
+    with as_value_errors(record):
+        if g.value is None:
+            return Event(**{**record.value, "g": not_stored}, name=name)
+        if g.is_table:
+            return Event(**{**record.value, "g": _form_of(g, system.dim)}, name=name)
+        return event_of_file(name, record.value, system)

@@ -37,7 +37,6 @@ from coadjoint.systems.system import System
 __all__ = ["record_of", "safe_name", "system_of"]
 
 MAX_NAME_LENGTH = 64  # characters of a name in a variable; short of the length of file names
-STORABLE_TYPES = (Polynomial, Quadratic)
 
 
 def record_of(system: System | Batch) -> dict[str, Any]:
@@ -84,15 +83,16 @@ def _lie_poisson_entries(system: LiePoissonSystem, missing: list[str]) -> dict[s
         record["integrals"] = invariants_record(system.integrals)
     if system.layout:
         record["layout"] = {key: plain(value) for key, value in system.layout.items()}
-    without_record = dict.fromkeys([*_functions_in(casimirs), *_functions_in(system.algebra.casimirs_known)])
+    without_record = dict.fromkeys([*functions_among(casimirs), *functions_among(system.algebra.casimirs_known)])
     missing += [f"{CASIMIR}{name}" for name in without_record]
-    missing += [f"{INTEGRAL}{name}" for name in _functions_in(system.integrals)]
+    missing += [f"{INTEGRAL}{name}" for name in functions_among(system.integrals)]
     missing += _named_functions(EXACT, system.closed_form)
     return record
 
 
-def _functions_in(invariants: Mapping[str, Any]) -> list[str]:
-    return [name for name, value in invariants.items() if not isinstance(value, STORABLE_TYPES)]
+def functions_among(invariants: Mapping[str, Any]) -> list[str]:
+    """Return the names of the invariants that are functions, which cannot be stored."""
+    return [name for name, value in invariants.items() if not isinstance(value, Polynomial | Quadratic)]
 
 
 def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
@@ -118,11 +118,14 @@ def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
 
 def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
     """Return polynomials as monomials, and quadratic forms as for a Hamiltonian; functions are omitted."""
-    return {
-        name: _monomials(value) if isinstance(value, Polynomial) else _form_record(value)
-        for name, value in casimirs.items()
-        if isinstance(value, STORABLE_TYPES)
-    }
+    records: dict[str, Any] = {}
+    for name, value in casimirs.items():
+        match value:
+            case Polynomial():
+                records[name] = _monomials(value)
+            case Quadratic():
+                records[name] = _form_record(value)
+    return records
 
 
 def _batch_entries(batch: Batch, missing: list[str]) -> dict[str, Any]:

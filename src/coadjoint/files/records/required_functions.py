@@ -12,7 +12,7 @@ from typing import Any, cast
 from coadjoint.files.archives.archive import ArchiveError
 from coadjoint.files.records.entries import EXACT, INTEGRAL, parsed
 from coadjoint.files.records.reconstruction import invariants_of
-from coadjoint.files.records.records import STORABLE_TYPES, invariants_record, record_of
+from coadjoint.files.records.records import functions_among, invariants_record, record_of
 from coadjoint.kernels.functions.contents import contents_of
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.observables import check_observe
@@ -29,7 +29,7 @@ def function_attributes(prepared: PreparedRun) -> dict[str, str]:
     functions = functions_in(prepared.system)
     if functions:
         fingerprints["system"] = {"named": functions, **fingerprint_of(system_contents(prepared.system))}
-    functional_quantities = [name for name, quantity in observed.items() if not isinstance(quantity, STORABLE_TYPES)]
+    functional_quantities = functions_among(observed)
     if functional_quantities:
         fingerprints["observe"] = {"named": functional_quantities, **fingerprint_of(observed)}
     return {
