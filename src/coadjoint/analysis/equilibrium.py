@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -181,7 +182,9 @@ def _check_regular(orbit: Orbit, y: Floats) -> None:
 def _critical_point(orbit: Orbit, x: Floats, direction: float) -> Floats:
     """Relax by steps of the double-bracket flow, then by Newton's method; a direction of zero is Newton's alone."""
     last, reference, scale = np.inf, _sizes(orbit, x), _field_scale(orbit, x)
-    descents_before = _Curvature()
+    # Ways of descents, and the change of the field along them: by these, directions know the second variation.
+    pairs: deque[tuple[Floats, Floats]] = deque(maxlen=MEMORY)
+    latest: tuple[Floats, Floats] | None = None
     # Descents take time in proportion to the nonzero structure constants, Newton's method to the third power of n.
     descents, more, until = max(MAX_DESCENTS, len(x)), MORE_DESCENTS, 0
     for count in range(descents + MAX_NEWTON):
@@ -197,14 +200,18 @@ def _critical_point(orbit: Orbit, x: Floats, direction: float) -> Floats:
             near = _is_semidefinite(orbit, x, direction)
             until, more = (until, more) if near else (count + more, 2 * more)
         if direction and count < descents and not near:
-            v = direction * descents_before.direction(field)
+            if latest is not None:
+                way, change = latest[0], latest[1] - field
+                if way @ change > UNIT_ROUNDOFF * np.linalg.norm(way) * np.linalg.norm(change):
+                    pairs.append((way, change))
+            v = direction * _direction_of_descent(field, pairs)
             slope = float(direction * (field @ v))
             if not slope > 0.0:
                 v, slope = direction * field, float(field @ field)
             longest = MAX_ANGLE / orbit.norm(v)
-            length = min(1.0 if descents_before.pairs else np.inf, longest)
+            length = min(1.0 if pairs else np.inf, longest)
             x, length = _searched(orbit, x, v, length, slope, direction)
-            descents_before.add(direction * length * v, field)
+            latest = direction * length * v, field
         else:
             last = residual
             x = _newton_step(orbit, x, field, direction)
@@ -215,37 +222,19 @@ def _critical_point(orbit: Orbit, x: Floats, direction: float) -> Floats:
     )
 
 
-class _Curvature:
-    """The inverse of a second variation by the last descents, as in the method of Broyden et al. with little memory."""
-
+def _direction_of_descent(field: Floats, pairs: Sequence[tuple[Floats, Floats]]) -> Floats:
+    """Return the inverse of the second variation that pairs imply, by the method of Broyden et al., times a field."""
     # Directions are elements of the algebra, which move x by exponentials, so that those of different x are compared.
-
-    def __init__(self) -> None:
-        self.pairs: deque[tuple[Floats, Floats]] = deque(maxlen=MEMORY)
-        self._last: tuple[Floats, Floats] | None = None
-
-    def add(self, moved: Floats, field: Floats) -> None:
-        """Add the way of a descent from a state with this field."""
-        self._last = moved, field
-
-    def direction(self, field: Floats) -> Floats:
-        """Return the direction of the next descent from the field at its start, in which the first ones are that."""
-        if self._last is not None:
-            moved, before = self._last
-            change = before - field
-            if moved @ change > UNIT_ROUNDOFF * np.linalg.norm(moved) * np.linalg.norm(change):
-                self.pairs.append((moved, change))
-            self._last = None
-        q, parts = field.copy(), []
-        for s, y in reversed(self.pairs):
-            parts.append(float(s @ q) / float(s @ y))
-            q -= parts[-1] * y
-        if self.pairs:
-            s, y = self.pairs[-1]
-            q *= float(s @ y) / float(y @ y)
-        for (s, y), part in zip(self.pairs, reversed(parts), strict=True):
-            q += (part - float(y @ q) / float(s @ y)) * s
-        return q
+    q, parts = field.copy(), []
+    for s, y in reversed(pairs):
+        parts.append(float(s @ q) / float(s @ y))
+        q -= parts[-1] * y
+    if pairs:
+        s, y = pairs[-1]
+        q *= float(s @ y) / float(y @ y)
+    for (s, y), part in zip(pairs, reversed(parts), strict=True):
+        q += (part - float(y @ q) / float(s @ y)) * s
+    return q
 
 
 def _field_scale(orbit: Orbit, x: Floats) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -187,36 +187,30 @@ def identify(
     needed = 8 * len(exponents) * (3 * rows + 4 * STRIDES * GROUPED * radii[-1] * algebra.dim + 4 * len(exponents))
     check_available_memory(needed, f"an identification of {len(exponents)} monomials", "take a lower degree")
     complement = complement_of_casimirs(algebra, exponents)
-    found: list[_Estimate] = []
+    best, certainty = None, (-1, -math.inf)
     for k, r in enumerate(radii):
         estimate = _estimate(data, exponents, complement, r)
-        found += [] if estimate is None else [estimate]
+        # More directions are determined, or as many with less uncertainty.
+        if estimate is not None and (best is None or estimate[1] > certainty):
+            best, certainty = estimate
         note_progress("estimates with longer test functions", (k + 1) / len(radii))
-    if not found:
+    if best is None:
         raise ValueError(
             f"{data.x.shape[0]} trajectories of {data.x.shape[1]} samples give fewer equations than there are unknowns "
             f"({complement.shape[1]}), or do not move; give more samples, or a lower degree"
         )
-    # More directions are determined, or as many with less uncertainty.
-    best = max(found, key=lambda one: (one.V.shape[1], -float(np.trace(one.covariance))))
-    return _result(data, exponents, complement, best)
+    return _with_run(best, data)
 
 
-class _Estimate(NamedTuple):
-    """Coefficients y in the determined directions V of the complement, their covariance, and factors of the noise."""
+def _estimate(
+    data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, r: int
+) -> tuple[Identification, tuple[int, float]] | None:
+    """Solve the equations, weighted by the covariance of their errors at the solution, by iteration.
 
-    y: Floats
-    V: Floats
-    rest: Floats
-    covariance: Floats
-    noise: Floats
-    radius: int
-
-
-def _estimate(data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, r: int) -> _Estimate | None:
-    """Solve the equations, weighted by the covariance of their errors at the solution, by iteration."""
-    equations = [group._replace(A=group.A @ complement) for group in equations_of(data, exponents, r)]
-    count = sum(group.b.size for group in equations)
+    The result, without a run, comes with the number of determined directions and minus the sum of the variances.
+    """
+    equations = [(A @ complement, b, by_samples) for A, b, by_samples in equations_of(data, exponents, r)]
+    count = sum(b.size for _, b, _ in equations)
     if count < complement.shape[1] + 1:
         return None
     noise = first_noise(data.x)
@@ -224,7 +218,9 @@ def _estimate(data: TrajectorySamples, exponents: NDArray[np.int64], complement:
     V = np.eye(len(y))
     for iteration in range(ITERATIONS):
         H = polynomial_of(exponents, complement @ y)
-        whitened = [whitened_equations(data, group, H if iteration else None, noise) for group in equations]
+        whitened = [
+            whitened_equations(A, b, by_samples(H if iteration else None), noise) for A, b, by_samples in equations
+        ]
         A, b = (np.concatenate(parts) for parts in zip(*whitened, strict=True))
         _, values, rows = np.linalg.svd(A, full_matrices=False)
         if not values.size or not values[0]:
@@ -239,37 +235,33 @@ def _estimate(data: TrajectorySamples, exponents: NDArray[np.int64], complement:
         accuracy = CONVERGED[0] * math.sqrt(np.diag(covariance).max()) + CONVERGED[1] * np.abs(y).max()
         if iteration and np.abs(y - before).max() <= accuracy:
             break
-    return _Estimate(y, V, rest, covariance, noise * math.sqrt(variance), r)
-
-
-def _result(
-    data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, best: _Estimate
-) -> Identification:
-    """Return the result in the units of the data, with a run of the system."""
-    # H(x) = scale h(x / scale) moves the scaled states as h does: x' = J(x) grad H.
+    # In the units of the data: H(x) = scale h(x / scale) moves the scaled states as h does, x' = J(x) grad H.
     units = data.scale ** (1.0 - exponents.sum(axis=1))
-    listed = tuple(map(tuple, exponents.tolist()))
-    coefficients = units * (complement @ best.y)
-    H = polynomial_of(exponents, coefficients)
+    H = polynomial_of(exponents, units * (complement @ y))
     root = units[:, None] * complement
     system = LiePoissonSystem(data.algebra, H, sign=data.sign, name=f"identified system on {data.algebra.name or 'g'}")
     found = Identification(
         hamiltonian=H,
         system=system,
-        exponents=listed,
-        covariance=np.asarray(root @ best.covariance @ root.T),
-        noise=data.scale * best.noise,
-        undetermined=tuple(polynomial_of(exponents, root @ direction) for direction in best.rest.T),
-        radius=best.radius,
+        exponents=tuple(map(tuple, exponents.tolist())),
+        covariance=np.asarray(root @ covariance @ root.T),
+        noise=data.scale * (noise * math.sqrt(variance)),
+        undetermined=tuple(polynomial_of(exponents, root @ direction) for direction in rest.T),
+        radius=r,
         solution=None,
         run_error=math.inf,
-        basis=np.asarray(root @ best.V),
+        basis=np.asarray(root @ V),
     )
+    return found, (V.shape[1], -float(np.trace(covariance)))
+
+
+def _with_run(found: Identification, data: TrajectorySamples) -> Identification:
+    """Return the result with a run of its system from the first samples, if that does not fail."""
     times, states = data.given
     step = abs(float(times[-1] - times[0])) / (len(times) - 1)
     try:
         span = (float(times[0]), float(times[0]) + math.copysign(step * (len(times) - 1), times[-1] - times[0]))
-        run = integrate(system, states[0], span, step / 2, reference_scheme(8), save_every=2)
+        run = integrate(found.system, states[0], span, step / 2, reference_scheme(8), save_every=2)
     except IntegrationError:
         return found
     error = float(np.sqrt(np.mean((run.x - states) ** 2) / np.mean(states**2)))

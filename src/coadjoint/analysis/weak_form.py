@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -127,17 +128,11 @@ def complement_of_casimirs(algebra: LieAlgebra, exponents: NDArray[np.int64]) ->
     return np.asarray(rows[:rank].T)
 
 
-class WeakEquations(NamedTuple):
-    """Equations of a group of test functions: matrix (w, n, p), right-hand side (w, n), and what their errors need."""
-
-    A: Floats
-    b: Floats
-    x: Floats
-    psi: Floats
-    slope: Floats
+Equations = tuple[Floats, Floats, Callable[[Polynomial | None], Floats]]
+"""Matrix (w, n, p) and right-hand side (w, n) of w test functions, and their derivative by the samples for an H."""
 
 
-def equations_of(data: TrajectorySamples, exponents: NDArray[np.int64], r: int) -> Iterator[WeakEquations]:
+def equations_of(data: TrajectorySamples, exponents: NDArray[np.int64], r: int) -> Iterator[Equations]:
     """Yield the equations in groups that share no samples with weights."""
     s = np.arange(-r, r + 1) / r
     bump, slope = (1 - s**2) ** POWER, -2 * POWER * s * (1 - s**2) ** (POWER - 1) / (r * data.step)
@@ -151,22 +146,27 @@ def equations_of(data: TrajectorySamples, exponents: NDArray[np.int64], r: int) 
             for w, start in enumerate(starts):
                 psi[w, start : start + 2 * r + 1], of_slope[w, start : start + 2 * r + 1] = bump, slope
             fields = data.sign * moved(data.algebra, x, gradients_of(exponents, x))
-            yield WeakEquations(np.tensordot(psi, fields, 1), -of_slope @ x, x, psi, of_slope)
+            yield np.tensordot(psi, fields, 1), -of_slope @ x, partial(_derivative_by_samples, data, x, psi, of_slope)
 
 
-def whitened_equations(
-    data: TrajectorySamples, group: WeakEquations, H: Polynomial | None, noise: Floats
-) -> tuple[Floats, Floats]:
-    """Return matrix and right-hand side, divided by a root of the covariance of errors, of the latter without H."""
+def _derivative_by_samples(
+    data: TrajectorySamples, x: Floats, psi: Floats, slope: Floats, H: Polynomial | None
+) -> Floats:
+    """Return the derivative (w, n, k, n) of equations by samples; without H, that of the right-hand side alone."""
     # Samples x + e change the equations by sum_t (psi dF/dx + psi') e, with the field F of H.
-    w, n = group.b.shape
-    by_sample = np.einsum("wt,il->witl", group.slope, np.eye(n))
+    by_sample = np.einsum("wt,il->witl", slope, np.eye(x.shape[1]))
     if H is not None:
-        by_sample += np.einsum("wt,til->witl", group.psi, field_derivatives(data, H, group.x))
+        by_sample += np.einsum("wt,til->witl", psi, field_derivatives(data, H, x))
+    return np.asarray(by_sample)
+
+
+def whitened_equations(A: Floats, b: Floats, by_sample: Floats, noise: Floats) -> tuple[Floats, Floats]:
+    """Return matrix and right-hand side, divided by a root of the covariance of errors by the noise."""
+    w, n = b.shape
     root = (by_sample * noise).reshape(w * n, -1)
     S = root @ root.T
     L = np.linalg.cholesky(S + 4 * w * n * UNIT_ROUNDOFF * np.trace(S) / (w * n) * np.eye(w * n))
-    both = np.concatenate([group.A.reshape(w * n, -1), group.b.reshape(-1, 1)], axis=1)
+    both = np.concatenate([A.reshape(w * n, -1), b.reshape(-1, 1)], axis=1)
     solved = np.linalg.solve(L, both)
     return solved[:, :-1], solved[:, -1]
 
