@@ -286,7 +286,7 @@ def matrix_system_of(record: Entry) -> MatrixSystem:
         with as_value_errors(record):
             return TwoLayerSystem(algebra, stream, second, energy_sign=sign, name=name.text(), powers=powers)
     with as_value_errors(record):
-        return MatrixSystem(algebra, stream, linear, energy_sign=sign, name=name.text(), powers=powers)
+        return MatrixSystem(algebra, stream, linear=linear, energy_sign=sign, name=name.text(), powers=powers)
 
 
 def _matrix_algebra_of(record: Entry) -> MatrixAlgebra:
