@@ -307,6 +307,17 @@ def test_edits_without_a_meaning_are_not_noticed():
     assert contents_of(module.value) == plain
 
 
+def test_attributes_that_only_an_inner_function_names_are_read():
+    constants, user = types.ModuleType("constants_of_a_test"), types.ModuleType("user_functions_of_a_test")
+    user.constants = constants
+    exec("def value(x):\n    inner = lambda y: constants.rate * y\n    return inner(x[0])", vars(user))
+    found = []
+    for rate in (1.0, 2.0):
+        constants.rate = rate
+        found.append(contents_of(user.value))
+    assert found[0].digest != found[1].digest and not any(one.unknown for one in found)
+
+
 def test_numbers_that_are_equal_and_not_the_same():
     numbers = [1, 1.0, True, np.float64(1), np.float32(1), 1 + 0j, "1", b"1", 0.0, -0.0, math.nan, None, (), [], {}]
     numbers += [(1, 2), [1, 2], {1, 2}, frozenset((1, 2)), {1: 2, 3: 4}, {3: 4, 1: 2}, np.array(1), np.array([1])]

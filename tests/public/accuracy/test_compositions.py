@@ -94,6 +94,20 @@ def test_a_sweep_and_its_adjoint_are_the_splitting_of_order_2() -> None:
     np.testing.assert_allclose(other.step(system, x0, 0.0, 0.25), x, rtol=0, atol=1e-15)
 
 
+def test_the_mirror_image_of_rational_rotations_is_rational_too() -> None:
+    system, x0 = full(-1), np.array([0.5, -0.75, 0.625])
+    halves = [
+        co.Splitting(order=1, adjoint=adjoint, rotation="rational", parts="coordinates") for adjoint in (True, False)
+    ]
+    x = x0
+    for half in halves:
+        x = half.step(system, x, 0.0, 0.125)
+    pair = co.methods.even_order(halves[0], 2)
+    np.testing.assert_allclose(pair.step(system, x0, 0.0, 0.25), x, rtol=0, atol=1e-15)
+    exact = co.methods.even_order(co.Splitting(order=1, adjoint=True, parts="coordinates"), 2)
+    assert np.max(np.abs(exact.step(system, x0, 0.0, 0.25) - x)) > 1e-6
+
+
 def test_the_pair_of_euler_methods_is_the_trapezoidal_rule() -> None:
     system, x0, h = full(1), np.array([0.5, -0.75, 0.625]), 0.25
     end = co.methods.even_order(Euler(), 2).step(system, x0, 0.0, h)

@@ -361,6 +361,23 @@ def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items() if name != "attitude0")
 
 
+def test_members_whose_energies_are_shifted_by_different_multiples_have_the_bits_of_single_runs():
+    """The multiple of the Casimir is half of the energy about the middle axis, and attitudes are corrected by it."""
+    rng, span = np.random.default_rng(6), (0.0, 0.5)
+    systems = [co.systems.rigid_body(inertia=(1.0, middle, 2.5)) for middle in (1.75, 2.0, 2.25)]
+    x0, ready = rng.uniform(0.2, 0.9, (3, 3)), co.prepare(co.batch(systems), co.Splitting(), H, attitude=True)
+    directions = {name: rng.standard_normal(v.shape) for name, v in [("x0", x0), *ready.parameters.items()]}
+    sol, tangents = ready.jvp(x0, span, directions)
+    weights = rng.standard_normal(sol.attitude.shape)
+    gradient = ready.vjp(x0, span)[1](attitude=weights)
+    for m, system in enumerate(systems):
+        single = co.prepare(system, co.Splitting(), H, attitude=True)
+        alone = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()})[1]
+        assert np.array_equal(alone.attitude, tangents.attitude[:, m])
+        found = single.vjp(x0[m], span)[1](attitude=weights[:, m])
+        assert all(np.array_equal(gradient[name][m], value) for name, value in found.items())
+
+
 @pytest.mark.parametrize("scheme", WITH_STEPS, ids=str)
 def test_every_scheme_is_differentiated_in_a_batch(scheme):
     """Also where the steps of members that share tables are differentiated in Python."""

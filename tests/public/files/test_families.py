@@ -155,6 +155,15 @@ def test_parts_of_an_archived_family_are_read(selection, tmp_path):
     np.testing.assert_array_equal(lazy[SELECTIONS[selection]].values, expected)
 
 
+def test_nothing_of_an_archived_family_has_the_types_of_all_of_it(tmp_path):
+    dataset = co.integrate(family(), X0, SPAN, STEP, archive=tmp_path / "run.zarr").to_xarray()
+    nothing = dataset.isel(third=slice(0, 0))
+    for name in ("x", "failed"):
+        values = nothing[name].values
+        assert values.dtype == dataset[name].dtype and values.shape == nothing[name].shape
+    assert (~nothing["failed"].values).all()
+
+
 def test_forces_are_parameters_too():
     damped = co.batch(
         lambda rate: co.systems.rigid_body((1, 2, 3)).with_forces(co.forces.LinearDamping(rate)), rate=[0.125, 0.5]

@@ -44,6 +44,13 @@ def test_everything_printed_of_a_system_has_its_names():
     assert sites.casimirs["|x|^2 [1]"].to_latex() == "{S_{1}^{[1]}}^{2} + {S_{2}^{[1]}}^{2} + {S_{3}^{[1]}}^{2}"
 
 
+def test_polynomial_energies_are_printed_with_the_names_of_the_basis():
+    own = co.LieAlgebra.from_brackets(["[h, e] = 2 e", "[h, f] = -2 f", "[e, f] = h"])
+    system = co.LiePoissonSystem(own, co.Polynomial({(4, 0, 0): 0.25, (0, 1, 1): 1.0}))
+    text = str(system.hamiltonian)
+    assert "h^4" in text and "e*f" in text and "x1" not in text
+
+
 def test_symbols_count_the_coordinates():
     """m1 is the symbol of the coefficient of x1^2/2, and would be a coordinate of a top."""
     H = co.modified_hamiltonian(co.systems.heavy_top(), co.Splitting(), symbols=["m1"])
