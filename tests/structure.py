@@ -18,17 +18,17 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 448,  # motions of all bodies and their pictures, rigid molecules, the C interface, JAX, fits
-    "Python lines": 91600,  # bodies, orders above two with forces, archives at URLs, batches on XLA, pairs on threads
-    "longest file": 414,
-    "classes": 509,  # bodies, descents with curvature, stores elsewhere, shares of pairs, members on XLA
-    "isinstance": 650,  # kinds of molecules, shapes in JAX, archives at URLs, own systems, functions in shares
-    "files in cycles, with imports inside functions and for types": 40,  # motions of bodies
-    "modules behind integrate": 124,  # torques on the state, of which forces on satellites are made
+    "Python files": 445,  # motions of all bodies and their pictures, rigid molecules, the C interface, JAX, fits
+    "Python lines": 91489,  # bodies, orders above two with forces, archives at URLs, batches on XLA, pairs on threads
+    "longest file": 400,
+    "classes": 504,  # bodies, descents with curvature, stores elsewhere, shares of pairs, members on XLA
+    "isinstance": 626,  # kinds of molecules, shapes in JAX, archives at URLs, own systems, functions in shares
+    "files in cycles, with imports inside functions and for types": 39,  # motions of bodies
+    "modules behind integrate": 123,  # torques on the state, of which forces on satellites are made
     "C++ lines": 20220,  # the C interface, orders with forces, pairs on threads, projected batches in lanes
-    "test lines": 69761,  # choices for batches, bodies, molecules, the C interface, JAX, forces of higher order
+    "test lines": 69828,  # empty selections, members with own shifts, mirrored rational rotations, choices for batches, bodies, molecules, the C interface, JAX, forces of higher order
     "test files that import internals": 74,
-    "public names": 344,  # rigid_molecules, export_table and co.jax.free_body
+    "public names": 342,  # rigid_molecules, export_table and co.jax.free_body
 }
 
 

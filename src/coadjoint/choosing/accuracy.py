@@ -246,7 +246,6 @@ def _schemes(methods: Any, processed: bool, dim: int) -> tuple[Method, ...]:
         return tuple(each for each in candidate_schemes(processed) if dim <= each.largest)
     rule = "it must be one or more schemes such as Splitting(order=4)"
     single = isinstance(methods, Method | str | Mapping)
-    single = isinstance(methods, Method | str | Mapping)
     given = (methods,) if single else read_list(methods, "methods", rule)
     schemes = tuple(read_method(each, "an entry of methods") for each in given)
     if not schemes:
