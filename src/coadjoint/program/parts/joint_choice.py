@@ -181,7 +181,6 @@ def _ordered(
     """Choose among the candidates of members for which they have the same structure, and their orders."""
     system, count = stack.first, stack.size
     points, every, plain = sample_points(system.dim), np.arange(count), np.ones(count, dtype=bool)
-    alternatives = candidates(system, len(points) > 0)
     for _, by_name in rules:
         shift = tuple((name, float(values[0])) for name, values in by_name.items() if values[0])
         terms = shifted_terms(stack.terms, casimirs, shift)
@@ -193,10 +192,12 @@ def _ordered(
         kept = np.flatnonzero(plain)
         reduced = [(rule, {name: values[kept] for name, values in by_name.items()}) for rule, by_name in rules]
         return _ordered(stack.take(kept), reduced, casimirs) if len(kept) else []
-    of_members = [_of_members(stack, *alternative, rules, casimirs) for alternative in alternatives]
-    found = [one for one in of_members if one is not None]
-    if len(found) < len(of_members):
-        return []
+    alternatives, found = candidates(system, len(points) > 0), []
+    for shift, parts in alternatives:
+        of_members = _of_members(stack, shift, parts, rules, casimirs)
+        if of_members is None:
+            return []
+        found.append(of_members)
     fewest = len(alternatives[0][1])
     unordered = fewest < 2 or not len(points) or not has_hessians(system, stack.terms)
     if not unordered and fewest > MAX_PERMUTED:
