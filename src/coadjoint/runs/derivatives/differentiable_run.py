@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
@@ -100,16 +99,11 @@ class DifferentiableRun:
         chosen = frozenset(names)
         if (h, chosen) not in self._tables:
             named = [name for name in self.parameters if name in chosen]
-            tables = (
+            self._tables[h, chosen] = (
                 tables_of_members(self, h, named)
                 if self.system.is_batch
                 else build_tables(self, h, named, INPUTS in chosen)
             )
-            if self.inputs is None and not self.system.is_batch and not callable(tables.forward):
-                built = tables.tables_at
-                # Of the whole step, and of the last other one.
-                tables = tables._replace(tables_at=lru_cache(2)(lambda step: as_structure(built(step))))
-            self._tables[h, chosen] = tables
         return self._tables[h, chosen]
 
     def attitudes(self, tables: DerivativeTables) -> AttitudeDerivatives | None:

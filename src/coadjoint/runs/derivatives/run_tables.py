@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -13,6 +13,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.cotangents import BackwardRun, FlowCotangents, ForwardRun
 from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables
@@ -170,7 +171,9 @@ def _of_scheme(
         energies = {name: run.energy(name) for name in names}
         if inputs is not None:
             return tables_with_inputs(inputs, scheme, h, representation, energies)
-        return scheme.derivative_tables(system, h, representation, energies)
+        tables = scheme.derivative_tables(system, h, representation, energies)
+        # Of the whole step, and of the last other one.
+        return tables._replace(tables_at=lru_cache(2)(lambda step: as_structure(tables.tables_at(step))))
 
     nearby = nearby_parameters(system, {name: run.parameters[name] for name in names})
     sizes = {name: run.parameters[name].value.size for name in names}
