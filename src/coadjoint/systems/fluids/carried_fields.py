@@ -17,6 +17,10 @@ from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_choice
 
 SURFACES: dict[str, Callable[..., FluidSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
+PICTURES: dict[str, Any] = {
+    "pictures": (Picture("vorticity", at=1.0), Picture("vorticity", part="carried", at=1.0), Picture("eigenvalues")),
+    "components": Picture("energy by scale"),
+}
 
 
 def _two_vortices() -> npt.NDArray[np.complex128]:
@@ -33,12 +37,7 @@ def _two_vortices() -> npt.NDArray[np.complex128]:
         step=0.002,
         caption="The vortex of Orszag and Tang in a conducting fluid: vorticity and magnetic potential fold into each "
         "other, and sheets of vorticity grow where the field is bent. The spectrum of the potential is constant.",
-        pictures=(
-            Picture("vorticity", at=1.0),
-            Picture("vorticity", part="carried", at=1.0),
-            Picture("eigenvalues"),
-        ),
-        components=Picture("energy by scale"),
+        **PICTURES,
         parameters={"N": 33, "surface": "torus"},
         save_every=20,
         quantity="vorticity",
@@ -105,12 +104,7 @@ def _latitude_as_dye() -> npt.NDArray[np.complex128]:
         step=0.02,
         caption="A dye, at the start the sine of the latitude, is wound up by the vortices of a random flow on the "
         "sphere. Above, the vorticity, and below, the dye, at the end. The spectrum of the dye is constant.",
-        pictures=(
-            Picture("vorticity", at=1.0),
-            Picture("vorticity", part="carried", at=1.0),
-            Picture("eigenvalues"),
-        ),
-        components=Picture("energy by scale"),
+        **PICTURES,
         parameters={"N": 33},
         save_every=4,
         quantity="vorticity",
