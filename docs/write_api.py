@@ -18,7 +18,7 @@ import coadjoint as co
 from coadjoint import commands
 from coadjoint.analysis.certificates.certificate import Row
 from coadjoint.files.configuration.schema import schema
-from coadjoint.runs.results.drift import Drift
+from coadjoint.runs.results.quantities import Drift
 from coadjoint.runs.stepper import Stepper
 
 PAGE = Path(__file__).with_name("api.md")

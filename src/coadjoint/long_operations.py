@@ -1,17 +1,24 @@
-"""Warnings about long operations: in advance if the time can be estimated, otherwise after some seconds."""
+"""Long operations: warnings, in advance if the time can be estimated, else after some seconds, and progress bars."""
 
 from __future__ import annotations
 
 import sys
 import time
 import warnings
-from contextlib import ContextDecorator
+from collections.abc import Callable, Iterator
+from contextlib import ContextDecorator, contextmanager, suppress
 from contextvars import ContextVar, Token
 from types import FrameType
+from typing import Any
+
+from coadjoint.optional_packages import require_packages
+from coadjoint.validation import read_bool
 
 DECORATOR_MODULES = ("contextlib", "functools")
 WARNING_SECONDS = 5.0
 """Operations shorter than this (seconds) do not warn."""
+SECONDS_BETWEEN_LINES = 30.0
+"""About a thousand lines in an overnight log."""
 
 
 class LongWait(UserWarning):
@@ -86,3 +93,72 @@ def warn_caller(text: str, category: type[Warning]) -> None:
             outermost = level
         frame, level = frame.f_back, level + 1
     warnings.warn(text, category, stacklevel=outermost + 1)
+
+
+def read_progress(progress: Any) -> bool:
+    """Validate `progress`; raise if a progress bar cannot be shown."""
+    shown = read_bool(progress, "progress")
+    if shown:
+        require_packages("progress=True", "tqdm")
+    return shown
+
+
+@contextmanager
+def progress_bar(steps: int, shown: bool, unit: str = "step") -> Iterator[Callable[[int], Any]]:
+    """Show a progress bar, or printed lines without a terminal; the value of the context takes each increment."""
+    if not shown:
+        yield lambda count: None
+    elif _is_terminal():
+        from tqdm import tqdm
+
+        with tqdm(total=steps, unit=unit, unit_scale=True) as bar:
+            yield bar.update
+    else:
+        with _progress_lines(steps, unit) as update:
+            yield update
+
+
+def _is_terminal() -> bool:
+    """Whether printed output can be overwritten: on a terminal, or below a notebook cell."""
+    if type(sys.stderr).__module__.partition(".")[0] == "ipykernel":
+        return True
+    try:
+        return bool(sys.stderr.isatty())
+    except (AttributeError, ValueError):  # no standard error, or closed
+        return False
+
+
+def paced(taken: int, seconds: float, interval: float, most: int) -> int:
+    """Return how many steps take about an interval (s), from 1 to `most`, if `taken` have taken so many seconds."""
+    # The clock may not have advanced.
+    return max(1, min(int(taken / max(seconds, 1e-6) * interval), most))
+
+
+@contextmanager
+def _progress_lines(steps: int, unit: str) -> Iterator[Callable[[int], None]]:
+    """Print progress lines for a log, without control characters; the value of the context takes each increment."""
+    done, printed_at = 0, -1
+    started_at = last = time.monotonic()
+
+    def print_line(now: float) -> None:
+        nonlocal printed_at
+        printed_at = done
+        percentage = f" ({100.0 * done / steps:.0f} %)" if steps else ""
+        text = f"{done} of {steps} {unit}{'' if steps == 1 else 's'}{percentage} after {now - started_at:.3g} s"
+        # The run continues even if the log cannot be written.
+        with suppress(OSError, ValueError, AttributeError):
+            print(text, file=sys.stderr, flush=True)
+
+    def update(count: int) -> None:
+        nonlocal done, last
+        done += count
+        now = time.monotonic()
+        if now - last >= SECONDS_BETWEEN_LINES:
+            last = now
+            print_line(now)
+
+    try:
+        yield update
+    finally:
+        if printed_at != done:
+            print_line(time.monotonic())

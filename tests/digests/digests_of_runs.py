@@ -12,7 +12,7 @@ import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
 from coadjoint.kernels.tables.tangents import Frame
 from coadjoint.runs.loops.loops import loops_of_members
-from coadjoint.runs.plan import Plan
+from coadjoint.runs.plan_and_state import Plan
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_of
 from coadjoint.runs.times import Times

@@ -12,7 +12,7 @@ from coadjoint.errors import MAX_LISTED_NAMES, unknown_name
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.results.observables import Observed
+from coadjoint.runs.results.quantities import Observed
 from coadjoint.runs.start import is_attitude_kind, read_attitude
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups

@@ -19,7 +19,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.methods.suggested_scheme import default_scheme
 from coadjoint.runs.loops.loops import loops_of_members
-from coadjoint.runs.plan import Plan
+from coadjoint.runs.plan_and_state import Plan
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import Start, start_of
 from coadjoint.runs.times import Times, times_between, times_of

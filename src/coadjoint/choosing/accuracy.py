@@ -25,7 +25,13 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.choosing.candidates import Candidate, supported_candidates, with_measured_work
+from coadjoint.choosing.candidates import (
+    Candidate,
+    sample_of,
+    sample_of_scheme,
+    supported_candidates,
+    with_measured_work,
+)
 from coadjoint.choosing.fitting import (
     ROUNDING_SHARE,
     StepFit,
@@ -37,7 +43,6 @@ from coadjoint.choosing.fitting import (
     least_roundoff,
 )
 from coadjoint.choosing.pilot import Pilot
-from coadjoint.choosing.sample import sample_of, sample_of_scheme
 from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation

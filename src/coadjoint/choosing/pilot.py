@@ -15,7 +15,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.suggested_scheme import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
-from coadjoint.runs.plan import Plan
+from coadjoint.runs.plan_and_state import Plan
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.choosing.accuracy import Choice, choose
-from coadjoint.choosing.sample import sample_of
+from coadjoint.choosing.candidates import sample_of
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.method import Method
 from coadjoint.rounding import UNIT_ROUNDOFF

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from coadjoint.errors import IntegrationError
 from coadjoint.pictures.register import CannotShow, coordinate_index
 from coadjoint.pictures.style import coordinate
-from coadjoint.runs.results.drift import scales_of_invariants
+from coadjoint.runs.results.quantities import scales_of_invariants
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import member_count, rotations_of, unfinished_members
 from coadjoint.runs.results.solution_output import is_driven

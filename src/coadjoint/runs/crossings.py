@@ -13,7 +13,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import FlaggedSteps, values_along
 from coadjoint.runs.events import Event
-from coadjoint.runs.loops.execution import status_name
+from coadjoint.runs.loops.member_batches import status_name
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.short_repr import distinct, short
 from coadjoint.systems.batch import Batch

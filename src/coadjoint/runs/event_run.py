@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import EventArrays, FlaggedSteps
+from coadjoint.long_operations import progress_bar
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.crossings import Crossings, MemberFailure, WatchedEvents
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.runs.progress import progress_bar
 from coadjoint.runs.run import Run
 
 # Steps of the first chunk, few because an event may end a run soon, and the most of a later one.

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, cast
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.long_operations import long_operation
+from coadjoint.long_operations import long_operation, read_progress
 from coadjoint.methods.protocol.method import NO_ERROR_CONTROL, Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.progress import read_progress
 from coadjoint.runs.results.solution import Solution, set_elapsed, with_choice
 from coadjoint.runs.start import combined
 from coadjoint.shortcuts import shortcut

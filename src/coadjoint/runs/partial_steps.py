@@ -17,9 +17,8 @@ from coadjoint.kernels.tables.recording import partial_step_schedule
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import TerminalEvent
-from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
-from coadjoint.runs.loops.groups import rows_of_groups
 from coadjoint.runs.loops.loops import Loops
+from coadjoint.runs.loops.member_batches import failure_text, rows_of_groups, run_in_threads, status_name
 from coadjoint.runs.run import Run
 from coadjoint.runs.times import OutputTimes, Times
 
@@ -233,8 +232,9 @@ def _fill(
         if step < failing[m]:
             failing[m] = step
             run.mark_failed(m, step, status_name(result.status[row]), float(result.residual[row]))
-    if (measures := run.loops.measured) is not None:
-        measured = measures.at(result.momenta, moments.t[k])
+    if run.loops.matrices is not None:
+        rows = zip(result.momenta, moments.t[k].tolist(), strict=True)
+        measured = np.concatenate([run.loops.values_of_matrices(x[None], t) for x, t in rows])
     else:
         # Multivalued invariants were followed along the run, and are continued from there by whole periods.
         saved = values[k, owners]

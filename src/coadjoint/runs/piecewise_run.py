@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
+from coadjoint.long_operations import paced, progress_bar
+from coadjoint.runs.plan_and_state import State
 from coadjoint.runs.preparation import Preparation
-from coadjoint.runs.progress import paced, progress_bar
 from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
 from coadjoint.runs.start import Start
-from coadjoint.runs.state import State
 from coadjoint.runs.times import Times
 
 STATE_PREFIX = "state."

@@ -21,8 +21,8 @@ from coadjoint.runs.events import Event
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.partial_steps import noises_of
-from coadjoint.runs.plan import Plan, bytes_of_run
-from coadjoint.runs.results.observables import Observed, check_observe
+from coadjoint.runs.plan_and_state import Plan, State, bytes_of_run
+from coadjoint.runs.results.quantities import Observed, check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
@@ -37,7 +37,6 @@ from coadjoint.runs.start import (
     vectors_of,
     with_group,
 )
-from coadjoint.runs.state import State
 from coadjoint.runs.times import (
     OutputTimes,
     Times,

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import read_progress
 from coadjoint.methods.forced import check_steps
 from coadjoint.runs.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
 from coadjoint.runs.partial_steps import PartialSteps, check_partial_steps, resample
 from coadjoint.runs.preparation import ONE_VECTOR, Preparation
-from coadjoint.runs.progress import read_progress
 from coadjoint.runs.results.solution import Solution, set_elapsed
 from coadjoint.runs.run import Run
 from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run

@@ -16,17 +16,16 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import MemberBatch, limited_blas_threads
+from coadjoint.long_operations import paced, progress_bar
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
-from coadjoint.runs.loops.execution import failure_text, run_in_threads, status_name
 from coadjoint.runs.loops.loops import Loops
-from coadjoint.runs.plan import Plan
-from coadjoint.runs.progress import paced, progress_bar
+from coadjoint.runs.loops.member_batches import failure_text, run_in_threads, status_name
+from coadjoint.runs.plan_and_state import Plan, State
 from coadjoint.runs.results.memory_solution import solution_of_run
-from coadjoint.runs.results.observables import Observed
+from coadjoint.runs.results.quantities import Observed
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import Start
-from coadjoint.runs.state import State
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
 
@@ -135,10 +134,23 @@ class Run:
             state.arrays = state.arrays.take(inverse, 0)
             if last == plan.times.steps:
                 self.saved = self.saved.take(inverse, 1)
-        if loops.measured is not None:
+        if loops.matrices is not None:
             numbers = plan.times.saved
-            new_points = np.flatnonzero((numbers <= last) & ((numbers > first) | (first == 0)))
-            loops.measured.measure(plan.times, self.start, self.saved, state["worst"], new_points)
+            self._measure(np.flatnonzero((numbers <= last) & ((numbers > first) | (first == 0))))
+
+    def _measure(self, points: NDArray[np.int64]) -> None:
+        """Compute the invariants of matrices at new saved points, and the largest deviations in each tenth."""
+        if not len(points):
+            return
+        times, worst, loops = self.times, self.state["worst"], self.loops
+        at_start = loops.values_of_matrices(self.start.momenta, times.t0)
+        for k in points.tolist():
+            number = int(times.saved[k])
+            t = float(times.at(times.saved[k]))
+            values = self.saved["values"][k] = loops.values_of_matrices(self.saved["x"][k], t)
+            tenth = max(0, number - 1) * worst.shape[1] // max(1, times.steps)
+            with np.errstate(invalid="ignore"):  # members may be about to overflow
+                worst[:, tenth] = np.fmax(worst[:, tenth], np.abs(values - at_start))
 
     def _advance(self, first: int, last: int, progress: bool) -> None:
         plan = self.plan
@@ -203,8 +215,8 @@ class Run:
             saved_points = int(np.flatnonzero(reached)[-1]) + 1 if reached.any() else 0
         worst, values = self.state["worst"], self.saved["values"]
         worst[:], self.state["status"][:] = 0.0, 0
-        if (measured := self.loops.measured) is not None:
-            measured.measure(self.times, self.start, self.saved, worst, np.arange(saved_points))
+        if self.loops.matrices is not None:
+            self._measure(np.arange(saved_points))
         tenths = np.maximum(0, numbers[:saved_points] - 1) * worst.shape[1] // max(1, self.times.steps)
         with np.errstate(invalid="ignore"):
             for tenth in np.unique(tenths):

@@ -19,14 +19,13 @@ from coadjoint.kernels.arrays import as_c_double
 from coadjoint.kernels.loop import raise_outcome
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
 from coadjoint.methods.forced import check_steps
-from coadjoint.runs.loops.execution import raise_reason
 from coadjoint.runs.loops.loops import Loops
-from coadjoint.runs.plan import Plan, check_run_memory
+from coadjoint.runs.loops.member_batches import raise_reason
+from coadjoint.runs.plan_and_state import Plan, State, check_run_memory
 from coadjoint.runs.results.memory_solution import solution_of_numbers
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import Start, momenta_of, start_without_groups, vector_size
-from coadjoint.runs.state import State
 from coadjoint.runs.times import Times, is_same_span, is_unchangeable, span_of, times_between
 from coadjoint.validation import FLOAT64
 

@@ -11,10 +11,9 @@ import pytest
 import coadjoint as co
 from coadjoint.choosing import pilot as pilots
 from coadjoint.choosing.accuracy import rounded_up
-from coadjoint.choosing.candidates import supported_candidates, with_measured_work
+from coadjoint.choosing.candidates import sample_of, supported_candidates, with_measured_work
 from coadjoint.choosing.fitting import roundoff
 from coadjoint.choosing.pilot import Pilot, PilotErrors, Trial
-from coadjoint.choosing.sample import sample_of
 from coadjoint.kernels.interface import limit
 from coadjoint.methods.protocol.cost_model import CALL_COST, MIN_LANE_MEMBERS, iteration_work, newton_work
 

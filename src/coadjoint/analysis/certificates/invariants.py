@@ -16,7 +16,7 @@ from coadjoint.analysis.powers import growth
 from coadjoint.errors import IntegrationError
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.results.drift import sum_of_absolute_terms
+from coadjoint.runs.results.quantities import sum_of_absolute_terms
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 

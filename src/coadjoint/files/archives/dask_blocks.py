@@ -17,8 +17,8 @@ from coadjoint.files.archives.archive import ArchiveError, MemberBlock
 from coadjoint.files.archives.ensemble import BUSY, run_block
 from coadjoint.files.archives.new_archive import PlannedRun
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
+from coadjoint.long_operations import progress_bar
 from coadjoint.private_folders import private_folder
-from coadjoint.runs.progress import progress_bar
 
 RETRIES = 3
 """Attempts without progress, after losses of workers or of their data, before giving up."""

@@ -38,11 +38,11 @@ from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, ArchiveUnw
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.long_operations import progress_bar, read_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.progress import progress_bar, read_progress
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import combined
 from coadjoint.runs.times import times_of

@@ -16,7 +16,7 @@ from coadjoint.methods.protocol.method import declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import read_events
-from coadjoint.runs.plan import bytes_of_run
+from coadjoint.runs.plan_and_state import bytes_of_run
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import Times

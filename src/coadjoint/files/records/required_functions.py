@@ -15,7 +15,7 @@ from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import functions_among, invariants_record, record_of
 from coadjoint.kernels.functions.contents import contents_of
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.results.observables import check_observe
+from coadjoint.runs.results.quantities import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.lie_poisson import LiePoissonSystem

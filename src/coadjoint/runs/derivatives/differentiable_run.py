@@ -17,11 +17,11 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, by_linear, without_inputs
 from coadjoint.runs.derivatives.run_tables import build_tables, tables_of_members
 from coadjoint.runs.derivatives.stretches import ONE, Stretch, carry
 from coadjoint.runs.events import Event
+from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import check_partial_steps, resample
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.prepared_run import PreparedRun

@@ -16,8 +16,8 @@ from coadjoint.methods.forced import Forced, flow_of_force, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
-from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.stretches import Stretch, carry
+from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.forces.orbit_flow import OrbitFlow

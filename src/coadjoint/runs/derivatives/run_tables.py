@@ -21,12 +21,12 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.generators import group_side
 from coadjoint.program.multiples import NO_MULTIPLES, Multiples
-from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
 from coadjoint.runs.inputs import Inputs
-from coadjoint.runs.loops.groups import Columns
 from coadjoint.runs.loops.loops import loops_of_system
+from coadjoint.runs.loops.member_batches import Columns
+from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.preparation import Preparation
 from coadjoint.systems.parameter_differences import (

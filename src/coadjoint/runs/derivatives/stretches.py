@@ -12,8 +12,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables, Kernel
-from coadjoint.runs.loops.execution import sum_in_threads
-from coadjoint.runs.loops.groups import split_members
+from coadjoint.runs.loops.member_batches import split_members, sum_in_threads
 
 Floats = NDArray[np.float64]
 

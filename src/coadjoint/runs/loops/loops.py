@@ -18,9 +18,16 @@ from coadjoint.kernels.tables.recording import values_along
 from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.runs.loops.groups import Columns, Group, batches_of_groups, groups_of, individual_groups, split_members
+from coadjoint.runs.loops.member_batches import (
+    Columns,
+    Group,
+    batches_of_groups,
+    groups_of,
+    individual_groups,
+    split_members,
+)
 from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, corrected_groups_each, uncorrected_groups
-from coadjoint.runs.results.observables import MatrixInvariants
+from coadjoint.runs.results.quantities import invariants_of_matrices
 from coadjoint.runs.start import Start, unit_groups
 from coadjoint.runs.times import Times
 from coadjoint.systems.batch import Batch
@@ -71,7 +78,7 @@ class Loops:
         self.accounts = compiled[0].accounts  # of works behind the coordinates of a state, as (force, invariant)
         # Numbers of a state, and those of a member that persist from step to step.
         self.size, self.memory = dim + len(self.accounts), max(loop.memory for loop in compiled)
-        self.measured = None if matrices is None else MatrixInvariants(matrices, names, self.accounts)
+        self.matrices = matrices  # the system, whose invariants the loops do not track, if states are matrices
         # Members with the same tables that are advanced side by side.
         self.block = limit("MOST_LANES") if dim <= limit("WIDEST") else 1
         self.corrected_groups = (
@@ -246,10 +253,14 @@ class Loops:
         rows[np.array(shifted)[self._corrected]] = unit
         return rows
 
+    def values_of_matrices(self, states: Floats, t: float) -> Floats:
+        """Return the invariants of states (m, size) that are matrices."""
+        return invariants_of_matrices(self.matrices, self.names, self.accounts, states, t)
+
     def values_at(self, state: NDArray[np.float64], t: float, last: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the invariants of a single-member run at a state; multivalued ones on the branch nearest to `last`."""
-        if self.measured is not None:
-            return self.measured.at(state[None], np.array([t]))[0]
+        if self.matrices is not None:
+            return self.values_of_matrices(state[None], t)[0]
         tables, values = self.watches[0].tables, np.empty((1, 1, len(last)))
         period = np.asarray(getattr(tables, "source", tables).period)  # zero for those with one value
         values_along(self.groups[0].watch, state[None, None], np.array([t]), values)

@@ -1,10 +1,10 @@
-"""Attitudes of shifted runs: the correction for the Casimirs subtracted from the Hamiltonian."""
+"""Attitudes of shifted runs: the correction for the Casimirs subtracted from the Hamiltonian, and its derivatives."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices
 from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.runs.start import Start
+from coadjoint.program.shifts.shift import quadratic_entries
+from coadjoint.runs.start import Start, matrices_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System
 from coadjoint.validation import SMALL_SIZE
@@ -24,9 +25,11 @@ from coadjoint.validation import SMALL_SIZE
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
 
+Floats = NDArray[np.float64]
 Shift = tuple[tuple[Polynomial, float], ...]
 
 FINITE_GROWTH = 700.0  # exp overflows beyond 709
+LARGEST_BLOCK = 16  # largest matrix whose exponential is differentiated in all directions at once, by larger blocks
 
 
 def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
@@ -138,3 +141,113 @@ def corrected_groups_each(
         if correction is not None and points:
             correction.fill(groups, start, times, address, first, last)
     return groups
+
+
+class AttitudeDerivatives:
+    """The attitudes A = A0 exp(t X) G of members with the elements G of their loops, X linear in the momentum x0."""
+
+    # X = -sign sum c rho(grad C(x0)) over the Casimirs subtracted from the energy; without any A = G, started at A0.
+
+    def __init__(
+        self, system: Any, shift: Sequence[tuple[Any, float]], representation: Any, of_members: Floats | None = None
+    ) -> None:
+        # (casimirs,), or (members, casimirs) if members differ
+        self.factors = np.array([factor for _, factor in shift]) if of_members is None else of_members
+        coadjoint = matrices_of(representation) == "coadjoint"
+        rho = -np.swapaxes(_dual_coadjoint(system), 1, 2) if coadjoint else representation
+        # X = sum over Casimirs c and coordinates j of factors[c] x0[j] of_casimir[c, j].
+        self.of_casimir = np.zeros((len(shift), system.dim, *rho.shape[1:]))
+        for number, (casimir, _) in enumerate(shift):
+            entries = quadratic_entries(casimir)
+            assert entries is not None
+            for i, j, value in zip(*entries, strict=True):
+                self.of_casimir[number, j] -= system.sign * value * rho[i]
+
+    @property
+    def shifted(self) -> bool:
+        """Whether a Casimir was subtracted."""
+        return self.factors.shape[-1] > 0
+
+    def _generator(self, x0: Floats, factors: Floats) -> Floats:
+        return np.asarray(np.einsum("c,j,cjab->ab", factors, x0, self.of_casimir))
+
+    def element(self, x0: Floats, A0: Floats, t: float, G: Floats) -> Floats:
+        """Return the attitude (d, d) of one member of a shifted run at a time since the start."""
+        from scipy.linalg import expm
+
+        return np.asarray(A0 @ expm(t * self._generator(x0, self.factors)) @ G)
+
+    def tangents(
+        self, x0: Floats, A0: Floats, times: Floats, G: Floats, dx0: Floats, dA0: Floats, factors: Floats, dG: Floats
+    ) -> Floats:
+        """Return the tangents (points, members, k, d, d) along k directions, from arrays with an axis of members."""
+        if not self.shifted:
+            return dG
+        out = np.empty(dG.shape)
+        for m in range(len(x0)):
+            own, of_own = self._of_member(m), factors[m] if factors.ndim == 3 else factors
+            X = self._generator(x0[m], own)
+            dX = np.einsum("c,kj,cjab->kab", own, dx0[m], self.of_casimir)
+            dX += np.einsum("kc,j,cjab->kab", of_own, x0[m], self.of_casimir)
+            # The derivative of the exponential is linear: many directions are combined from those of a basis.
+            basis, weights = dX, np.eye(len(dX))
+            if len(dX) > x0.shape[1] + len(own):
+                of_x0 = np.einsum("c,cjab->jab", own, self.of_casimir)
+                of_factors = np.einsum("j,cjab->cab", x0[m], self.of_casimir)
+                basis, weights = np.concatenate([of_x0, of_factors]), np.concatenate([dx0[m], of_own], axis=1)
+            for point, t in enumerate(times.tolist()):
+                E, of_basis = _exponentials(t * X, t * basis)
+                dE = np.tensordot(weights, of_basis, axes=1)
+                out[point, m] = dA0[m] @ (E @ G[point, m]) + A0[m] @ (dE @ G[point, m] + E @ dG[point, m])
+        return out
+
+    def cotangents(
+        self, x0: Floats, A0: Floats, times: Floats, G: Floats, of_attitudes: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return the cotangents of x0, A0, the factors, and the elements of the loop, for those of the attitudes."""
+        from scipy.linalg import expm, expm_frechet
+
+        of_x0, of_A0, of_factors = np.zeros_like(x0), np.zeros_like(A0), np.zeros((len(x0), self.factors.shape[-1]))
+        if not self.shifted:
+            return of_x0, of_A0, of_factors, of_attitudes
+        of_G = np.empty_like(of_attitudes)
+        for m, (point, t) in product(range(len(x0)), enumerate(times.tolist())):
+            own = self._of_member(m)
+            X, of_A = self._generator(x0[m], own), of_attitudes[point, m]
+            E = expm(t * X)
+            of_G[point, m] = (A0[m] @ E).T @ of_A
+            of_A0[m] += of_A @ (E @ G[point, m]).T
+            if t and of_A.any():
+                of_E = A0[m].T @ of_A @ G[point, m].T
+                of_X = t * expm_frechet(t * X.T, of_E, compute_expm=False)
+                by_pair = np.einsum("ab,cjab->cj", of_X, self.of_casimir)
+                of_x0[m] += own @ by_pair
+                of_factors[m] += by_pair @ x0[m]
+        return of_x0, of_A0, of_factors, of_G
+
+    def _of_member(self, m: int) -> Floats:
+        return np.asarray(self.factors[m] if self.factors.ndim == 2 else self.factors)
+
+
+def _exponentials(X: Floats, directions: Floats) -> tuple[Floats, Floats]:
+    """Return the exponential of X and its derivatives along directions (k, d, d)."""
+    from scipy.linalg import expm, expm_frechet
+
+    count, d = len(directions), len(X)
+    if d > LARGEST_BLOCK:
+        nonzero = directions.any(axis=(1, 2))
+        derivatives = np.zeros((count, d, d))
+        for k in np.flatnonzero(nonzero):
+            derivatives[k] = expm_frechet(X, directions[k], compute_expm=False)
+        return expm(X), derivatives
+    blocks = np.zeros((count, 2 * d, 2 * d))
+    blocks[:, :d, :d] = blocks[:, d:, d:] = X
+    blocks[:, :d, d:] = directions
+    return expm(X), expm(blocks)[:, :d, d:]
+
+
+def _dual_coadjoint(system: Any) -> Floats:
+    """Return -D_i^T, with J(x) e_i = D_i x."""
+    units = np.eye(system.dim)
+    J = np.array([system.algebra.structure_matrix(unit) for unit in units])
+    return np.asarray(-np.transpose(J, (2, 0, 1)))

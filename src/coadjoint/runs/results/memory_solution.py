@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.keyword_hints import NamedValues
 from coadjoint.runs.loops.loops import GroupCorrection
-from coadjoint.runs.results.observables import Observed
+from coadjoint.runs.results.quantities import Observed
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.start import Start, start_without_groups
@@ -20,7 +20,7 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
-    from coadjoint.runs.plan import Plan
+    from coadjoint.runs.plan_and_state import Plan
     from coadjoint.runs.run import Run
 
 Floats = NDArray[np.float64]

@@ -1,0 +1,231 @@
+"""Quantities over a run: observed ones, invariants of matrices, and deviations of invariants with their sizes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.errors import in_one_line
+from coadjoint.kernels.tables.recording import values_along
+from coadjoint.short_repr import short
+from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.terms import built_in
+from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.systems.system import System
+from coadjoint.systems.user_functions import takes_time, with_time
+from coadjoint.validation import read_number
+
+Floats = NDArray[np.float64]
+
+# A value below this fraction of the sum of its absolute terms is small by cancellation.
+CANCELLATION = 2.0**-10
+# Number of invariants whose terms are always summed; those of further ones only if their values are far smaller than
+# others.
+SUMMED_INVARIANTS = 64
+# Numbers (2 MB) of the states whose terms are summed together; the values do not depend on it.
+SUMMED_NUMBERS = 2**18
+
+
+class Observed:
+    """Quantities evaluated at saved points; each function is called once at x0 for validation."""
+
+    def __init__(self, system: System, observe: Mapping[str, Any], x0: Floats) -> None:
+        from coadjoint.kernels.tables.invariants import watch_tables
+
+        self._names, self._matrices = list(observe), system.unforced if system.has_matrices else None
+        self._quantities = dict(observe)
+        start: Any = x0
+        if self._matrices is not None:
+            start = self._matrices.states_of(x0)
+            _check_matrix_functions(self._matrices, observe)
+        for name, quantity in observe.items():
+            value = _value_at(quantity, name, start.copy())
+            if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
+                raise TypeError(
+                    f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
+                )
+        if self._matrices is not None:
+            return
+        kinds = (Polynomial, Quadratic, Invariant)
+        wrapped = {
+            name: quantity if isinstance(quantity, kinds) else Invariant(quantity) for name, quantity in observe.items()
+        }
+        self._compiled, self._values_along = watch_tables(system, wrapped), values_along
+
+    def along(self, t: Floats, points: Floats) -> dict[str, Floats]:
+        """Return the values (k, members) of every quantity at the times (k,) and points (k, members, n)."""
+        if self._matrices is not None:
+            return {name: self._of_matrices(name, t, points) for name in self._names}
+        # The first invariant of a watch is the energy.
+        out = np.empty((*points.shape[:2], len(self._names) + 1))
+        self._values_along(self._compiled.tables, points, t, out)
+        return {name: out[..., i + 1] for i, name in enumerate(self._names)}
+
+    def _of_matrices(self, name: str, t: Floats, points: Floats) -> Floats:
+        """Evaluate a Python function of a matrix at all points; NaN for failed members."""
+        assert self._matrices is not None
+        function, system = with_time(self._quantities[name], name), self._matrices
+        values = np.full(points.shape[:2], np.nan)
+        for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
+            W = system.states_of(points[k, m, : system.dim].copy())
+            values[k, m] = read_number(function(W, float(t[k])), f"what observe[{short(name)}] returns at t = {t[k]:g}")
+        return values
+
+
+def invariants_of_matrices(
+    system: MatrixSystem, names: Sequence[str], accounts: Sequence[tuple[str, str]], states: Floats, t: float
+) -> Floats:
+    """Return energy and invariants of states (m, size), and with `accounts` the same minus the work of forces."""
+    # States after a failure are NaN; user functions are not called on them.
+    finite = np.isfinite(states[:, : system.dim]).all(axis=-1)
+    result = np.full((len(states), len(names) * (2 if accounts else 1)), np.nan)
+    W = system.from_vector(states[finite, : system.dim])
+    with np.errstate(all="ignore"):
+        values = [system.energy(W, t), *system.casimirs_at(W).values()]
+    if accounts:
+        # The work is that of the accounts of a state; the start has none.
+        work = {name: np.zeros(len(W)) for name in names}
+        for (_, name), column in zip(accounts, states[finite, system.dim :].T, strict=False):
+            work[name] += column
+        values += [value - work[name] for value, name in zip(values, names, strict=True)]
+    result[finite] = np.stack(values, axis=-1)
+    return result
+
+
+def _check_matrix_functions(system: MatrixSystem, observe: Mapping[str, Any]) -> None:
+    for name, quantity in observe.items():
+        if isinstance(quantity, Polynomial | Quadratic):
+            raise TypeError(
+                f"observe[{short(name)}] is a function of coordinates, and the states of {system.name} are matrices; "
+                "give a function of a matrix"
+            )
+
+
+def check_observe(observe: Any) -> dict[str, Any]:
+    """Validate `observe` and return a copy."""
+    if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
+        raise TypeError(f"observe is {short(observe)}; it must map names to Polynomials or functions of x")
+    for name, quantity in observe.items():
+        if not isinstance(quantity, Polynomial | Quadratic | Invariant) and not callable(quantity):
+            raise TypeError(
+                f"observe[{short(name)}] is {short(quantity)}; it must be a Polynomial or a function, or a Quadratic"
+            )
+    return dict(observe)
+
+
+def _value_at(quantity: Any, name: str, x0: Floats) -> Any:
+    """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
+    try:
+        return 0.0 if isinstance(quantity, Polynomial | Quadratic) or takes_time(quantity, name) else quantity(x0)
+    except (ArithmeticError, ValueError, OSError):
+        return float("nan")
+    except (IndexError, KeyError, TypeError, AttributeError) as reason:
+        message = in_one_line(str(reason), 200)
+        raise type(reason)(f"observe[{short(name)}] cannot be evaluated at the start: {message}") from None
+
+
+class Drift(float):
+    """The largest deviation of an invariant from its initial value: a float with the deviations in detail.
+
+    Attributes
+    ----------
+    scale : float or ndarray, shape (members,)
+        The size of the invariant, to which all deviations are relative: the absolute initial value, or where its terms
+        nearly cancel, the sum of their absolute values. It is 1 for absolute deviations, and where both are zero.
+    absolute : float
+        The largest absolute deviation.
+    tenths : ndarray, shape (10,) or (members, 10)
+        Largest deviation in each tenth of the run.
+    members : ndarray or None
+        For an ensemble, the largest deviation of each member; the float is the largest over all members that have run.
+    initial : float or ndarray
+        Initial value.
+    """
+
+    scale: Any
+    absolute: float
+    tenths: Floats
+    members: Floats | None
+    initial: Any
+    _waiting: Any
+
+    @ignore_overflow
+    def __new__(cls, tenths: Floats, initial: Any, scale: Any = 1.0, waiting: Any = False) -> Drift:
+        """Construct the drift from the absolute deviations in its tenths; members that wait to be run are NaN."""
+        relative = tenths / np.asarray(scale)[..., None]
+        counted = ~(np.asarray(waiting)[..., None] & np.isnan(relative))
+        largest, absolute = (
+            np.max(values, where=counted, initial=0.0) if counted.any() else np.nan for values in (relative, tenths)
+        )
+        drift = super().__new__(cls, largest)
+        drift.absolute, drift.scale, drift._waiting = float(absolute), scale, waiting
+        drift.tenths = relative
+        drift.members = None if tenths.ndim == 1 else relative.max(axis=-1)
+        drift.initial = initial
+        return drift
+
+    def __getnewargs__(self) -> tuple[Any, ...]:  # type: ignore[override]
+        return self.tenths * np.asarray(self.scale)[..., None], self.initial, self.scale, self._waiting
+
+    @property
+    def growth(self) -> Any:
+        """Ratio of the last tenth to the first: 1 for bounded error, 10 for linear growth, inf if the first is 0."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.divide(self.tenths[..., -1], self.tenths[..., 0])
+
+
+@ignore_overflow
+def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the size of each invariant, a float or (members,); 1 where it is zero or not finite."""
+    single = all(np.ndim(value) == 0 for value in initial.values())
+    states = np.asarray(x0)[None] if single else np.asarray(x0)
+    values = {name: np.abs(np.atleast_1d(value)).astype(np.float64) for name, value in initial.items()}
+    largest = np.max(list(values.values()), axis=0)
+    scales: dict[str, Any] = {}
+    for number, (name, value) in enumerate(values.items()):
+        # Each member by itself, so that it has the same size alone.
+        summed = np.arange(len(value)) if number < SUMMED_INVARIANTS else np.flatnonzero(value < CANCELLATION * largest)
+        size = value.copy()
+        for members in _groups(system, summed, states[0].size) if system is not None else ():
+            plain = system.of_member(int(members[0])).unforced
+            invariant = plain.hamiltonian if name == "energy" else plain.casimirs.get(name)
+            rows = states[members] if plain.has_matrices else states[members].reshape(len(members), -1)
+            terms = sum_of_absolute_terms(invariant, rows)
+            size[members] = np.where(value[members] < CANCELLATION * terms, terms, value[members])
+        size[~(np.isfinite(size) & (size > 0.0))] = 1.0
+        scales[name] = float(size[0]) if single else size
+    return scales
+
+
+def _groups(system: Any, members: NDArray[np.int64], numbers: int) -> list[NDArray[np.int64]]:
+    """Return members of one system in groups whose terms are summed together."""
+    length = max(1, SUMMED_NUMBERS // numbers)
+    if system.is_batch:
+        owners = system.owners[members]
+        order = np.argsort(owners, kind="stable")
+        of_systems = np.split(members[order], np.flatnonzero(np.diff(owners[order])) + 1)
+    else:
+        of_systems = [members]
+    return [same[k : k + length] for same in of_systems for k in range(0, len(same), length)]
+
+
+def sum_of_absolute_terms(invariant: Any, x: Floats) -> Floats:
+    """Return the sums of absolute terms of an invariant at states (..., *shape); 0 for functions."""
+    if hasattr(invariant, "sum_of_absolute_terms"):
+        return np.asarray(invariant.sum_of_absolute_terms(x))
+    if isinstance(invariant, Polynomial):
+        invariant = as_hamiltonian(invariant, x.shape[-1])
+    terms = invariant.terms() if hasattr(invariant, "terms") else ()
+    if not terms:
+        return np.zeros(())
+    total = np.zeros(x.shape[:-1])
+    for term in built_in(terms):
+        total += term.sum_of_absolute_values(np.abs(x))
+    return total
