@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
-from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import FlaggedSteps, values_along
 from coadjoint.runs.events import Event
 from coadjoint.runs.loops.member_batches import status_name
 from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.runs.results.quantities import is_formula
 from coadjoint.short_repr import distinct, short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coordinates import coordinates_of
@@ -214,7 +214,7 @@ def names_of(events: Sequence[Event], coordinates: Sequence[str]) -> tuple[str, 
         name, g = event.name, cast(Any, event.g)
         if name is None and is_integer(g):
             name = dict(enumerate(coordinates)).get(g)
-        elif name is None and isinstance(g, str):
+        elif name is None and not callable(g):
             name = g
         if event.name is None and (name is None or name in names):
             name = f"event {k}"
@@ -235,7 +235,7 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
     number = coordinate_of(g, name, coordinates, n)
     if number is not None:
         return Quadratic(0.0, linear=np.eye(1, n, number)[0])
-    if isinstance(g, Polynomial | Quadratic):
+    if is_formula(g):
         return g
     function, start = with_time(g, name), plain_system.states_of(x0) if matrices else x0
     value = function(start.copy(), t0)
@@ -253,10 +253,10 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
 
 def coordinate_of(g: Any, name: str, coordinates: Sequence[str], n: int) -> int | None:
     """Return the number of the coordinate of the event of this name; None if its g is a function."""
+    if callable(g):
+        return None
     if is_integer(g):
         return read_integer(g, "g", 0, n - 1)
-    if not isinstance(g, str):
-        return None
     if g not in coordinates and set("+-*/^") & set(g):
         raise ValueError(
             f"the event {name} is {short(g)}, which is no coordinate; give a polynomial, "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +16,7 @@ from coadjoint.shortcuts import shortcut
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import MAX_COORDINATES
 from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import is_integer, read_bool, read_choice, read_integer, read_title
+from coadjoint.validation import is_integer, read_bool, read_choice, read_integer, read_list, read_title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,7 +85,7 @@ class Event:
 
     def __post_init__(self) -> None:
         assign = object.__setattr__
-        if not (isinstance(self.g, str | Polynomial | Quadratic) or is_integer(self.g) or callable(self.g)):
+        if not (isinstance(self.g, str) or is_integer(self.g) or callable(self.g)):
             raise TypeError(
                 f"g of an event is {short(self.g)}; give a coordinate by number or name, a Polynomial, or a function "
                 "of x or (x, t)"
@@ -100,7 +100,7 @@ class Event:
         assign(self, "terminal", read_bool(self.terminal, "terminal"))
         if self.name is not None:
             assign(self, "name", read_title(self.name, "name of an event"))
-        if callable(self.g) and not isinstance(self.g, Polynomial | Quadratic):
+        if callable(self.g):
             takes_time(self.g, "g of an event")
 
     def __repr__(self) -> str:
@@ -116,13 +116,14 @@ def read_events(value: Any) -> tuple[Event, ...]:
     """Validate an event or a sequence of events (or None) and return a tuple; at most `MAX_EVENTS`."""
     if value is None:
         return ()
-    events = (value,) if isinstance(value, Event) else value
-    if not isinstance(events, Sequence) or isinstance(events, str) or not all(isinstance(e, Event) for e in events):
-        example = f"co.Event({short(value)})" if isinstance(value, str) else "co.Event('x1')"
-        raise TypeError(f"events is {short(value)}; give an Event, such as {example}, or a list of them")
+    example = f"co.Event({short(value)})" if isinstance(value, str) else "co.Event('x1')"
+    rule = f"give an Event, such as {example}, or a list of them"
+    events = (value,) if isinstance(value, Event) else read_list(value, "events", rule)
+    if not all(isinstance(event, Event) for event in events):
+        raise TypeError(f"events is {short(value)}; {rule}")
     if len(events) > MAX_EVENTS:
         raise ValueError(f"{len(events)} events were given; a run can have at most {MAX_EVENTS}")
-    return tuple(events)
+    return events
 
 
 class RecordedEvents:

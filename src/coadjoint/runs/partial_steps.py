@@ -187,7 +187,7 @@ def resample(run: Run, moments: OutputTimes) -> None:
         saved["x"][-1, 0], saved["values"][-1, 0] = run.ending.x, run.ending.values
     partial = np.flatnonzero(moments.length)
     if len(partial):
-        parts = PartialSteps(run.plan.base, run.plan.method, run.loops, run.plan.workers)
+        parts = PartialSteps(run.plan.system, run.plan.method, run.loops, run.plan.workers)
         # A failed member has no partial steps within its failed step.
         last = np.where(run.state["status"] == 0, run.times.steps + 1, run.state["step"])
         chunk = max(1, ROWS_PER_CALL // members)

@@ -44,7 +44,7 @@ class Plan:
         workers: int = 1,
         inside: int = 1,
     ) -> None:
-        self.system, self.base, self.method, self.loops, self.times = system, system, method, loops, times
+        self.system, self.method, self.loops, self.times = system, method, loops, times
         self.groups = groups
         self.watching, self.workers, self.inside = watching, workers, inside  # threads, and those that share a member
         self.events = 0  # address of the event tables
@@ -58,8 +58,8 @@ class Plan:
         self.shared: dict[str, Any] = {
             "method": method,
             "watched": watching,
-            "_given_system": system,
-            "_base": system,
+            "_system_of_run": lambda: system,
+            "_prepared_system": system,
             "_times": times,
             "_layout": self.layout,
             "_saved_points": times.points,
@@ -83,7 +83,7 @@ class Plan:
         """Return the plan of the same runs for other times."""
         options = self.groups, self.watching, self.workers, self.inside
         plan = Plan(self.system, self.method, self.loops, times, *options)
-        plan.base = plan.shared["_base"] = self.base
+        plan.shared["_system_of_run"] = self.shared["_system_of_run"]
         return plan.with_events(self.events) if self.events else plan
 
     def at_times(self, times: Times) -> Plan | None:
@@ -109,11 +109,11 @@ class Plan:
         plan.rounds = rounds
         return plan
 
-    def with_loops(self, loops: Loops, system: Any) -> Plan:
-        """Return the plan of another system, for loops that differ in the numbers in their tables only."""
+    def with_loops(self, loops: Loops, system_of_run: Callable[[], Any]) -> Plan:
+        """Return the plan of a system made on first use, for loops that differ in the numbers in their tables only."""
         plan = self._copy()
-        plan.system, plan.loops, plan.rounds = system, loops, loops.rounds(self.groups[0], self.workers)
-        plan.shared = {**self.shared, "_given_system": system}
+        plan.loops, plan.rounds = loops, loops.rounds(self.groups[0], self.workers)
+        plan.shared = {**self.shared, "_system_of_run": system_of_run}
         plan.is_short = self.is_short and len(plan.rounds) == len(plan.rounds[0]) == 1
         return plan
 
@@ -229,7 +229,7 @@ def _read_integer(mapping: Mapping[str, Any], name: str) -> int:
     if name not in mapping:
         raise ValueError(f"the state of a run has no {name}; it must be as to_mapping returns it")
     value = mapping[name]
-    if isinstance(value, bool) or np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iu":
+    if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iu":
         raise ValueError(f"{name} of the state is {short(value)}; it must be a whole number")
     return int(value)
 

@@ -137,7 +137,8 @@ def _checked(momenta: NDArray[np.float64], n: int, x0: Any) -> tuple[NDArray[np.
 
 def combined(system: Any, x0: Any) -> tuple[Any, Any]:
     """Return a batch with named axes and x0 as members, every system with every state; others unchanged."""
-    if not isinstance(system, Batch) or system.combined:
+    check_system(system)
+    if not system.is_batch or system.combined:
         return system, x0
     shape, dims = system[0].shape, getattr(x0, "dims", None)
     states, axes = np.asarray(x0 if dims is None else x0.values), system.axes
@@ -206,7 +207,7 @@ def with_group(
             8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},"
         )
     initial = read_attitude(attitude, system)
-    if not isinstance(initial, np.ndarray):
+    if is_attitude_kind(initial):
         units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))
         return Start(momenta, units, representation, single, system)
     if initial.shape not in ((size, size), (len(momenta), size, size)):

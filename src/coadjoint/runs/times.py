@@ -182,8 +182,11 @@ def read_step(step: Any) -> float:
 def span_of(t_span: Any) -> tuple[float, float]:
     """Validate t_span and return the start and the end."""
     # Fast path: a tuple is unpacked directly.
-    ends = t_span if type(t_span) is tuple else read_numbers(t_span, "t_span").tolist()
-    if not isinstance(ends, list | tuple) or len(ends) != 2 or any(isinstance(end, list) for end in ends):
+    ends = t_span
+    if type(t_span) is not tuple:
+        numbers = read_numbers(t_span, "t_span")
+        ends = numbers.tolist() if numbers.ndim == 1 else []
+    if len(ends) != 2:
         raise ValueError(
             f"t_span is {short(t_span)}; it must be two numbers, the start and the end; save_every or t_eval choose "
             "the saved times"

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.runs.derivatives import attitudes, differentiable_run, stretches
+from coadjoint.runs.derivatives import differentiable_run, stretches
+from coadjoint.runs.loops import shifted_attitude
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
@@ -73,7 +74,7 @@ def test_exponentials_in_blocks_are_those_one_by_one(monkeypatch, count):
     x0, rng, found = np.array([0.3, 1.0, 0.2]), np.random.default_rng(1), []
     directions = {"x0": rng.standard_normal((3, count)), "inertia": rng.standard_normal((3, count))}
     for largest in (2, 3):
-        monkeypatch.setattr(attitudes, "LARGEST_BLOCK", largest)
+        monkeypatch.setattr(shifted_attitude, "LARGEST_BLOCK", largest)
         found.append(ready.jvp(x0, (0.0, 1.0), directions)[1].attitude)
     each = [ready.jvp(x0, (0.0, 1.0), {name: v[:, k] for name, v in directions.items()})[1] for k in range(count)]
     for other in (found[1], np.stack([one.attitude for one in each], axis=-1)):

@@ -20,7 +20,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import AGREEMENT, derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.derivatives.input_derivatives import compiled_tangents
+from coadjoint.runs.derivatives.run_tables import compiled_tangents
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.system import System
 

@@ -15,7 +15,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.runs.derivatives.input_derivatives import StepTangents, compiled_tangents
+from coadjoint.runs.derivatives.run_tables import StepTangents, compiled_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import any_momenta_of, is_attitude_kind, with_group

@@ -16,8 +16,8 @@ from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import overflow, read_like
-from coadjoint.runs.derivatives.input_derivatives import INPUTS
 from coadjoint.runs.derivatives.located_trajectory import function_of_rows
+from coadjoint.runs.derivatives.run_tables import INPUTS
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.energy_derivatives import gradients_at
 

@@ -17,8 +17,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.method import Method
-from coadjoint.runs.derivatives.input_derivatives import INPUTS, by_linear, without_inputs
-from coadjoint.runs.derivatives.run_tables import build_tables, tables_of_members
+from coadjoint.runs.derivatives.run_tables import INPUTS, build_tables, by_linear, tables_of_members, without_inputs
 from coadjoint.runs.derivatives.stretches import ONE, Stretch, carry
 from coadjoint.runs.events import Event
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
@@ -67,7 +66,7 @@ class DifferentiableRun:
         system = prepared.system
         self.scheme = prepared.scheme.fixed_steps
         # The scheme of the Hamiltonian part.
-        self.base = self.scheme.inner if isinstance(self.scheme, Forced) else self.scheme
+        self.base = cast(Forced, self.scheme).inner if system.forces else self.scheme
         if self.base.own_steps:
             raise TypeError(
                 f"{self.base} chooses its own steps, and with forces its runs have no derivatives; take a scheme with "

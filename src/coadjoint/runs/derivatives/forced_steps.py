@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from operator import methodcaller
 from typing import Any, NamedTuple
 
@@ -19,7 +20,6 @@ from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.forces.orbit_flow import OrbitFlow
 from coadjoint.systems.parameter_differences import NearbySystems, differences
 from coadjoint.systems.system import System
@@ -34,7 +34,7 @@ class FlowEntry(NamedTuple):
     entry: int
     nearby: NearbySystems
     forces: tuple[int, ...]
-    part: Any = None  # the parameter of the force, or the derivative of the energy; None if only systems are known
+    part: Any = None  # the parameter in `OrbitFlow.scalings`, or the derivative of the energy; None without a formula
 
 
 class Half(NamedTuple):
@@ -74,23 +74,32 @@ class ForceFlows:
 
     def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
         """Return the cotangent (n,) before the flows; derivatives by the entries are added to `by_entries`."""
-        flows: list[tuple[int, Floats, LinearizedStep | OrbitFlow]] = []
+        pulls: list[Callable[[Floats, Floats], Floats]] = []
         for j in half.order:
-            known = self._orbit_flow(j, x, half)
-            flow = self._flow_with_derivative(j, x, half) if known is None else known
-            flows.append((j, x, flow))
-            x = flow.end
-        every = np.ones(len(by_entries), dtype=bool)
-        for j, start, flow in reversed(flows):
-            if isinstance(flow, OrbitFlow):
-                of_x, found = flow.pull(of_x, self._parts(j))
-                for number, entry in enumerate(self._entries):
-                    if j in entry.forces:
-                        by_entries[number] += found[entry.name][entry.entry]
-                continue
-            for number, change in self._changes(every, j, start, half):
-                by_entries[number] += change @ of_x
-            of_x = flow.cotangent(of_x)
+            orbit_flow = self._orbit_flow(j, x, half)
+            if orbit_flow is None:
+                step = self._flow_with_derivative(j, x, half)
+                pulls.append(partial(self._pull_step, j, x, half, step))
+                x = step.end
+            else:
+                pulls.append(partial(self._pull_orbit_flow, j, orbit_flow))
+                x = orbit_flow.end
+        for pull in reversed(pulls):
+            of_x = pull(of_x, by_entries)
+        return of_x
+
+    def _pull_step(
+        self, j: int, x: Floats, half: Half, step: LinearizedStep, of_x: Floats, by_entries: Floats
+    ) -> Floats:
+        for number, change in self._changes(np.ones(len(by_entries), dtype=bool), j, x, half):
+            by_entries[number] += change @ of_x
+        return step.cotangent(of_x)
+
+    def _pull_orbit_flow(self, j: int, flow: OrbitFlow, of_x: Floats, by_entries: Floats) -> Floats:
+        of_x, found = flow.pull(of_x, self._parts(j))
+        for number, entry in enumerate(self._entries):
+            if j in entry.forces:
+                by_entries[number] += found[entry.name][entry.entry]
         return of_x
 
     def _flow(self, system: System, j: int, x: Floats, half: Half) -> Floats:
@@ -107,11 +116,9 @@ class ForceFlows:
 
     def _orbit_flow(self, j: int, x: Floats, half: Half) -> OrbitFlow | None:
         """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
-        force = self._system.forces[j]
-        fields = force.scalings()
-        if not all(isinstance(one, EnergyDerivative) or one in fields for one in self._parts(j).values()):
+        if any(part is None for part in self._parts(j).values()):
             return None
-        flow: OrbitFlow | None = force.orbit_flow(self._system.unforced, x, half.t, half.h)
+        flow: OrbitFlow | None = self._system.forces[j].orbit_flow(self._system.unforced, x, half.t, half.h)
         return flow
 
     def _changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:

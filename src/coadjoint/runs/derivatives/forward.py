@@ -14,7 +14,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.program.multiples import Multiples
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
-from coadjoint.runs.derivatives.input_derivatives import INPUTS
+from coadjoint.runs.derivatives.run_tables import INPUTS
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.energy_derivatives import gradients_at

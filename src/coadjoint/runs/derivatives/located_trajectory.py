@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.invariants.invariant import Invariant
-from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import derivative_of
@@ -204,16 +202,12 @@ def function_of_rows(system: Any, quantity: Any, t: float) -> Callable[[NDArray[
     """Return a quantity at a time as a function of a row of numbers, of which matrices are projected."""
     if isinstance(quantity, Quadratic):
         quantity = quantity.bind(system.dim).value
-    elif not isinstance(quantity, Polynomial | Invariant):
-        function = with_time(quantity, "observe")
-
-        def quantity(state: Any) -> Any:
-            return function(state, t)
+    function = with_time(quantity, "observe")
 
     def of_row(row: NDArray[Any]) -> NDArray[Any]:
         state = system.states_of(row)
         if system.has_matrices:
             state = system.algebra.projected(system.from_vector(row))
-        return np.ravel(quantity(state))
+        return np.ravel(function(state, t))
 
     return of_row

@@ -1,8 +1,8 @@
-"""Tables for the derivatives of a run: compiled ones, those of steps in Python, and with forces around either."""
+"""Tables for the derivatives of a run: compiled ones, those of steps in Python, with inputs, and with forces around."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, lru_cache, partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -11,39 +11,45 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.compiled import CompiledTables
-from coadjoint.kernels.tables.cotangents import BackwardRun, FlowCotangents, ForwardRun
+from coadjoint.kernels.tables.cotangents import FlowCotangents
 from coadjoint.kernels.tables.invariants import invariants_table
-from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.long_operations import note_progress
+from coadjoint.kernels.tables.structures import NotWritable, as_structure
+from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.forced import Forced
-from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables
+from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.protocol.step_derivatives import LinearizedStep
-from coadjoint.program.generators import group_side
-from coadjoint.program.multiples import NO_MULTIPLES, Multiples
+from coadjoint.program.multiples import NO_MULTIPLES
 from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
-from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs
+from coadjoint.runs.derivatives.stretches import StepwiseDerivatives, Stretch, carry, stepwise_derivatives
 from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import Columns
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.preparation import Preparation
+from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameter_differences import (
     DISTANCE,
-    NODES,
-    WEIGHTS,
+    RADIUS,
     NearbySystems,
-    differences,
     nearby_systems,
 )
-from coadjoint.systems.parameters import Parameter, check_may_change, force_numbers, parameters_of, with_entry_moved
+from coadjoint.systems.parameters import (
+    ForceParameter,
+    Parameter,
+    check_may_change,
+    force_numbers,
+    parameters_of,
+    with_entry_moved,
+)
+from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
 
 Floats = NDArray[np.float64]
 
+INPUTS = "inputs"  # name of the derivatives by all inputs; their entries are those of `Inputs.values`
 NONE = np.zeros(0)  # values of no inputs
 FEWEST_IN_LANES = 8  # members of a batch below which lanes are not faster than one member after the other
 
@@ -140,11 +146,17 @@ def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntr
         if not moving:
             continue
         nearby = nearby_parameters(run.system, {name: run.parameters[name]})
-        part: Any = None
-        if run.inputs is None:  # derivatives of the energy may depend on inputs
-            part = of_forces[name].field if name in of_forces else run.parameters[name].energy()
+        # Derivatives of the energy may depend on inputs.
+        part = _formula_part(run, name, of_forces.get(name)) if run.inputs is None else None
         found += [FlowEntry(name, entry, one, moving, part) for entry, one in enumerate(nearby)]
     return found
+
+
+def _formula_part(run: DifferentiableRun, name: str, of_force: ForceParameter | None) -> Any:
+    """Return a parameter as `OrbitFlow.pull` takes it; None without a formula."""
+    if of_force is None:
+        return run.parameters[name].energy()
+    return of_force.field if of_force.field in run.system.forces[of_force.position].scalings() else None
 
 
 def _flow_entries_of_inputs(run: DifferentiableRun, inputs: Inputs, values: Floats, h: float) -> list[FlowEntry]:
@@ -207,147 +219,137 @@ def nearby_parameters(system: Any, parameters: Mapping[str, Parameter]) -> list[
     ]
 
 
-class StepwiseDerivatives:
-    """Derivatives of steps by the state (`Method.linearized`), of their group elements, and of both by parameters.
+def tables_with_inputs(
+    inputs: Inputs,
+    scheme: Method,
+    h: float,
+    representation: Representation,
+    energies: Mapping[str, EnergyDerivative],
+) -> DerivativeTables:
+    """Return the tables of a compiled scheme, of which `tables_at(step, values)` are those with inputs."""
+    tables, at = _located(inputs, scheme, h, representation, energies)
+    if not tables.located:
+        return _located(inputs, scheme, h, representation, {**energies, INPUTS: by_linear(inputs)})[0]
+    try:
+        by_inputs = at(h).derivatives(tables.located)
+    except NotWritable as reason:
+        raise TypeError(
+            f'{scheme} has no derivatives by inputs for {inputs.system.name}: {reason}; take parts="auto"'
+        ) from None
+    return tables._replace(
+        coefficients={**tables.coefficients, INPUTS: by_inputs},
+        factors={**tables.factors, INPUTS: NO_MULTIPLES},
+        rules={**tables.rules, INPUTS: EXACT},
+    )
 
-    Derivatives by parameters, and of the elements g of A -> A g by the state, are central differences of order 8.
-    """
+
+def _located(
+    inputs: Inputs,
+    scheme: Method,
+    h: float,
+    representation: Representation,
+    energies: Mapping[str, EnergyDerivative],
+) -> tuple[DerivativeTables, Callable[[float], WritableTables]]:
+    """Return tables with inputs, and those into which inputs are written for each step."""
+    tables = scheme.derivative_tables(inputs.system_at(inputs.generic), h, representation, energies)
+    watch = invariants_table([], inputs.system.dim)
+
+    # Those of the whole step, and of the last other one.
+    @lru_cache(2)
+    def at(step: float) -> WritableTables:
+        return inputs.writable(CompiledTables(tables.tables_at(step), sources=tables.sources), watch)
+
+    def tables_at(step: float, values: Floats) -> Any:
+        located = at(step)
+        structure, _ = located.shared(values)
+        structure.owner = located
+        return structure
+
+    return tables._replace(tables_at=tables_at), at
+
+
+def by_linear(inputs: Inputs) -> EnergyDerivative:
+    """Return the derivative of the energy by the inputs."""
+    at = inputs.in_energy
+    return EnergyDerivative.of_monomials(len(inputs.values))._replace(
+        linear=at, linear_entry=at, linear_factor=np.ones(len(at))
+    )
+
+
+def without_inputs(energy: EnergyDerivative, inputs: Inputs) -> EnergyDerivative:
+    """Return the derivative of the energy by a parameter of the system, without coefficients that are inputs."""
+    rest = ~np.isin(energy.linear, inputs.in_energy)
+    return energy._replace(
+        linear=energy.linear[rest],
+        linear_entry=energy.linear_entry[rest],
+        linear_factor=energy.linear_factor[rest],
+    )
+
+
+def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Iterator[NearbySystems]:
+    """Yield the systems with changed inputs; a state changes in a step, relative to its size, as by the distance."""
+    J = np.max(np.abs(inputs.system.structure_matrix(np.cos(1.0 + np.arange(inputs.system.dim)))))
+    distance = RADIUS * DISTANCE / (abs(h) * (float(J) or 1.0))
+    for index in inputs.changing.tolist():
+
+        def moved(by: float, index: int = index) -> Any:
+            other = values.copy()
+            other[index] += by
+            return inputs.system_at(other, system)
+
+        yield NearbySystems(INPUTS, distance, moved)
+
+
+class StepTangents:
+    """The derivatives of a step of length h, (n, n) by the state or along `vectors`, and (n, k) by inputs."""
 
     def __init__(
-        self,
-        method: Method,
-        system: Any,
-        nearby: Sequence[NearbySystems],
-        h: float,
-        representation: Representation,
-        method_of: Callable[[Any], Method] | None = None,
+        self, tables: DerivativeTables, n: int, h: float, inputs: Sequence[int] = (), vectors: Floats | None = None
     ) -> None:
-        self._method_of: Callable[[Any], Method] = (lambda _: method) if method_of is None else method_of
-        self._method, self._system, self._nearby = method, system, nearby
-        self._h, self._representation = h, representation
-        self._steps: dict[int, tuple[Any, PartialSteps]] = {}
+        units = np.eye(n + len(inputs), n) if vectors is None else vectors
+        count = len(units)
+        self._tables, self._tangents, self._compiled = tables, np.zeros((1, count, n)), not callable(tables.forward)
+        self._units, self._momenta = units, np.zeros((1, n))
+        self._h, self._fixed = h, None
+        if INPUTS not in tables.coefficients:
+            self._fixed = self._prepared(tables.tables_at(h))
+        coefficients = np.zeros((count, tables.coefficient_count))
+        if len(inputs):
+            directions = np.zeros((count, 1 + max(inputs)))
+            directions[np.arange(n, count), inputs] = 1.0
+            coefficients += tables.coefficients[INPUTS].of_directions(directions, tables.coefficient_count)
+        step = Stretch.of_step(0.0, h, self._momenta, np.zeros((1, 0, 0)))
+        run = step.forward(self._tangents, np.zeros((1, count, 0, 0)), coefficients)
+        self._after, self._run = run.at_points, self._prepared(run)
 
-    def step(self, x: Floats, t: float, h: float) -> LinearizedStep:
-        """Return a step with its derivative by the state."""
-        return self._method.linearized(self._system, x, t, h)
+    def _prepared(self, table: Any) -> Any:
+        """Return a table as the compiled loop reads it, or itself for steps in Python."""
+        return as_structure(table) if self._compiled else table
 
-    def element(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
-        """Return the element (d, d) of a step, and its derivative (n, d, d) by the state; empty without an attitude."""
-        if self._representation is None:
-            return np.zeros((0, 0)), np.zeros((len(x), 0, 0))
-        distance = DISTANCE * (float(np.max(np.abs(x))) or 1.0)
-        moves = distance * np.concatenate([NODES, -NODES])[:, None, None] * np.eye(len(x))
-        rows = np.concatenate([x[None], (x + moves).reshape(-1, len(x))])
-        elements = self._elements(self._system, rows, t, h)
-        moved = elements[1:].reshape(len(moves), len(x), *elements.shape[1:])
-        weights = np.concatenate([WEIGHTS, -WEIGHTS]) / distance
-        return elements[0], np.tensordot(weights, moved, axes=1)
-
-    def _elements(self, system: Any, x: Floats, t: float, h: float) -> Floats:
-        """Return the elements (m, d, d) of a step of a system from states (m, n)."""
-        if id(system) not in self._steps:
-            loops = loops_of_system(system, self._method, self._h, self._representation)
-            if any(loops.corrections):
-                raise TypeError(f"attitudes by {self._method} have no derivatives; take Splitting or GaussLegendre")
-            # The system is stored with its loops: its number is not used for another one.
-            self._steps[id(system)] = system, PartialSteps(system, self._method, loops)
-        d = group_side(system.dim, self._representation)
-        count, units = len(x), np.tile(np.eye(d).ravel(), (len(x), 1))
-        owners = np.zeros(count, dtype=np.int64)
-        _, groups = self._steps[id(system)][1].take(
-            np.ascontiguousarray(x), units, np.full(count, t), np.full(count, h), owners
-        )
-        return np.swapaxes(groups.reshape(count, d, d), 1, 2)
-
-    def by_parameters(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
-        """Return the derivatives (entries, n) of a step and (entries, d, d) of its element by entries of parameters."""
-
-        def after(system: Any) -> Floats:
-            return np.asarray(self._method_of(system).step(system, x, t, h), dtype=np.float64)
-
-        def turned(system: Any) -> Floats:
-            return np.zeros((0, 0)) if self._representation is None else self._elements(system, x[None], t, h)[0]
-
-        rows, of_element = differences(self._nearby, after), differences(self._nearby, turned)
-        return np.array(rows).reshape(len(rows), len(x)), np.array(of_element)
-
-    @np.errstate(over="ignore", invalid="ignore")
-    def forward(self, run: ForwardRun, first: int, last: int) -> None:
-        """Carry tangent vectors of members, as the compiled kernels do."""
-        directed = bool(run.coefficients.any())
-        for member in range(first, last):
-            x, vectors, mark = run.momenta[member], run.tangents[member], 0
-            group, of_group = _matrix_of(run, member), run.group_tangents[member]
-            for k in range(run.k0 + 1, run.k1 + 1):
-                t = run.t0 + (k - 1) * run.h
-                note_progress(f"the derivative of step {k} of {run.k1}")
-                step, (g, by_state) = self.step(x, t, run.h), self.element(x, t, run.h)
-                of_g = np.tensordot(vectors, by_state, axes=1)
-                vectors = step.tangents(vectors)
-                if directed:
-                    by_entries, of_elements = self.by_parameters(x, t, run.h)
-                    vectors = vectors + run.coefficients @ by_entries
-                    of_g = of_g + np.tensordot(run.coefficients, of_elements, axes=1)
-                # Elements are stored transposed.
-                of_group, group = g.T @ of_group + np.swapaxes(of_g, 1, 2) @ group, g.T @ group
-                x = step.end
-                if mark < run.marked and run.marks[mark] == k:
-                    run.at_points[mark, member], run.at_groups[mark, member] = vectors, of_group
-                    mark += 1
-            run.tangents[member], run.group_tangents[member] = vectors, of_group
-
-    @np.errstate(over="ignore", invalid="ignore")
-    def backward(self, run: BackwardRun, first: int, last: int) -> None:
-        """Carry cotangents of members, as the compiled kernels do."""
-        for member in range(first, last):
-            x, group, states, groups = run.momenta[member], _matrix_of(run, member), [], []
-            steps: list[LinearizedStep] = []
-            elements: list[tuple[Floats, Floats]] = []
-            for k in range(run.k0 + 1, run.k1 + 1):
-                note_progress(f"the derivative of step {k} of {run.k1}")
-                t = run.t0 + (k - 1) * run.h
-                states.append(x)
-                groups.append(group)
-                steps.append(self.step(x, t, run.h))
-                elements.append(self.element(x, t, run.h))
-                x, group = steps[-1].end, elements[-1][0].T @ group
-            cotangent, mark = run.cotangents[member], run.marked
-            of_group = run.group_cotangents[member]
-            for k in range(run.k1, run.k0, -1):
-                if mark > 0 and run.marks[mark - 1] == k:
-                    mark -= 1
-                    cotangent = cotangent + run.at_points[mark, member]
-                    of_group = of_group + run.at_groups[mark, member]
-                number = k - run.k0 - 1
-                g, by_state = elements[number]
-                of_g = groups[number] @ of_group.T
-                if self._nearby:
-                    by_entries, of_elements = self.by_parameters(states[number], run.t0 + (k - 1) * run.h, run.h)
-                    run.coefficients[member] += by_entries @ cotangent + np.tensordot(of_elements, of_g, axes=2)
-                cotangent = steps[number].cotangent(cotangent) + np.tensordot(by_state, of_g, axes=2)
-                of_group = g @ of_group
-            run.cotangents[member], run.group_cotangents[member] = cotangent, of_group
+    def __call__(self, x: Floats, t: float, values: Floats | None) -> Floats | None:
+        """Return the derivatives side by side, (n, n + k), at values of the inputs; None if they are not finite."""
+        structure = self._fixed if values is None else self._tables.tables_at(self._h, values)
+        self._momenta[0], self._tangents[0] = x, self._units
+        run = self._run
+        if self._compiled:
+            run.t0 = t
+        else:
+            run = run._replace(t0=t)
+        if not carry(self._tables, structure, run, 0, 1):
+            return None
+        found = self._after[0, 0].T.copy()
+        return found if np.isfinite(found).all() else None
 
 
-def _matrix_of(run: ForwardRun | BackwardRun, member: int) -> Floats:
-    """Return the element of a member before the steps, transposed as in the loops."""
-    side = round(run.square**0.5)
-    return np.asarray(run.groups[member]).reshape(side, side)
-
-
-def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Mapping[str, int]) -> DerivativeTables:
-    """Return the derivatives of a scheme without compiled ones, in the form of these; `sizes` are of parameters."""
-    coefficients, start = {}, 0
-    for name, size in sizes.items():
-        entries = np.arange(size)
-        coefficients[name] = Multiples(start + entries, entries, np.ones(size))
-        start += size
-    return DerivativeTables(
-        tables_at=lambda h, *values: steps_at(*values),
-        forward=StepwiseDerivatives.forward,
-        backward=StepwiseDerivatives.backward,
-        coefficient_count=start,
-        coefficients=coefficients,
-        factors=dict.fromkeys(sizes, NO_MULTIPLES),
-        rules=dict.fromkeys(sizes, DIFFERENCES),
-    )
+def compiled_tangents(
+    method: Method, system: System, h: float, vectors: Floats | None = None, inputs: Inputs | None = None
+) -> StepTangents | None:
+    """Return the derivatives of a step in the compiled loop; None without such a loop, and for user functions."""
+    called = system.algebra is None or any(term.called for term in system.hamiltonian.terms())
+    if called or not method.differentiable:
+        return None
+    if inputs is None:
+        tables = method.derivative_tables(system, h, None, {})
+    else:
+        tables = tables_with_inputs(inputs, method, h, None, {})
+    return StepTangents(tables, system.dim, h, vectors=vectors)

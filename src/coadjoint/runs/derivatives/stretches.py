@@ -1,7 +1,8 @@
-"""Stretches of steps to be differentiated: the arrays of the kernels for them, and the calls of these."""
+"""Stretches of steps to be differentiated: by calls of the kernels, and step by step in Python."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +12,16 @@ from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
-from coadjoint.methods.protocol.derivative_tables import DerivativeTables, Kernel
+from coadjoint.long_operations import note_progress
+from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables, Kernel
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.methods.protocol.step_derivatives import LinearizedStep
+from coadjoint.program.generators import group_side
+from coadjoint.program.multiples import NO_MULTIPLES, Multiples
+from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import split_members, sum_in_threads
+from coadjoint.runs.partial_steps import PartialSteps
+from coadjoint.systems.parameter_differences import DISTANCE, NODES, WEIGHTS, NearbySystems, differences
 
 Floats = NDArray[np.float64]
 
@@ -108,3 +117,149 @@ def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: 
     if (raised := raised_by(tables.keepalive)) is not None:
         raise raised
     return solved
+
+
+class StepwiseDerivatives:
+    """Derivatives of steps by the state (`Method.linearized`), of their group elements, and of both by parameters.
+
+    Derivatives by parameters, and of the elements g of A -> A g by the state, are central differences of order 8.
+    """
+
+    def __init__(
+        self,
+        method: Method,
+        system: Any,
+        nearby: Sequence[NearbySystems],
+        h: float,
+        representation: Representation,
+        method_of: Callable[[Any], Method] | None = None,
+    ) -> None:
+        self._method_of: Callable[[Any], Method] = (lambda _: method) if method_of is None else method_of
+        self._method, self._system, self._nearby = method, system, nearby
+        self._h, self._representation = h, representation
+        self._steps: dict[int, tuple[Any, PartialSteps]] = {}
+
+    def step(self, x: Floats, t: float, h: float) -> LinearizedStep:
+        """Return a step with its derivative by the state."""
+        return self._method.linearized(self._system, x, t, h)
+
+    def element(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
+        """Return the element (d, d) of a step, and its derivative (n, d, d) by the state; empty without an attitude."""
+        if self._representation is None:
+            return np.zeros((0, 0)), np.zeros((len(x), 0, 0))
+        distance = DISTANCE * (float(np.max(np.abs(x))) or 1.0)
+        moves = distance * np.concatenate([NODES, -NODES])[:, None, None] * np.eye(len(x))
+        rows = np.concatenate([x[None], (x + moves).reshape(-1, len(x))])
+        elements = self._elements(self._system, rows, t, h)
+        moved = elements[1:].reshape(len(moves), len(x), *elements.shape[1:])
+        weights = np.concatenate([WEIGHTS, -WEIGHTS]) / distance
+        return elements[0], np.tensordot(weights, moved, axes=1)
+
+    def _elements(self, system: Any, x: Floats, t: float, h: float) -> Floats:
+        """Return the elements (m, d, d) of a step of a system from states (m, n)."""
+        if id(system) not in self._steps:
+            loops = loops_of_system(system, self._method, self._h, self._representation)
+            if any(loops.corrections):
+                raise TypeError(f"attitudes by {self._method} have no derivatives; take Splitting or GaussLegendre")
+            # The system is stored with its loops: its number is not used for another one.
+            self._steps[id(system)] = system, PartialSteps(system, self._method, loops)
+        d = group_side(system.dim, self._representation)
+        count, units = len(x), np.tile(np.eye(d).ravel(), (len(x), 1))
+        owners = np.zeros(count, dtype=np.int64)
+        _, groups = self._steps[id(system)][1].take(
+            np.ascontiguousarray(x), units, np.full(count, t), np.full(count, h), owners
+        )
+        return np.swapaxes(groups.reshape(count, d, d), 1, 2)
+
+    def by_parameters(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
+        """Return the derivatives (entries, n) of a step and (entries, d, d) of its element by entries of parameters."""
+
+        def after(system: Any) -> Floats:
+            return np.asarray(self._method_of(system).step(system, x, t, h), dtype=np.float64)
+
+        def turned(system: Any) -> Floats:
+            return np.zeros((0, 0)) if self._representation is None else self._elements(system, x[None], t, h)[0]
+
+        rows, of_element = differences(self._nearby, after), differences(self._nearby, turned)
+        return np.array(rows).reshape(len(rows), len(x)), np.array(of_element)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def forward(self, run: ForwardRun, first: int, last: int) -> None:
+        """Carry tangent vectors of members, as the compiled kernels do."""
+        directed = bool(run.coefficients.any())
+        for member in range(first, last):
+            x, vectors, mark = run.momenta[member], run.tangents[member], 0
+            group, of_group = _matrix_of(run, member), run.group_tangents[member]
+            for k in range(run.k0 + 1, run.k1 + 1):
+                t = run.t0 + (k - 1) * run.h
+                note_progress(f"the derivative of step {k} of {run.k1}")
+                step, (g, by_state) = self.step(x, t, run.h), self.element(x, t, run.h)
+                of_g = np.tensordot(vectors, by_state, axes=1)
+                vectors = step.tangents(vectors)
+                if directed:
+                    by_entries, of_elements = self.by_parameters(x, t, run.h)
+                    vectors = vectors + run.coefficients @ by_entries
+                    of_g = of_g + np.tensordot(run.coefficients, of_elements, axes=1)
+                # Elements are stored transposed.
+                of_group, group = g.T @ of_group + np.swapaxes(of_g, 1, 2) @ group, g.T @ group
+                x = step.end
+                if mark < run.marked and run.marks[mark] == k:
+                    run.at_points[mark, member], run.at_groups[mark, member] = vectors, of_group
+                    mark += 1
+            run.tangents[member], run.group_tangents[member] = vectors, of_group
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def backward(self, run: BackwardRun, first: int, last: int) -> None:
+        """Carry cotangents of members, as the compiled kernels do."""
+        for member in range(first, last):
+            x, group, states, groups = run.momenta[member], _matrix_of(run, member), [], []
+            steps: list[LinearizedStep] = []
+            elements: list[tuple[Floats, Floats]] = []
+            for k in range(run.k0 + 1, run.k1 + 1):
+                note_progress(f"the derivative of step {k} of {run.k1}")
+                t = run.t0 + (k - 1) * run.h
+                states.append(x)
+                groups.append(group)
+                steps.append(self.step(x, t, run.h))
+                elements.append(self.element(x, t, run.h))
+                x, group = steps[-1].end, elements[-1][0].T @ group
+            cotangent, mark = run.cotangents[member], run.marked
+            of_group = run.group_cotangents[member]
+            for k in range(run.k1, run.k0, -1):
+                if mark > 0 and run.marks[mark - 1] == k:
+                    mark -= 1
+                    cotangent = cotangent + run.at_points[mark, member]
+                    of_group = of_group + run.at_groups[mark, member]
+                number = k - run.k0 - 1
+                g, by_state = elements[number]
+                of_g = groups[number] @ of_group.T
+                if self._nearby:
+                    by_entries, of_elements = self.by_parameters(states[number], run.t0 + (k - 1) * run.h, run.h)
+                    run.coefficients[member] += by_entries @ cotangent + np.tensordot(of_elements, of_g, axes=2)
+                cotangent = steps[number].cotangent(cotangent) + np.tensordot(by_state, of_g, axes=2)
+                of_group = g @ of_group
+            run.cotangents[member], run.group_cotangents[member] = cotangent, of_group
+
+
+def _matrix_of(run: ForwardRun | BackwardRun, member: int) -> Floats:
+    """Return the element of a member before the steps, transposed as in the loops."""
+    side = round(run.square**0.5)
+    return np.asarray(run.groups[member]).reshape(side, side)
+
+
+def stepwise_derivatives(steps_at: Callable[..., StepwiseDerivatives], sizes: Mapping[str, int]) -> DerivativeTables:
+    """Return the derivatives of a scheme without compiled ones, in the form of these; `sizes` are of parameters."""
+    coefficients, start = {}, 0
+    for name, size in sizes.items():
+        entries = np.arange(size)
+        coefficients[name] = Multiples(start + entries, entries, np.ones(size))
+        start += size
+    return DerivativeTables(
+        tables_at=lambda h, *values: steps_at(*values),
+        forward=StepwiseDerivatives.forward,
+        backward=StepwiseDerivatives.backward,
+        coefficient_count=start,
+        coefficients=coefficients,
+        factors=dict.fromkeys(sizes, NO_MULTIPLES),
+        rules=dict.fromkeys(sizes, DIFFERENCES),
+    )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ MAX_STATE_NUMBERS = 2**20
 class MemorySolution(Solution):
     """The solution of a run in memory; it does not keep the tables of the run alive."""
 
-    _given_system: System | Batch | partial[System | Batch]
+    _system_of_run: Callable[[], System | Batch]
     _saved_points: int
     _names: list[str]
     _seconds: float
@@ -48,7 +48,7 @@ class MemorySolution(Solution):
     incomplete = None
     _layout: Layout
     _numbers: Floats
-    _base: System | Batch
+    _prepared_system: System | Batch
     _momenta: Floats | None = None
     """Of a run of one vector; its start is made on first use."""
 
@@ -62,8 +62,7 @@ class MemorySolution(Solution):
 
     @cached_property
     def system(self) -> System | Batch:
-        given = self._given_system
-        return given() if isinstance(given, partial) else given
+        return self._system_of_run()
 
     @cached_property
     def t(self) -> Floats:
@@ -75,7 +74,7 @@ class MemorySolution(Solution):
     @cached_property
     def _start(self) -> Start:
         assert self._momenta is not None
-        return start_without_groups(self._base, self._momenta[None], True)
+        return start_without_groups(self._prepared_system, self._momenta[None], True)
 
     @cached_property
     def x(self) -> NDArray[Any]:
@@ -180,8 +179,7 @@ class MemorySolution(Solution):
 
 def most_evaluations(solution: Solution) -> float:
     """Return the largest number of evaluations of a member of a run in memory."""
-    assert isinstance(solution, MemorySolution)
-    return float(np.max(solution._state["evaluations"]))
+    return float(np.max(cast(MemorySolution, solution)._state["evaluations"]))
 
 
 def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fields: Any) -> Solution:

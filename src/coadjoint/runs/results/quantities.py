@@ -33,6 +33,11 @@ SUMMED_INVARIANTS = 64
 SUMMED_NUMBERS = 2**18
 
 
+def is_formula(quantity: Any) -> bool:
+    """Whether a quantity is a formula of coordinates, not a function of the user."""
+    return isinstance(quantity, Polynomial | Quadratic)
+
+
 class Observed:
     """Quantities evaluated at saved points; each function is called once at x0 for validation."""
 
@@ -53,9 +58,9 @@ class Observed:
                 )
         if self._matrices is not None:
             return
-        kinds = (Polynomial, Quadratic, Invariant)
         wrapped = {
-            name: quantity if isinstance(quantity, kinds) else Invariant(quantity) for name, quantity in observe.items()
+            name: quantity if is_formula(quantity) or isinstance(quantity, Invariant) else Invariant(quantity)
+            for name, quantity in observe.items()
         }
         self._compiled, self._values_along = watch_tables(system, wrapped), values_along
 
@@ -101,7 +106,7 @@ def invariants_of_matrices(
 
 def _check_matrix_functions(system: MatrixSystem, observe: Mapping[str, Any]) -> None:
     for name, quantity in observe.items():
-        if isinstance(quantity, Polynomial | Quadratic):
+        if is_formula(quantity):
             raise TypeError(
                 f"observe[{short(name)}] is a function of coordinates, and the states of {system.name} are matrices; "
                 "give a function of a matrix"
@@ -113,7 +118,7 @@ def check_observe(observe: Any) -> dict[str, Any]:
     if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
         raise TypeError(f"observe is {short(observe)}; it must map names to Polynomials or functions of x")
     for name, quantity in observe.items():
-        if not isinstance(quantity, Polynomial | Quadratic | Invariant) and not callable(quantity):
+        if not callable(quantity):
             raise TypeError(
                 f"observe[{short(name)}] is {short(quantity)}; it must be a Polynomial or a function, or a Quadratic"
             )
@@ -123,7 +128,7 @@ def check_observe(observe: Any) -> dict[str, Any]:
 def _value_at(quantity: Any, name: str, x0: Floats) -> Any:
     """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
     try:
-        return 0.0 if isinstance(quantity, Polynomial | Quadratic) or takes_time(quantity, name) else quantity(x0)
+        return 0.0 if is_formula(quantity) or takes_time(quantity, name) else quantity(x0)
     except (ArithmeticError, ValueError, OSError):
         return float("nan")
     except (IndexError, KeyError, TypeError, AttributeError) as reason:
