@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Any
 
@@ -27,20 +26,9 @@ STATE_PREFIX = "state."
 STRETCH_SECONDS, FIRST_STRETCH = 0.25, 64
 """The clock is read about every 0.25 s, at first after 64 steps."""
 TAKING_INTERVAL, TAKING_RATIO = 10.0, 20
-"""A sink takes a piece after 10 s, or after 20 times the duration of the last time."""
+"""A piece is taken after 10 s, or after 20 times the duration of the last time."""
 NOT_OCCURRED = np.array([-1.0, np.nan])
 """Step and time of an event that has not occurred."""
-
-
-class Sink(ABC):
-    """Takes what a run in pieces has saved, such as an archive."""
-
-    @abstractmethod
-    def take(self, run: PiecewiseRun) -> None:
-        """Take the points in memory, ``run.piece()``, and the state, ``run.stored()``; they are released afterwards.
-
-        It is called after step ``run.number``: when memory is full, every ten seconds or less often, and at the end.
-        """
 
 
 class PiecewiseRun:
@@ -114,8 +102,14 @@ class PiecewiseRun:
             else:
                 self.run.initial = first[np.argsort(order)]
 
-    def advance_into(self, sink: Sink, until: int | None = None, progress: bool = False) -> None:
-        """Take the steps up to number `until`, or all, into a sink; also those before an interrupt."""
+    def advance_into(
+        self, take: Callable[[PiecewiseRun], None], until: int | None = None, progress: bool = False
+    ) -> None:
+        """Take the steps up to number `until`, or all; a function takes what they save, such as an archive.
+
+        It reads the points in memory, `piece`, and the state, `stored`, which are released afterwards. It is called
+        when memory is full, every ten seconds or less often, before an interrupt, and at the end.
+        """
         stretch, last = FIRST_STRETCH, self.run.times.steps if until is None else until
         taken, seconds, when = -1, 0.0, time.perf_counter()
         with progress_bar(last - self.number, progress) as bar:
@@ -126,18 +120,18 @@ class PiecewiseRun:
                     self.advance(target)
                 except KeyboardInterrupt:
                     if taken != self.number and not self.order_undefined:
-                        sink.take(self)
+                        take(self)
                     raise
                 bar(target - first)
                 now = time.perf_counter()
                 stretch = paced(target - first, now - began, STRETCH_SECONDS, 4 * stretch)
                 if target == self.reach or now - when > max(TAKING_INTERVAL, TAKING_RATIO * seconds):
-                    sink.take(self)
+                    take(self)
                     self.release_points()
                     taken, when = self.number, time.perf_counter()
                     seconds = when - now
         if taken != self.number:
-            sink.take(self)
+            take(self)
 
     def piece(self) -> Solution:
         """Return the points in memory, with drifts and work of all steps so far; then call `release_points`."""

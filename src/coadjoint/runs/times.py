@@ -119,10 +119,6 @@ class Times(NamedTuple):
         return np.asarray(self.t0 + numbers * self.h, dtype=np.float64)
 
 
-class StepDoesNotDivide(ValueError):
-    """A span is no whole number of steps."""
-
-
 def times_of(t_span: Any, step: Any, save_every: Any) -> Times:
     """Validate span, step and `save_every`; h has the sign of the span's direction."""
     ends = span_of(t_span)
@@ -141,9 +137,9 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
     if not quotient < 2.0**53:
         raise ValueError(f"step {size!r} is too small for the time {abs(span)!r}: the steps could not be counted")
     steps = round(quotient)
-    if abs(quotient - steps) > accumulated_rounding(steps, first / size, last / size, 1.0):
+    if not is_divided(ends, size):
         count = max(1, math.floor(quotient))
-        raise StepDoesNotDivide(
+        raise ValueError(
             f"step {size!r} does not divide the time {abs(span)!r}; "
             f"the nearest steps that do are {abs(span) / (count + 1)!r} and {abs(span) / count!r}"
         )
@@ -153,6 +149,13 @@ def times_between(ends: tuple[float, float], size: float, save_every: Any) -> Ti
             "shift t_span towards zero"
         )
     return Times(first, math.copysign(size, span), steps, min(every, max(1, steps)))
+
+
+def is_divided(ends: tuple[float, float], size: float) -> bool:
+    """Return whether the time between validated ends is a whole number of steps, up to rounding."""
+    first, last = ends
+    quotient = abs(last - first) / size
+    return abs(quotient - round(quotient)) <= accumulated_rounding(round(quotient), first / size, last / size, 1.0)
 
 
 def is_same_span(t_span: Any, last: Any) -> bool:

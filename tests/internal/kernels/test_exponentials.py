@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
+from coadjoint.kernels.tables.casimir_shift import unshifting
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.shifts.shift import quadratic_casimirs
@@ -77,8 +77,8 @@ def moved(algebra, carried, shift, x, time):
     tables = unshift_tables(algebra, carried, -1, shift)
     d = tables.size
     held, out = np.tile(np.eye(d).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, d, d))
-    CompiledShiftCorrection(tables, 1.0).fill(
-        out, held.ctypes.data, np.array([x]), np.eye(d)[None], 0, 1, schedule_of(0.0, time, 1, 1, False)
+    unshifting(tables)(
+        1.0, out, held.ctypes.data, np.array([x]), np.eye(d)[None], 0, 1, schedule_of(0.0, time, 1, 1, False)
     )
     assert np.array_equal(out[0, 0], np.eye(d))
     return out[1, 0]

@@ -356,13 +356,13 @@ def test_rounding_does_not_choose_between_orders_that_are_equal():
 
 def elements(algebra, carried, shift, x, time, exactly=True):
     """exp(t X) of the library and in 60 digits."""
-    from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
+    from coadjoint.kernels.tables.casimir_shift import unshifting
     from coadjoint.kernels.tables.recording import schedule_of
 
     tables = unshift_tables(algebra, carried, -1, shift)
     held, out = np.tile(np.eye(tables.size).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, tables.size, tables.size))
-    CompiledShiftCorrection(tables, 1.0).fill(
-        out, held.ctypes.data, np.array([x]), np.eye(tables.size)[None], 0, 1, schedule_of(0.0, time, 1, 1, False)
+    unshifting(tables)(
+        1.0, out, held.ctypes.data, np.array([x]), np.eye(tables.size)[None], 0, 1, schedule_of(0.0, time, 1, 1, False)
     )
     if not exactly:
         return out[1, 0], None

@@ -344,7 +344,7 @@ def run_block(
         if marker is None:
             run.advance(0)
         if not head[FINISHED]:
-            run.advance_into(sink)
+            run.advance_into(sink.take)
         return dict(sink.head)
     except ArchiveUnwritten:
         raise

@@ -37,7 +37,7 @@ from coadjoint.runs.events import read_events
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.times import StepDoesNotDivide, Times, times_between
+from coadjoint.runs.times import Times, is_divided, times_between
 from coadjoint.short_repr import distinct
 from coadjoint.validation import read_number
 
@@ -198,21 +198,21 @@ def _continue_run(
         with as_archive_errors(store.path):
             run = planned.in_pieces(store.arrays["time"].chunk[0], stored)
             sink = ArchiveSink(store, store.attributes, began=began)
-        run.advance_into(sink, until, progress)
+        run.advance_into(sink.take, until, progress)
     return raise_if_failed(open_archive(store.path, planned.prepared.system))
 
 
 def extended_times(store: ArchiveStore, planned: PlannedRun, t_end: Any) -> Times:
     """Return the times of a run with another end, a whole number of steps after those already taken."""
     end, attributes, times, step = read_number(t_end, "t_end"), store.attributes, planned.times, planned.prepared.step
-    try:
-        extended = times_between((times.t0, end), step, attributes[SAVE_EVERY])
-    except StepDoesNotDivide:
+    ends = times.t0, end
+    if math.isfinite((end - times.t0) / step) and not is_divided(ends, step):
         # The step of a run that has begun cannot be changed.
         before = times.t0 + math.floor((end - times.t0) / times.h) * times.h
         raise ArchiveError(
             f"{store.path}: t_end {end!r} is between two steps of {step!r}; give {before!r} or {before + times.h!r}"
-        ) from None
+        )
+    extended = times_between(ends, step, attributes[SAVE_EVERY])
     if extended.steps == times.steps and extended.h == times.h:
         return times
     if attributes["between_steps"]:

@@ -62,7 +62,7 @@ from coadjoint.files.archives.stored_arrays import StoredArray, serialize_number
 from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import summary_variables, time_coordinate, time_variables
 from coadjoint.files.output.atomic_output import LOCK_FILE, rename_when_free
-from coadjoint.runs.piecewise_run import PiecewiseRun, Sink
+from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.results.solution import Solution
 
 GROUP_METADATA = {"zarr_format": 3, "node_type": "group"}
@@ -286,7 +286,7 @@ BLOCKS, MIN_STATE_BYTES = 64, 2**24
 """A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
 
 
-class ArchiveSink(Sink):
+class ArchiveSink:
     """Takes the pieces of a run into an archive, whose root has its progress; or of a `block`, with its own marker.
 
     `head` is the progress as last committed; `began` is the time at which the call of a run began.

@@ -6,7 +6,7 @@ X = -sign rho(grad C(x0)) is constant and linear in the initial momentum.
 from __future__ import annotations
 
 import ctypes
-from copy import copy
+from collections.abc import Callable
 from ctypes import addressof
 from typing import NamedTuple
 
@@ -41,25 +41,14 @@ class Unshifted(NamedTuple):
     elapsed: int = 0
 
 
-class CompiledShiftCorrection:
-    """Tables of one shift, whose generator X is multiplied by `rate`."""
-
-    def __init__(self, tables: UnshiftTables, rate: float) -> None:
-        self.tables, self.rate, self._keepalive = tables, rate, as_structure(tables)
-        self._address, self._packed = ctypes.byref(self._keepalive), packer(Unshifted)
-        self._kernel = kernels().unshift
-        self.most = _largest_norm(tables, rate)
-        width = max(np.diff(tables.begin).tolist(), default=0)
-        self._products = tables.size**3 + 30 * width**3
-
-    def at_rate(self, rate: float) -> CompiledShiftCorrection:
-        """Return the same shift with another rate."""
-        other = copy(self)
-        other.rate, other.most = rate, _largest_norm(self.tables, rate)
-        return other
+def unshifting(tables: UnshiftTables) -> Callable[..., None]:
+    """Return the function that multiplies elements by the factor of a shift with these tables."""
+    structure, width = as_structure(tables), max(np.diff(tables.begin).tolist(), default=0)
+    address, packed, kernel = ctypes.byref(structure), packer(Unshifted), kernels().unshift
+    products = tables.size**3 + 30 * width**3
 
     def fill(
-        self,
+        rate: float,
         out: NDArray[np.float64],
         loop_groups: int,
         momenta: NDArray[np.float64],
@@ -76,14 +65,11 @@ class CompiledShiftCorrection:
         out_address = addressof(as_c_double(out))
         points, members = out.shape[:2]
         elapsed_address = 0 if elapsed is None else addressof(as_c_double(elapsed))
-        points_per_call = int(MAX_PRODUCTS / ((last - first) * self._products)) or 1
+        points_per_call = int(MAX_PRODUCTS / ((last - first) * products)) or 1
         for k in range(0, points, points_per_call):
             stop = min(k + points_per_call, points)
             # Packed bytes take a tenth of the time of a ctypes structure.
-            numbers = x0, g0, loop_groups, out_address, members, first, last, k, stop, self.rate, elapsed_address
-            self._kernel(self._address, self._packed(*numbers), schedule)
+            numbers = x0, g0, loop_groups, out_address, members, first, last, k, stop, rate, elapsed_address
+            kernel(address, packed(*numbers), schedule)
 
-
-def _largest_norm(tables: UnshiftTables, rate: float) -> float:
-    """Return the largest norm of X for momenta with components of at most 1."""
-    return abs(rate) * float(np.sum(np.abs(tables.weight)))
+    return fill

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,12 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices
-from coadjoint.program.shifts.group_correction import unshift_tables
+from coadjoint.program.shifts.group_correction import UnshiftTables, unshift_tables
 from coadjoint.program.shifts.shift import quadratic_entries
 from coadjoint.runs.start import Start, matrices_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System
 from coadjoint.validation import SMALL_SIZE
-
-if TYPE_CHECKING:
-    from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
 
 Floats = NDArray[np.float64]
 Shift = tuple[tuple[Polynomial, float], ...]
@@ -37,59 +34,55 @@ def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: i
     return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
-def _with_tables(
-    system: System, shift: Shift, representation: Representation, tables: Any, rate: float
-) -> ShiftCorrection:
-    from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
-
-    correction = ShiftCorrection(system, shift, representation)
-    correction._compiled_correction = CompiledShiftCorrection(tables, rate)
-    return correction
-
-
 class ShiftCorrection:
     """Conversion of group elements for H - sum c C, started at the unit element, to those for H."""
 
     # g(t) = g0 exp(-sign c t rho(grad C(x0))) g_shifted(t): gradients of Casimirs are constant in the spatial frame.
 
-    def __init__(self, system: System, shift: Shift, representation: Representation) -> None:
+    def __init__(
+        self, system: System, shift: Shift, representation: Representation, tables: UnshiftTables | None = None
+    ) -> None:
         self.shift, self._system, self._representation = shift, system, representation
+        # The factor of a single Casimir scales the time: a scan over factors shares the tables.
+        self._rate = shift[0][1] if len(shift) == 1 else 1.0
+        if tables is not None:
+            self._tables = tables
 
     @cached_property
-    def _compiled_correction(self) -> CompiledShiftCorrection:
-        """Tables, built lazily."""
-        from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
+    def _tables(self) -> UnshiftTables:
+        """Tables of the generator, whose time is multiplied by the rate."""
+        shift = self.shift if len(self.shift) > 1 else ((self.shift[0][0], 1.0),)
+        assert self._system.algebra is not None
+        return unshift_tables(self._system.algebra, given_matrices(self._representation), self._system.sign, shift)
 
-        system, shift, rate = self._system, self.shift, 1.0
-        if len(shift) == 1:
-            # The factor of a single Casimir scales the time: a scan over factors shares the tables.
-            ((casimir, rate),) = shift
-            shift = ((casimir, 1.0),)
-        rho = given_matrices(self._representation)
-        assert system.algebra is not None
-        return CompiledShiftCorrection(unshift_tables(system.algebra, rho, system.sign, shift), rate)
+    @cached_property
+    def _unshift(self) -> Callable[..., None]:
+        """The kernel with the tables."""
+        from coadjoint.kernels.tables.casimir_shift import unshifting
+
+        return unshifting(self._tables)
+
+    @cached_property
+    def most(self) -> float:
+        """Largest norm of the generator for momenta with components of at most 1."""
+        return abs(self._rate) * float(np.sum(np.abs(self._tables.weight)))
 
     def of_system(self, system: System, factors: Sequence[float]) -> ShiftCorrection:
         """Return the correction of a system with the same algebra for other factors of the Casimirs."""
         shift = tuple((casimir, factor) for (casimir, _), factor in zip(self.shift, factors, strict=True))
-        other = ShiftCorrection(system, shift, self._representation)
-        if len(shift) == 1:
-            other._compiled_correction = self._compiled_correction.at_rate(shift[0][1])
+        if len(shift) > 1:
+            return ShiftCorrection(system, shift, self._representation)
+        other = ShiftCorrection(system, shift, self._representation, self._tables)
+        other._unshift = self._unshift
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arguments and the tables."""
-        compiled = self._compiled_correction
-        return _with_tables, (self._system, self.shift, self._representation, compiled.tables, compiled.rate)
+        return ShiftCorrection, (self._system, self.shift, self._representation, self._tables)
 
     def build(self) -> None:
         """Build the tables."""
-        _ = self._compiled_correction
-
-    @property
-    def most(self) -> float:
-        """Largest norm of the generator for momenta with components of at most 1."""
-        return self._compiled_correction.most
+        _ = self._unshift
 
     def may_overflow(self, start: Start, times: Times) -> bool:
         """Whether the exponential could overflow within the run, by an upper bound on its growth."""
@@ -118,7 +111,8 @@ class ShiftCorrection:
         elapsed = None
         if times.elapsed is not None:
             elapsed = np.repeat(times.elapsed[: len(out), None], out.shape[1], axis=1)
-        self._compiled_correction.fill(out, loop_groups, start.momenta, start.groups, first, last, schedule, elapsed)
+        arrays = out, loop_groups, start.momenta, start.groups
+        self._unshift(self._rate, *arrays, first, last, schedule, elapsed)
 
 
 def corrected_groups_each(
