@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import names, scheme
 from coadjoint.methods.splitting import Splitting
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
+
+if TYPE_CHECKING:
+    from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
 """Tried in this order."""

@@ -110,6 +110,11 @@ class Force(metaclass=ExplainedCalls):
             The force and the system do not match; the message names the mismatch.
         """
 
+    @property
+    def is_constant_torque(self) -> bool:
+        """Whether the force is a torque that is no function."""
+        return False
+
     def held_numbers(self, system: Any) -> int:
         """Return how many numbers at the end of the state the force holds, and with_forces makes room for."""
         return 0

@@ -237,6 +237,11 @@ class Torque(StateTorque):
             return "x, t"
         return "t" if parameters and parameters[0].name == "t" else "x"
 
+    @property
+    def is_constant_torque(self) -> bool:
+        """Whether the torque is no function."""
+        return not callable(self.torque)
+
     def check(self, system: Any) -> None:
         if not callable(self.torque):
             check_state(self.torque, "the torque", system)
@@ -303,11 +308,6 @@ class Torque(StateTorque):
         if callable(self.torque):
             return super().describe_to(reader, system)
         return reader.constant(state_vector(self.torque, system))
-
-
-def is_constant_torque(force: Any) -> bool:
-    """Return whether a force is a torque that is no function."""
-    return isinstance(force, Torque) and not callable(force.torque)
 
 
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
