@@ -6,13 +6,13 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities, check_determined
-from coadjoint.errors import IntegrationError, unknown_name
+from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities
+from coadjoint.errors import MAX_LISTED_NAMES, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
@@ -22,12 +22,18 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
+from coadjoint.systems.parameters import Parameter, parameters_at, parameters_of
 from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
 CONTRADICTION = 2.9e-7  # probability of a sum of squares above which a warning is given: that of five deviations
 MOST_EVALUATIONS = 50  # of runs of a fit of angular velocities instead of momenta
-FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
+# Half the distance of the states between which the derivative of the energy is differentiated; exact for quadratics.
+ENERGY_DISTANCE = 2.0**-10
+# Singular values, relative to the largest, of unknowns that Jacobians with central differences do not determine.
+BY_DIFFERENCES = 2.0**-26
+# Largest field of a Casimir, relative to the field of other directions of H.
+CASIMIR = 1e-6
 # Peak memory, in arrays of the size of the Jacobian.
 COPIES = 10
 
@@ -193,29 +199,29 @@ def fit(
     observe = _read_observe(ready, {} if observe is None else observe)
     problem = problem.measuring(ready, measured, observe)
     weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready, observe))
-    squares = _Squares(problem, weights, {name: read_numbers(measured[name], f"measured {name}") for name in weights})
-    numbers, count = squares.numbers, len(problem.unknowns)
+    targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
+    problem = problem._replace(weights=weights, targets=targets)
+    numbers, count = problem.numbers, len(problem.unknowns)
     needed = COPIES * 8 * numbers * count
     check_available_memory(needed, f"a fit of {count} unknowns to {numbers} numbers", "fit fewer of them")
-    first = squares.jacobian(np.zeros(count))
-    check_determined(first, problem)
-    end = squares.minimum(first)
+    first = problem.jacobian(np.zeros(count))
+    _check_determined(first, problem)
+    end = problem.minimum(first)
     if end.status <= 0:
         raise ValueError(f"the minimum was not found in {end.nfev} evaluations; give closer guesses")
     # At a guess moved to the minimum, coordinates of the attitude are those of a small rotation.
     moved = problem.moved(end.x)
     problem = problem._replace(values=moved)
-    squares = squares._replace(problem=problem)
-    J = squares.jacobian(np.zeros(count))
-    check_determined(J, problem)
+    J = problem.jacobian(np.zeros(count))
+    _check_determined(J, problem)
     scale = np.linalg.norm(J, axis=0)
     _, values, vectors = np.linalg.svd(J / scale, full_matrices=False)
     root = vectors.T / values / scale[:, None]
     parameters = {name: value for name, value in moved.items() if name not in ("x0", "attitude0")}
     fitted = problem.run.prepared_at(parameters)
     solution = fitted.run(moved["x0"], t_span, save_every, t_eval=t_eval, attitude=moved.get("attitude0"))
-    final, freedom = -squares.residuals_of(problem.outputs()), squares.degrees_of_freedom
-    if _are_rates(ready, attitude, unknown, squares, observe):
+    final, freedom = -problem.residuals_of(problem.outputs()), problem.degrees_of_freedom
+    if _are_rates(ready, attitude, unknown, problem, observe):
         warn_caller(
             'the measured "x" are fitted much better as angular velocities than as momenta, whatever sigma is; name '
             'them "angular_velocity"',
@@ -226,77 +232,25 @@ def fit(
     return Fit(moved, problem.unknowns, root @ root.T, final, freedom, solution)
 
 
-class _Squares(NamedTuple):
-    """The sum of squares of a problem, of factors of the residuals and measured values by name."""
-
-    problem: FitProblem
-    weights: dict[str, Floats]
-    targets: dict[str, Floats]
-
-    @property
-    def numbers(self) -> int:
-        """Number of measured numbers."""
-        return sum(target.size for target in self.targets.values())
-
-    @property
-    def degrees_of_freedom(self) -> int:
-        """The measured numbers, three for each rotation, less the unknowns."""
-        measured = sum(weights.size // _redundancy(name, weights) for name, weights in self.weights.items())
-        return measured - len(self.problem.unknowns)
-
-    def residuals_of(self, outputs: Mapping[str, Floats]) -> Floats:
-        """Return the residuals of outputs, fitted minus measured."""
-        parts = [(weights * (outputs[name] - self.targets[name])).ravel() for name, weights in self.weights.items()]
-        return np.concatenate(parts)
-
-    def residuals(self, z: Floats) -> Floats:
-        """Return the residuals after changes z of the unknowns."""
-        try:
-            return self.residuals_of(self.problem.outputs(z))
-        except (IntegrationError, ValueError):
-            if not z.any():
-                raise
-            return np.full(self.numbers, np.inf)  # the trial step is shortened
-
-    def jacobian(self, z: Floats) -> Floats:
-        """Return their derivative."""
-        tangents = self.problem.tangents(z)
-        columns = [(weights * tangents[name]).reshape(len(z), -1) for name, weights in self.weights.items()]
-        return np.concatenate(columns, axis=1).T
-
-    def minimum(self, first: Floats, **limits: Any) -> Any:
-        """Return the result of `scipy.optimize.least_squares` from the guess, whose Jacobian is `first`."""
-        from scipy.optimize import least_squares
-
-        # The first step may change each unknown by this many standard deviations.
-        lengths = np.linalg.norm(first, axis=0)
-        scale = FIRST_STEP / np.where(lengths > 0.0, lengths, 1.0)
-        start = np.zeros(len(self.problem.unknowns))
-        return least_squares(
-            self.residuals, start, self.jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12, **limits
-        )
-
-
 def _are_rates(
-    ready: PreparedRun, attitude: Any, unknown: Mapping[str, Any], squares: _Squares, observe: Mapping[str, Any]
+    ready: PreparedRun, attitude: Any, unknown: Mapping[str, Any], fitted: FitProblem, observe: Mapping[str, Any]
 ) -> bool:
     """Test whether the measured momenta of a body are its angular velocities, whatever sigma is."""
     # For normal errors of any size, a ratio of likelihoods in favour of the wrong name exceeds 1 / p with a
     # probability of at most p.
-    known, n, fitted = Quantities.names_of(ready, observe), ready.system.dim, squares.problem
-    targets, x0 = squares.targets, fitted.values["x0"]
+    known, n, targets, x0 = Quantities.names_of(ready, observe), ready.system.dim, fitted.targets, fitted.values["x0"]
     if "x" not in targets or n != 3 or "angular_velocity" in targets or "angular_velocity" not in known:
         return False
-    of_x = squares.weights["x"] * targets["x"]
+    of_x = fitted.weights["x"] * targets["x"]
 
     def variance(name: str, start: Floats) -> float:
         """Return the mean square of the residuals for a name of "x"; NaN without a fit, or for half of the digits."""
         renamed, weights = (
-            {name if key == "x" else key: one for key, one in values.items()} for values in (targets, squares.weights)
+            {name if key == "x" else key: one for key, one in values.items()} for values in (targets, fitted.weights)
         )
         try:
             problem = FitProblem.of(ready, start, attitude, fitted.run, {**unknown, "x0": True})
-            tried = _Squares(problem.measuring(ready, renamed, observe), weights, renamed)
+            tried = problem.measuring(ready, renamed, observe)._replace(weights=weights, targets=renamed)
             with warnings.catch_warnings():  # of trial steps, which the user did not ask for
                 warnings.simplefilter("ignore")
                 end = tried.minimum(tried.jacobian(np.zeros(len(problem.unknowns))), max_nfev=MOST_EVALUATIONS)
@@ -313,7 +267,7 @@ def _are_rates(
         "angular_velocity", np.linalg.solve((at[1:] - at[0]).T, (targets["x"][0] - at[0])[..., None])[..., 0]
     )
     enough = as_rates * math.exp(-2.0 * math.log(CONTRADICTION) / targets["x"].size)
-    residuals, freedom = squares.residuals_of(fitted.outputs()), squares.degrees_of_freedom
+    residuals, freedom = fitted.residuals_of(fitted.outputs()), fitted.degrees_of_freedom
     if not (freedom > 0 and float(residuals @ residuals) / freedom > enough):
         return False
     return variance("x", x0) > enough
@@ -331,11 +285,6 @@ def _read_observe(ready: PreparedRun, observe: Any) -> dict[str, Any]:
         if name in known:
             raise ValueError(f"observe has {short(name)}, which is measured without a function; give another name")
     return found
-
-
-def _redundancy(name: str, weights: Floats) -> int:
-    """Return how many entries of measured values are one number: three, of a rotation in three dimensions."""
-    return 3 if name == "attitude" and weights.shape[-1] == 3 else 1
 
 
 def _warn_of_contradiction(squares: float, freedom: int) -> None:
@@ -378,3 +327,56 @@ def _weights(
         except ValueError:
             raise ValueError(f"sigma of {name} has the shape {deviation.shape}; it must broadcast to {shape}") from None
     return weights
+
+
+def _check_determined(J: Floats, problem: FitProblem) -> None:
+    """Raise ValueError if the Jacobian has directions without influence on the measurements."""
+    from scipy.linalg import qr
+
+    unknowns = problem.unknowns
+    if len(J) < len(unknowns):
+        raise ValueError(f"{len(J)} numbers were measured for {len(unknowns)} unknowns; measure more")
+    scale = np.linalg.norm(J, axis=0)
+    scaled = J / np.where(scale > 0, scale, 1.0)
+    _, values, vectors = np.linalg.svd(scaled, full_matrices=False)
+    exact = problem.quantities is None
+    free = values <= (16 * max(J.shape) * UNIT_ROUNDOFF if exact else BY_DIFFERENCES) * values[0]
+    if free.any():
+        directions = np.abs(vectors[free] / np.where(scale > 0, scale, 1.0))
+        involved = np.flatnonzero((directions > 1e-3 * directions.max(axis=1, keepdims=True)).any(axis=0))
+        names = " and ".join(dict.fromkeys(unknowns[k][0] for k in involved))
+        # Without the last columns of a pivoted factorization, the others are independent.
+        order = qr(scaled, mode="r", pivoting=True)[1]
+        omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
+        reason = _casimirs_among(vectors[free] / np.where(scale > 0, scale, 1.0), problem)
+        raise ValueError(
+            f"the measurements do not determine all unknown entries of {names}{reason}; omit, for instance, {omitted}"
+        )
+
+
+def _casimirs_among(directions: Floats, problem: FitProblem) -> str:
+    """Return the number of directions without influence that change H by a Casimir, in words for a message."""
+    system = problem.system.unforced
+    x = np.random.default_rng(1).standard_normal((4, system.dim))
+    of_energy = parameters_of(system)
+    named = {name: problem.values[name] for name in problem.chosen if name in of_energy}
+    parameters, rows = parameters_at(system, named), []
+    for z in directions:
+        moved, rest = problem.split(z, named)
+        gradients = _energy_gradients(parameters, moved, x)
+        fields = [system.structure_matrix(point) @ gradient for point, gradient in zip(x, gradients, strict=True)]
+        rows.append(np.concatenate([np.ravel(fields), rest]) / np.abs(z).max())
+    count = len(rows) - int(np.linalg.matrix_rank(np.array(rows), CASIMIR))
+    if not count:
+        return ""
+    return f" (in {count} of {len(rows)} free directions H changes by a Casimir, which moves nothing)"
+
+
+def _energy_gradients(parameters: Mapping[str, Parameter], directions: Mapping[str, Floats], x: Floats) -> Floats:
+    """Return the gradients at states (points, n) of the derivative of the energy along directions of parameters."""
+    n = x.shape[-1]
+    shifted = x[:, None, None] + ENERGY_DISTANCE * np.array([np.eye(n), -np.eye(n)])
+    along = np.zeros(shifted.shape[:-1])
+    for name, direction in directions.items():
+        along += parameters[name].energy().at(shifted) @ direction.ravel()
+    return (along[:, 0] - along[:, 1]) / (2 * ENERGY_DISTANCE)

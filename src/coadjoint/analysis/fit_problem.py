@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import MAX_LISTED_NAMES, unknown_name
-from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import Observed
 from coadjoint.runs.start import is_attitude_kind, read_attitude
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
-from coadjoint.systems.parameters import Parameter, parameter_of, parameters_at, parameters_of, with_parameters
+from coadjoint.systems.parameters import parameter_of, parameters_of, with_parameters
 from coadjoint.systems.registry import unit_coordinate
 from coadjoint.systems.user_functions import with_time
 from coadjoint.validation import read_integer, read_numbers, to_array
@@ -34,14 +34,8 @@ MOTIONS = {
 }
 DISTANCE = 2.0**-17  # relative step of central differences, whose errors h^2 and u/h are both near 1e-11
 
+FIRST_STEP = 1000.0  # in standard deviations: the first step is not limited by their scale
 SMALLEST = 2.0**-10  # size of an entry of a parameter for these differences, at least, relative to the largest entry
-
-# Half the distance of the states between which the derivative of the energy is differentiated; exact for quadratics.
-ENERGY_DISTANCE = 2.0**-10
-# Singular values, relative to the largest, of unknowns that Jacobians with central differences do not determine.
-BY_DIFFERENCES = 2.0**-26
-# Largest field of a Casimir, relative to the field of other directions of H.
-CASIMIR = 1e-6
 
 
 class Quantities:
@@ -150,7 +144,7 @@ def _value(function: Callable[[Floats, float], Any], name: str, x: Floats, t: fl
 
 
 class FitProblem(NamedTuple):
-    """A run with unknown entries of its values, as a function of their changes z."""
+    """A run with unknown entries of its values as a function of their changes z, and the measured values by name."""
 
     system: Any
     run: ParametrizedRun
@@ -160,6 +154,8 @@ class FitProblem(NamedTuple):
     generators: Floats
     unknowns: tuple[tuple[str, int], ...]
     quantities: Quantities | None = None
+    targets: Mapping[str, Floats] = MappingProxyType({})
+    weights: Mapping[str, Floats] = MappingProxyType({})  # factors of the residuals
 
     def measuring(self, ready: PreparedRun, measured: Mapping[str, Any], observe: Mapping[str, Any]) -> FitProblem:
         """Return the problem with the measured functions of the states among its outputs."""
@@ -295,6 +291,49 @@ class FitProblem(NamedTuple):
         x = self.run.solve(moved, False)[0]
         return found | self.quantities.tangents(x, found["x"], moved, directions)
 
+    @property
+    def numbers(self) -> int:
+        """Number of measured numbers."""
+        return sum(target.size for target in self.targets.values())
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """The measured numbers, three for each rotation, less the unknowns."""
+        measured = sum(weights.size // redundancy(name, weights) for name, weights in self.weights.items())
+        return measured - len(self.unknowns)
+
+    def residuals_of(self, outputs: Mapping[str, Floats]) -> Floats:
+        """Return the residuals of outputs, fitted minus measured."""
+        parts = [(weights * (outputs[name] - self.targets[name])).ravel() for name, weights in self.weights.items()]
+        return np.concatenate(parts)
+
+    def residuals(self, z: Floats) -> Floats:
+        """Return the residuals after changes z of the unknowns."""
+        try:
+            return self.residuals_of(self.outputs(z))
+        except (IntegrationError, ValueError):
+            if not z.any():
+                raise
+            return np.full(self.numbers, np.inf)  # the trial step is shortened
+
+    def jacobian(self, z: Floats) -> Floats:
+        """Return their derivative."""
+        tangents = self.tangents(z)
+        columns = [(weights * tangents[name]).reshape(len(z), -1) for name, weights in self.weights.items()]
+        return np.concatenate(columns, axis=1).T
+
+    def minimum(self, first: Floats, **limits: Any) -> Any:
+        """Return the result of `scipy.optimize.least_squares` from the guess, whose Jacobian is `first`."""
+        from scipy.optimize import least_squares
+
+        # The first step may change each unknown by this many standard deviations.
+        lengths = np.linalg.norm(first, axis=0)
+        scale = FIRST_STEP / np.where(lengths > 0.0, lengths, 1.0)
+        start = np.zeros(len(self.unknowns))
+        return least_squares(
+            self.residuals, start, self.jacobian, x_scale=scale, xtol=1e-12, ftol=1e-10, gtol=1e-12, **limits
+        )
+
 
 def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     """Return the numbers of the mirror images of entries of a square matrix."""
@@ -302,54 +341,6 @@ def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     return j * size + i
 
 
-def check_determined(J: Floats, problem: FitProblem) -> None:
-    """Raise ValueError if the Jacobian has directions without influence on the measurements."""
-    from scipy.linalg import qr
-
-    unknowns = problem.unknowns
-    if len(J) < len(unknowns):
-        raise ValueError(f"{len(J)} numbers were measured for {len(unknowns)} unknowns; measure more")
-    scale = np.linalg.norm(J, axis=0)
-    scaled = J / np.where(scale > 0, scale, 1.0)
-    _, values, vectors = np.linalg.svd(scaled, full_matrices=False)
-    exact = problem.quantities is None
-    free = values <= (16 * max(J.shape) * UNIT_ROUNDOFF if exact else BY_DIFFERENCES) * values[0]
-    if free.any():
-        directions = np.abs(vectors[free] / np.where(scale > 0, scale, 1.0))
-        involved = np.flatnonzero((directions > 1e-3 * directions.max(axis=1, keepdims=True)).any(axis=0))
-        names = " and ".join(dict.fromkeys(unknowns[k][0] for k in involved))
-        # Without the last columns of a pivoted factorization, the others are independent.
-        order = qr(scaled, mode="r", pivoting=True)[1]
-        omitted = ", ".join(problem.entry(*unknowns[k]) for k in sorted(order[-free.sum() :])[:MAX_LISTED_NAMES])
-        reason = _casimirs_among(vectors[free] / np.where(scale > 0, scale, 1.0), problem)
-        raise ValueError(
-            f"the measurements do not determine all unknown entries of {names}{reason}; omit, for instance, {omitted}"
-        )
-
-
-def _casimirs_among(directions: Floats, problem: FitProblem) -> str:
-    """Return the number of directions without influence that change H by a Casimir, in words for a message."""
-    system = problem.system.unforced
-    x = np.random.default_rng(1).standard_normal((4, system.dim))
-    of_energy = parameters_of(system)
-    named = {name: problem.values[name] for name in problem.chosen if name in of_energy}
-    parameters, rows = parameters_at(system, named), []
-    for z in directions:
-        moved, rest = problem.split(z, named)
-        gradients = _energy_gradients(parameters, moved, x)
-        fields = [system.structure_matrix(point) @ gradient for point, gradient in zip(x, gradients, strict=True)]
-        rows.append(np.concatenate([np.ravel(fields), rest]) / np.abs(z).max())
-    count = len(rows) - int(np.linalg.matrix_rank(np.array(rows), CASIMIR))
-    if not count:
-        return ""
-    return f" (in {count} of {len(rows)} free directions H changes by a Casimir, which moves nothing)"
-
-
-def _energy_gradients(parameters: Mapping[str, Parameter], directions: Mapping[str, Floats], x: Floats) -> Floats:
-    """Return the gradients at states (points, n) of the derivative of the energy along directions of parameters."""
-    n = x.shape[-1]
-    shifted = x[:, None, None] + ENERGY_DISTANCE * np.array([np.eye(n), -np.eye(n)])
-    along = np.zeros(shifted.shape[:-1])
-    for name, direction in directions.items():
-        along += parameters[name].energy().at(shifted) @ direction.ravel()
-    return (along[:, 0] - along[:, 1]) / (2 * ENERGY_DISTANCE)
+def redundancy(name: str, weights: Floats) -> int:
+    """Return how many entries of measured values are one number: three, of a rotation in three dimensions."""
+    return 3 if name == "attitude" and weights.shape[-1] == 3 else 1

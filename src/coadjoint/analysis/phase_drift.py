@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coadjoint.analysis.phase_error import check_same_times, leads, motion_of
+from coadjoint.analysis.phase_error import acts_by_rotations, check_same_times, leads, motion_of, twist
 from coadjoint.analysis.powers import fit_power
-from coadjoint.analysis.rotations import acts_by_rotations, twist
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.backward_error.field_at_points import ModifiedField
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian
-from coadjoint.analysis.rotations import acts_by_rotations, twist
+from coadjoint.analysis.phase_error import acts_by_rotations, twist
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.evaluation import ignore_overflow

@@ -54,7 +54,8 @@ def sampled(given: Any, signal: Any = None, min_count: int = 2) -> SampledSignal
     >>> sampled([0.0, 0.5, 1.0], [1.0, 2.0, 4.0]).values.shape
     (1, 3, 1)
     """
-    if isinstance(given, Solution):
+    from_run = isinstance(given, Solution)
+    if from_run:
         t, values, several = given.t, _signal_of_run(given, signal), given.failed is not None
     else:
         t, several = read_finite(given, "t"), False
@@ -64,7 +65,7 @@ def sampled(given: Any, signal: Any = None, min_count: int = 2) -> SampledSignal
         several = values.ndim == 3
     count = _count_equidistant(t, min_count)
     values = values.astype(np.complex128) if values.dtype.kind == "c" else read_numbers(values, "signal")
-    shapes = ((2, 3) if several else (1, 2)) if isinstance(given, Solution) else (1, 2, 3)
+    shapes = ((2, 3) if several else (1, 2)) if from_run else (1, 2, 3)
     if values.ndim not in shapes or len(values) != len(t):
         expected = (
             f"({len(t)}, members) or ({len(t)}, members, channels)"

@@ -16,7 +16,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
-from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates, reciprocal_edges, sizes_of
+from coadjoint.systems.lattices.geometry import CELLS, cell_coordinates, has_cell, reciprocal_edges, sizes_of
 from coadjoint.validation import read_finite, read_number
 
 if TYPE_CHECKING:
@@ -180,8 +180,8 @@ def _lattice(solution: Solution) -> tuple[str, Any]:
     """Return the lattice and the shape of the system of a run; ValueError if they are not known."""
     layouts = [dict(member.unforced.layout) for member in solution.system.distinct]
     layout, name = layouts[0], solution.system.name
-    lattice = layout.get("lattice")
-    if not isinstance(lattice, str) or lattice not in CELLS:
+    lattice: Any = layout.get("lattice")
+    if not has_cell(lattice):
         raise ValueError(
             f"{name} has no lattice in space; structure_factor needs one of {', '.join(CELLS)}, as "
             "spin_lattice and layout= give"

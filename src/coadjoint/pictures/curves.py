@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.plot_data import PlottedRun
-from coadjoint.pictures.style import colour, colour_bar, colour_scale, thickness
+from coadjoint.pictures.style import colour, colour_bar, colour_scale, legend, plain_axes, set_title, thickness
 
 Floats = npt.NDArray[np.float64]
 
@@ -55,6 +55,15 @@ def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: An
     for m, values in enumerate(members):
         own = label if m == labelled else None
         draw_series(axes, t, values, joined, label=own, color=colour, linewidth=width, alpha=alpha)
+
+
+def draw_over_time(axes: Any, t: Floats, lines: Mapping[str, Floats], joined: bool, ylabel: str, title: str) -> None:
+    """Draw series (members, k) over time by label, each in its colour, with labels of the axes and a legend."""
+    for number, (label, members) in enumerate(lines.items()):
+        draw_members(axes, t, members, joined, colour(number), label)
+    axes.set(xlabel="time $t$", ylabel=ylabel, title=title)
+    plain_axes(axes)
+    legend(axes, beside=True)
 
 
 def from_start(lines: Mapping[str, Floats]) -> tuple[dict[str, Floats], str]:
@@ -159,3 +168,20 @@ def _set_points(line: Any, data: Any) -> None:
         line.set_data_3d(*data)
     else:
         line.set_data(*data)
+
+
+def at_one_time(
+    axes: Any, drawn: PlottedRun, subject: str, k: int, show: Callable[[int], None], more: str = ""
+) -> Callable[[int], None]:
+    """Set the title of a picture of the first member at saved point k; return what shows another one."""
+
+    def title_at(j: int) -> str:
+        return f"{subject}{drawn.of_member} at $t$ = {drawn.t[j]:.4g}{more}"
+
+    title = set_title(axes, title_at(k))
+
+    def update(j: int) -> None:
+        show(j)
+        title.set_text(title_at(j))
+
+    return update

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.style import dots, ink, on_paper, paper, setting, thickness
+from coadjoint.pictures.style import ink, on_paper, paper, path_style, setting
 
 Floats = npt.NDArray[np.float64]
 
@@ -103,8 +103,7 @@ class Globe:
         self, points: Floats, colour: Any, joined: bool, linewidth: float = 1.1, label: str | None = None
     ) -> list[Any]:
         """Draw a path (k, 3) on the sphere, as lines if `joined`, else as dots; return the lines, each of k points."""
-        form = {"linewidth": thickness(linewidth)} if joined else dots(len(points))
-        near = {"color": colour, "alpha": 1.0, **form}
+        near = {"color": colour, "alpha": 1.0, **path_style(len(points), joined, linewidth)}
         lines = self._path(points, near=near, far={**near, "alpha": FAR_ALPHA}, zorder=3, joined=joined)
         if lines and label is not None:
             lines[0].set_label(label)

@@ -1,4 +1,4 @@
-"""Triangulation of level surfaces of functions of three coordinates, by marching tetrahedra."""
+"""Level surfaces of functions of three coordinates: triangles by marching tetrahedra, and hidden points."""
 
 from __future__ import annotations
 
@@ -16,6 +16,13 @@ from coadjoint.short_repr import short
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_finite, read_integer, read_number
 
+Floats = npt.NDArray[np.float64]
+Hides = Callable[[Floats, Floats], npt.NDArray[np.bool_]]
+"""Function of points (k, 3) and of the direction to the viewer that returns whether the points are hidden, (k,)."""
+
+TESTED_POINTS = 400  # of a line; each needs values along a ray
+RAY_SAMPLES = 32
+"""Samples along the ray from a point to the viewer, within the box of the picture."""
 BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
 
 # A cube is six tetrahedra around its diagonal, one per order of the axes, so that neighbouring cubes match.
@@ -27,7 +34,7 @@ _TETRAHEDRA = np.array(
 @suggest_keywords
 def level_surface(
     function: Callable[[Any], Any], level: float, box: npt.ArrayLike, cells: int = 36, period: float = 0.0
-) -> npt.NDArray[np.float64]:
+) -> Floats:
     """Return triangles of the surface function(x) = level inside a box.
 
     Parameters
@@ -79,7 +86,7 @@ def level_surface(
     return surface[np.any(surface != surface[:, :1], axis=(1, 2))]
 
 
-def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def values_at(function: Callable[[Any], Any], points: Floats) -> Floats:
     """Evaluate a function at points (..., 3); NaN where it is undefined."""
     if isinstance(function, Polynomial):
         total = np.zeros(points.shape[:-1])
@@ -87,7 +94,7 @@ def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -
             total = total + float(coefficient) * np.prod(points ** np.array(exponents), axis=-1)
         return total
 
-    def value(x: npt.NDArray[np.float64]) -> float:
+    def value(x: Floats) -> float:
         try:
             return float(function(x))
         except (ArithmeticError, ValueError):  # such as a logarithm of zero or a division by zero
@@ -97,7 +104,7 @@ def values_at(function: Callable[[Any], Any], points: npt.NDArray[np.float64]) -
         return np.apply_along_axis(value, -1, points)
 
 
-def _unwrap(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.float64]:
+def _unwrap(values: Floats, period: float) -> Floats:
     """Shift values by periods so that they vary by less than half a period within a tetrahedron."""
     if period <= 0.0:
         return values
@@ -109,14 +116,14 @@ def _unwrap(values: npt.NDArray[np.float64], period: float) -> npt.NDArray[np.fl
         return np.where(np.max(np.abs(step), axis=1, keepdims=True) < 0.4 * period, first + step, np.nan)
 
 
-def _cut(corners: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+def _cut(corners: Floats, values: Floats) -> list[Floats]:
     """Return the triangles in which tetrahedra (m, 4, 3) intersect the zero level of values (m, 4)."""
     finite = np.all(np.isfinite(values), axis=1)
     above = np.sum(values > 0.0, axis=1)
     order = np.argsort(values, axis=1)
     corners, values = np.take_along_axis(corners, order[..., None], axis=1), np.take_along_axis(values, order, axis=1)
 
-    def crossing(chosen: npt.NDArray[np.bool_], below: int, over: int) -> npt.NDArray[np.float64]:
+    def crossing(chosen: npt.NDArray[np.bool_], below: int, over: int) -> Floats:
         low, high = values[chosen, below, None], values[chosen, over, None]
         share = low / (low - high)
         return corners[chosen, below] + share * (corners[chosen, over] - corners[chosen, below])
@@ -131,3 +138,27 @@ def _cut(corners: npt.NDArray[np.float64], values: npt.NDArray[np.float64]) -> l
         for a, b, c, d, e, f in sets:
             triangles.append(np.stack([crossing(chosen, a, b), crossing(chosen, c, d), crossing(chosen, e, f)], axis=1))
     return triangles
+
+
+def hides_behind(function: Callable[[Any], Any], level: float, box: Floats, period: float = 0.0) -> Hides:
+    """Return the test whether the surface function(x) = level, in a box (3, 2), hides points, as `Hides` does."""
+
+    def hides(points: Floats, towards: Floats) -> npt.NDArray[np.bool_]:
+        tested = np.unique(np.linspace(0, len(points) - 1, min(len(points), TESTED_POINTS)).round().astype(np.int64))
+        start = points[tested]
+        with np.errstate(all="ignore"):
+            exits = np.where(towards > 0.0, box[:, 1] - start, box[:, 0] - start) / towards
+            length = np.nanmin(np.where(np.isfinite(exits), exits, np.nan), axis=1, initial=np.inf)
+            shares = (np.arange(RAY_SAMPLES) + 1.0) / RAY_SAMPLES
+            rays = start[:, None] + (np.maximum(length, 0.0)[:, None] * shares)[..., None] * towards
+            distance = values_at(function, rays) - level
+            if period > 0.0:
+                distance = distance - period * np.rint(distance / period)
+                distance[np.abs(distance) > 0.25 * period] = np.nan
+            # A sample may lie on the surface.
+            changes = (distance[:, :-1] < 0.0) != (distance[:, 1:] < 0.0)
+            crossed: npt.NDArray[np.bool_] = np.any(changes & ~np.isnan(distance[:, :-1] + distance[:, 1:]), axis=1)
+        nearest = np.searchsorted(tested, np.arange(len(points))).clip(0, len(tested) - 1)
+        return np.asarray(crossed[nearest], dtype=np.bool_)
+
+    return hides

@@ -119,7 +119,7 @@ def with_figure_settings(function: Function) -> Function:
 def new_figure(what: str, width: float, height: float, dpi: float | None = None, compress: bool = False) -> Figure:
     """Return a figure of a size in inches; raise an error that names `what` needs Matplotlib if it is missing."""
     require_packages(what, "matplotlib")
-    from coadjoint.pictures.layout import PanelLayout, ShownFigure
+    from coadjoint.pictures.artists import PanelLayout, ShownFigure
 
     return ShownFigure(figsize=(width, height), dpi=dpi, layout=PanelLayout(compress=compress))
 
@@ -162,8 +162,10 @@ def thickness(width: float) -> float:
     return width * float(setting("lines.linewidth"))
 
 
-def dots(count: int) -> dict[str, Any]:
-    """Return the style of `count` unconnected points: smaller for many points, so that curves stay thin."""
+def path_style(count: int, joined: bool, width: float) -> dict[str, Any]:
+    """Return the style of a path of `count` points: a line or, unless `joined`, dots, smaller for many points."""
+    if joined:
+        return {"linewidth": thickness(width)}
     size = 3.0 if count <= 500 else max(1.0, 3.0 * (500 / count) ** 0.5)
     return {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0}
 
@@ -186,17 +188,6 @@ def plain_axes(axes: Axes) -> None:
 def set_title(axes: Any, text: str) -> Any:
     """Set the title of axes in the size of figures, also on those that the user has made; return it."""
     return axes.set_title(text, fontsize=setting("axes.titlesize"), color=ink())
-
-
-def updating(axes: Any, title_at: Callable[[int], str], k: int, show: Callable[[int], None]) -> Callable[[int], None]:
-    """Set the title of axes at saved point k; return what shows another one, with its title."""
-    title = set_title(axes, title_at(k))
-
-    def update(j: int) -> None:
-        show(j)
-        title.set_text(title_at(j))
-
-    return update
 
 
 def colour_scale(values: Any, colours: Any = "viridis") -> Any:

@@ -18,15 +18,14 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 import coadjoint as co
 from coadjoint.pictures.analysis_figures import with_error
+from coadjoint.pictures.artists import FadingLine, PanelLayout, towards_viewer
 from coadjoint.pictures.curves import COLUMNS, draw_series, envelope
 from coadjoint.pictures.gallery import SCENES, decaying_turbulence, piece
-from coadjoint.pictures.globe import Globe, unit_vectors
-from coadjoint.pictures.hidden_lines import FAR_ALPHA, FadingLine, towards_viewer
-from coadjoint.pictures.kinds.components import flip_times
+from coadjoint.pictures.globe import FAR_ALPHA, Globe, unit_vectors
 from coadjoint.pictures.kinds.directions import _rotation_to_vertical
-from coadjoint.pictures.kinds.spins import direction_colours, sites_of_row
+from coadjoint.pictures.kinds.fields import direction_colours, sites_of_row
+from coadjoint.pictures.kinds.quantities import flip_times
 from coadjoint.pictures.kinds.vorticity import PROJECTIONS, on_grid, turned
-from coadjoint.pictures.layout import PanelLayout
 from coadjoint.pictures.plot_data import REFINED_TOLERANCE, REFINED_TURN, PlottedRun, _chord_duration
 from coadjoint.pictures.style import symbol
 

@@ -35,7 +35,6 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
 from coadjoint.systems.user_functions import check_arguments
@@ -207,10 +206,8 @@ class ExactField(ModifiedField):
 
     def _polynomial(self, invariant: Any) -> Exact:
         function = self._invariant(invariant)
-        if isinstance(function, Polynomial):
-            return self._exact_system.ring.from_polynomial(function)
         try:
-            return self._exact_system.value_of(as_hamiltonian(function, self.system.dim).value)
+            return self._exact_system.invariant(function)
         except (TypeError, AttributeError, ArithmeticError) as reason:
             raise TypeError(
                 f"{short(invariant)} is not a polynomial; an exact field can test polynomials only"

@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import readable, readable_latex
-from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.backward_error.scheme_terms import (
     MAX_POWER,
     ErrorTerm,
     SchemeTerms,
-    Symbols,
     Term,
     symbols_of,
 )
@@ -169,10 +167,10 @@ class ModifiedHamiltonian:
             known = f"the symbols are {', '.join(self.values)}" if self.values else "there are no symbols"
             raise ValueError(f"values has {short(unknown[0])}; {known}")
         numbers = {**self.values, **(values or {})}
-        terms = {
-            k: term.with_values(numbers) if isinstance(term, SymbolicPolynomial) else term
-            for k, term in self.terms.items()
-        }
+        # With symbols, all terms are symbolic.
+        terms: Any = (
+            {k: term.with_values(numbers) for k, term in cast(Any, self.terms).items()} if numbers else self.terms
+        )
         return ModifiedHamiltonian(terms, self.order, radius=self.radius, neglected=self.neglected)
 
     def __repr__(self) -> str:
@@ -200,7 +198,7 @@ class ModifiedHamiltonian:
     def _format(self, symbolic: Any, numeric: Any, times: str, power: str = "h^{0}") -> str:
         text = ""
         for k, term in self.terms.items():
-            coefficient = symbolic(term) if isinstance(term, SymbolicPolynomial) else numeric(term)
+            coefficient = symbolic(term) if self.values else numeric(term)
             step = "h" if k == 1 else power.format(k)
             text += f" + {step}{times}({coefficient})" if k else coefficient
         return text
@@ -290,14 +288,13 @@ def modified_hamiltonian(
             )
         coordinates = coordinates_of(program, sweeps, after, order, scheme.order)
         return ModifiedEnergyAtPoints(system, program, coordinates, order)
-    chosen = symbols_of(H, symbols, program) if symbols is not False else Symbols(H, {})
-    return _from_terms(SchemeTerms(system, program, sweeps, after, scheme.order, chosen), order)
+    names = symbols_of(H, symbols, program) if symbols is not False else {}
+    return _from_terms(SchemeTerms(system, program, sweeps, after, scheme.order, H, names), order)
 
 
 def _from_terms(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
     terms, radius, neglected = source.below(order)
-    values = source.symbols.values
-    return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=values, source=source)
+    return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=source.values, source=source)
 
 
 def check_system_and_scheme(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:

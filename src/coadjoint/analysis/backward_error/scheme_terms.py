@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.algebra.polynomials.monomials import Exponents, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
@@ -35,72 +35,62 @@ class ErrorTerm(NamedTuple):
     term: Term
 
 
+@dataclass(frozen=True, eq=False)
 class SchemeTerms:
-    """The terms of a scheme, by the sweeps of its kernel and of its processor `after`, for a polynomial Hamiltonian."""
+    """The terms of a scheme, by the sweeps of its kernel and of its processor `after`, for a polynomial Hamiltonian.
 
-    def __init__(
-        self,
-        system: LiePoissonSystem,
-        program: Program,
-        sweeps: list[Sweep],
-        after: list[Sweep],
-        order: int,
-        symbols: Symbols,
-    ) -> None:
-        self._system, self._program, self.symbols = system, program, symbols
-        self._sweeps, self._after, self._order = sweeps, after, order
+    Symbols of coefficients are in `names`, by exponents; the symbol of a square is twice the coefficient.
+    """
+
+    system: LiePoissonSystem
+    program: Program
+    sweeps: list[Sweep]
+    after: list[Sweep]
+    order: int
+    polynomial: Polynomial
+    names: Mapping[Exponents, str]
 
     def kernel(self) -> SchemeTerms:
         """Return the terms of the kernel alone."""
-        return SchemeTerms(self._system, self._program, self._sweeps, [], self._order, self.symbols)
+        return replace(self, after=[])
 
     def below(self, order: int) -> tuple[dict[int, Term], float, float]:
         """Return the terms below h^order by power, their radius, and the bound on neglected coefficients."""
         terms, radius, neglected = self._terms(self._coordinates(order), range(2, order + 1))
-        return {0: in_coordinates_of(self._system, self.symbols.hamiltonian), **terms}, radius, neglected
+        return {0: in_coordinates_of(self.system, self._hamiltonian()), **terms}, radius, neglected
 
     def error_term(self) -> ErrorTerm:
         """Return the term at the first power above h^0 that is non-zero for general systems."""
-        if len(self._program.parts) > 1 or np.any(self._program.frequency != 0):
-            for highest in range(min(self._order + 1, MAX_POWER + 1), MAX_POWER + 2):
+        zero = self._with_symbols(Polynomial({}, dim=self.polynomial.dim + len(self.names)))
+        if len(self.program.parts) > 1 or np.any(self.program.frequency != 0):
+            for highest in range(min(self.order + 1, MAX_POWER + 1), MAX_POWER + 2):
                 coordinates = self._coordinates(highest)
                 weight = coordinates.leading
                 if weight is not None:
                     terms, _, _ = self._terms(coordinates, [weight])
-                    return ErrorTerm(weight - 1, terms.get(weight - 1, self.symbols.zero))
-        return ErrorTerm(None, self.symbols.zero)
+                    return ErrorTerm(weight - 1, terms.get(weight - 1, zero))
+        return ErrorTerm(None, zero)
 
     def _coordinates(self, highest: int) -> Coordinates:
-        return coordinates_of(self._program, self._sweeps, self._after, highest, self._order)
+        return coordinates_of(self.program, self.sweeps, self.after, highest, self.order)
 
     def _terms(self, coordinates: Coordinates, weights: Iterable[int]) -> tuple[dict[int, Term], float, float]:
-        symbols = self.symbols
-        ring = ExactPolynomials(self._system.algebra, tuple(symbols.values))
-        result = modified_terms(
-            ring, self._system, self._program, coordinates, weights, symbols.polynomial, symbols.factors(ring)
-        )
+        ring = ExactPolynomials(self.system.algebra, tuple(self.values))
+        # The polynomials in symbols that represent the coefficients.
+        factors = {e: ring.symbol_elements[name] / _divisor(e) for e, name in self.names.items()}
+        result = modified_terms(ring, self.system, self.program, coordinates, weights, self.polynomial, factors)
         terms = {
-            power: in_coordinates_of(self._system, symbols.with_symbols(term))
-            for power, term in result.of_power.items()
+            power: in_coordinates_of(self.system, self._with_symbols(term)) for power, term in result.of_power.items()
         }
         return terms, result.radius, result.neglected
-
-
-@dataclass(frozen=True)
-class Symbols:
-    """A Hamiltonian with symbols, by exponents in `names`; the symbol of a square is twice the coefficient."""
-
-    polynomial: Polynomial
-    names: Mapping[Exponents, str]
 
     @property
     def values(self) -> dict[str, Any]:
         """Name -> the number that the symbol represents."""
         return {name: self.polynomial.monomials[e] * _divisor(e) for e, name in self.names.items()}
 
-    @property
-    def hamiltonian(self) -> Polynomial | SymbolicPolynomial:
-        """The Hamiltonian with symbols."""
+    def _hamiltonian(self) -> Term:
+        """Return the Hamiltonian with symbols."""
         positions = {e: k for k, e in enumerate(self.names)}
         monomials: dict[Exponents, Any] = {}
         for e, value in self.polynomial.monomials.items():
@@ -109,24 +99,15 @@ class Symbols:
                 symbol_exponents[positions[e]] = 1
                 value = Fraction(1, _divisor(e)) if _divisor(e) > 1 else 1
             monomials[(*e, *symbol_exponents)] = value
-        return self.with_symbols(Polynomial(monomials, dim=self.polynomial.dim + len(positions)))
+        return self._with_symbols(Polynomial(monomials, dim=self.polynomial.dim + len(positions)))
 
-    @property
-    def zero(self) -> Polynomial | SymbolicPolynomial:
-        """The polynomial 0."""
-        return self.with_symbols(Polynomial({}, dim=self.polynomial.dim + len(self.names)))
-
-    def with_symbols(self, polynomial: Polynomial) -> Polynomial | SymbolicPolynomial:
+    def _with_symbols(self, polynomial: Polynomial) -> Term:
         """Return a polynomial in coordinates and symbols as a `SymbolicPolynomial`, if there are symbols."""
         return SymbolicPolynomial(polynomial, tuple(self.names.values())) if self.names else polynomial
 
-    def factors(self, ring: ExactPolynomials) -> dict[Exponents, Exact]:
-        """Return exponents -> the polynomial in symbols that represents the coefficient."""
-        return {e: ring.symbol_elements[name] / _divisor(e) for e, name in self.names.items()}
 
-
-def symbols_of(H: Polynomial, requested: Any, program: Program) -> Symbols:
-    """Return a Hamiltonian with symbols for all coefficients (True), or for those with the given names."""
+def symbols_of(H: Polynomial, requested: Any, program: Program) -> dict[Exponents, str]:
+    """Return the names of all coefficients of a Hamiltonian (True), or the given ones, by exponents."""
     if program.shift:
         raise ValueError(
             f"a multiple of the Casimir {program.shift[0][0]!r} was subtracted from H, with a factor that depends "
@@ -139,7 +120,7 @@ def symbols_of(H: Polynomial, requested: Any, program: Program) -> Symbols:
             if name not in names.values():
                 raise unknown_name("symbol", name, list(names.values()))
         names = {e: name for e, name in names.items() if name in chosen}
-    return Symbols(H, names)
+    return names
 
 
 def names_of(H: Polynomial) -> dict[Exponents, str]:

@@ -20,7 +20,6 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.formal_series import NODE, FormalNumber, formal_numbers, vector
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 from coadjoint.systems.system import System
 
 Field = list[Exact]
@@ -65,16 +64,18 @@ class ExactSystem:
         """Return a function of the state as a polynomial."""
         return self._polynomials([function(self._point)])[0]
 
+    def invariant(self, function: Any) -> Exact:
+        """Return a polynomial, or a Hamiltonian that is one, in the ring."""
+        if isinstance(function, Polynomial):
+            return self.ring.from_polynomial(function)
+        return self.value_of(as_hamiltonian(function, self.system.dim).value)
+
     @cached_property
     def casimirs(self) -> dict[str, Exact]:
         """The polynomial Casimirs by name."""
-        casimirs = {}
-        for name, C in self.system.casimirs.items():
-            if isinstance(C, Polynomial):
-                casimirs[name] = self.ring.from_polynomial(C)
-            elif hasattr(C, "form") or hasattr(C, "bind"):
-                casimirs[name] = self.value_of(as_hamiltonian(C, self.system.dim).value)
-        return casimirs
+        polynomials = ("monomials", "form", "bind")
+        found = self.system.casimirs.items()
+        return {name: self.invariant(C) for name, C in found if any(hasattr(C, one) for one in polynomials)}
 
     def check_available_memory(self, order: int) -> None:
         """Raise an error if the polynomials of an order do not fit in memory."""
@@ -101,9 +102,10 @@ class ExactSystem:
 def _check_monomials(system: System) -> None:
     """Raise an error for a field with too many monomials, estimated as the number of products in J(x) M x."""
     terms = system.hamiltonian.terms()
-    if not system.has_structure_constants or len(terms) != 1 or not isinstance(terms[0], QuadraticTerm):
+    form = terms[0].form if len(terms) == 1 else None
+    if not system.has_structure_constants or form is None:
         return
-    entries = np.diff(terms[0].indptr)
+    entries = np.diff(form.indptr)
     i, j, _, _ = system.algebra.triples
     count = int(np.sum(entries[i] + entries[j]))
     if count > MAX_MONOMIALS:

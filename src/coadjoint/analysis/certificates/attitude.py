@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -193,30 +192,11 @@ def _one_element(subject: Subject, steps: int) -> Measurement:
     return defect, bound, f"representation and coadjoint matrix differ by {defect:.2g} after {g_run.stats.steps} steps"
 
 
-class _WithElement:
-    """The motion of a momentum with its coadjoint matrix, K' = -sign K D_u with u = grad H(x)."""
-
-    closed_form = None
-
-    def __init__(self, system: Any) -> None:
-        self._system, self.name = system, system.name
-
-    def vector_field(self, y: Floats, t: float) -> Floats:
-        system, n = self._system, self._system.dim
-        x, K = y[:n], y[n:].reshape(n, n)
-        product = K @ system.algebra.coadjoint(system.hamiltonian.gradient(x, t))
-        return np.concatenate([system.vector_field(x, t), -system.sign * product.ravel()])
-
-
-# Cached for each system, so that a reference motion is integrated once.
-_with_element = lru_cache(maxsize=16)(_WithElement)
-
-
 def _limit(subject: Subject, study: Study) -> Measurement | None:
     """Compare the element at small steps with an independent integration."""
     n, x = subject.system.dim, subject.states[0]
     start = np.concatenate([x, np.eye(n).ravel()])
-    reference = motion(_with_element(subject.system), start[None], study.span, subject.norm.with_matrix(n))  # type: ignore[arg-type]
+    reference = motion(subject.system, start[None], study.span, subject.norm.with_matrix(n), element=True)
     if reference is None:
         return None
     element = reference.states[0, n:].reshape(n, n)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -227,9 +226,4 @@ def _cells(row: Row) -> tuple[str, str, str, str]:
 
 def _plain(value: Any) -> Any:
     """Return the plain form of a value, with None in place of numbers that are not finite, which JSON has not."""
-    form = plain(value)
-    if isinstance(form, dict):
-        return {key: _plain(entry) for key, entry in form.items()}
-    if isinstance(form, list):
-        return [_plain(entry) for entry in form]
-    return None if isinstance(form, float) and not math.isfinite(form) else form
+    return json.loads(json.dumps(plain(value)), parse_constant=lambda _: None)

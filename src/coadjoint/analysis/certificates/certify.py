@@ -136,15 +136,15 @@ def certify(
 def _rows(subject: Subject) -> tuple[Row, ...]:
     convergence = study(subject)
     coarse_step = subject.h if convergence is None else convergence.coarse_step(subject.h)
-    run = long_run(subject)
+    run, failure = long_run(subject)
     return (
         *convergence_rows(subject, convergence),
         symmetry_row(subject, coarse_step),
         reversibility_row(subject, coarse_step),
         poisson_row(subject, coarse_step),
-        *invariant_rows(subject, run, coarse_step),
-        *attitude_rows(subject, convergence, 0 if run.solution is None else run.solution.stats.steps),
-        run_row(subject, run),
+        *invariant_rows(subject, run, failure, coarse_step),
+        *attitude_rows(subject, convergence, 0 if run is None else run.stats.steps),
+        run_row(subject, failure),
     )
 
 

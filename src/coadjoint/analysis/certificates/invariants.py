@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -41,15 +41,6 @@ def keeps(properties: Properties, casimir: Any) -> bool:
     return properties.casimirs == "polynomial" or isinstance(casimir, Quadratic) or casimir.degree <= 2
 
 
-@dataclass(frozen=True)
-class LongRun:
-    """The long run until it `failed`; the solution is None if not even one step succeeded."""
-
-    solution: Solution | None
-    failed: str = ""
-    until: float = 0.0
-
-
 def steps_of(subject: Subject) -> int:
     """Return the number of steps of the long run: as given, or limited to `TIME_LIMIT` of computing time."""
     if subject.steps is not None:
@@ -57,25 +48,25 @@ def steps_of(subject: Subject) -> int:
     return min(STEPS, max(MIN_STEPS, subject.affordable(TIME_LIMIT)))
 
 
-def long_run(subject: Subject) -> LongRun:
-    """Integrate the long run from every state, halving the number of steps until it succeeds."""
+def long_run(subject: Subject) -> tuple[Solution | None, IntegrationError | None]:
+    """Integrate from every state, halving the steps until that succeeds; return the run, and the first failure."""
     # Also where states have grown by more than `MAX_GROWTH_FACTOR`: the step is then too large for the motion, and the
     # linear systems are worse conditioned than the bounds on round-off assume.
-    count, failed, until = steps_of(subject), "", 0.0
+    count, failure = steps_of(subject), None
     start = subject.norm(subject.states, axis=1)
     while count:
         try:
             run = subject.run(subject.states, subject.h, count, max(1, count // SAVED_POINTS), watch=True)
         except IntegrationError as error:
-            failed, until = failed or str(error), until or error.time
+            failure = failure or error
         else:
             if count == 1 or np.all(subject.norm(run.x, axis=-1) <= MAX_GROWTH_FACTOR * start):
-                return LongRun(run, failed, until)
+                return run, failure
         count //= 2
-    return LongRun(None, failed, until)
+    return None, failure
 
 
-def run_row(subject: Subject, run: LongRun) -> Row:
+def run_row(subject: Subject, failure: IntegrationError | None) -> Row:
     """Return the row on completion of the long run, which any scheme that declares something must reach."""
     key, what, declared = "run", "long run", "ends"
     count, reason = steps_of(subject), ""
@@ -84,15 +75,17 @@ def run_row(subject: Subject, run: LongRun) -> Row:
         reason = f"a step takes about {subject.seconds:.1g} s; steps={STEPS} would take about {seconds:.2g} s"
     steps = f"{count} steps of {subject.h:g} from {len(subject.states)} states"
     declares = any(claim is not None for claim in (subject.order, subject.symmetric, subject.properties))
-    if not run.failed:
+    if failure is None:
         return checked(key, what, declared, declares, True, steps, reason=reason)
-    if motion(subject.system, subject.states, run.until + subject.h) is None:
+    if motion(subject.system, subject.states, failure.time + subject.h) is None:
         reason = "an independent code cannot compute the motion so far either"
-        return Row(key, what, declared, run.failed, UNDECIDED, reason=reason)
-    return checked(key, what, declared, declares, False, run.failed)
+        return Row(key, what, declared, str(failure), UNDECIDED, reason=reason)
+    return checked(key, what, declared, declares, False, str(failure))
 
 
-def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[Row]:
+def invariant_rows(
+    subject: Subject, run: Solution | None, failure: IntegrationError | None, coarse_step: float
+) -> list[Row]:
     """Return a row for the energy, and one for each Casimir; `coarse_step` is the larger step that is tested."""
     system, properties = subject.system, subject.properties
     single = _single_steps(subject, coarse_step)
@@ -109,7 +102,8 @@ def invariant_rows(subject: Subject, run: LongRun, coarse_step: float) -> list[R
             reason = "the Hamiltonian depends on time"
             rows.append(Row(key, what, declared, "-", INAPPLICABLE, claimed=claimed, reason=reason))
         else:
-            rows.append(_row(subject, run, single, name, invariant, checked(key, what, declared, claimed, None)))
+            row = checked(key, what, declared, claimed, None)
+            rows.append(_row(subject, run, failure, single, name, invariant, row))
     return rows
 
 
@@ -124,7 +118,13 @@ def _single_steps(subject: Subject, coarse_step: float) -> list[tuple[float, Sol
 
 
 def _row(
-    subject: Subject, run: LongRun, single: list[tuple[float, Solution]], name: str, invariant: Any, row: Row
+    subject: Subject,
+    run: Solution | None,
+    failure: IntegrationError | None,
+    single: list[tuple[float, Solution]],
+    name: str,
+    invariant: Any,
+    row: Row,
 ) -> Row:
     """Return the row of an invariant: its errors in one step and over the run, each with its round-off bound."""
     noise = subject.noise / (float(np.min(subject.norm(subject.states, axis=1))) or 1.0)
@@ -140,38 +140,35 @@ def _row(
         text, source = f"{errors[k] / scale:.2g} in a step of {h:.3g}", "round-off of a step, 4 n u each evaluation"
         measurements.append((float(errors[k] / scale), float(rounding * sizes[k] / scale), text, source))
         evidence[f"errors in a step of {h:.6g}"] = errors
-    if run.solution is not None and len(run.solution.t) > 1:
-        solution = run.solution
-        values = _series(solution, name)
-        evidence |= {"times": solution.t, "deviations": values - values[0]}
-        fitted = growth(solution.t, values - values[0])
+    if run is not None and len(run.t) > 1:
+        values = _series(run, name)
+        evidence |= {"times": run.t, "deviations": values - values[0]}
+        fitted = growth(run.t, values - values[0])
         evidence |= {"window times": fitted.times, "window sizes": fitted.sizes, "power of time": fitted.power}
-        drift = solution.drift()[name]
-        samples = np.linspace(0, len(solution.x) - 1, SIZE_SAMPLES).astype(int)
-        sizes = (
-            np.max([_sizes(invariant, states, subject.norm) for states in solution.x[samples]], axis=0) / drift.scale
-        )
+        drift = run.drift()[name]
+        samples = np.linspace(0, len(run.x) - 1, SIZE_SAMPLES).astype(int)
+        sizes = np.max([_sizes(invariant, states, subject.norm) for states in run.x[samples]], axis=0) / drift.scale
         members = np.asarray(drift.members)
         k = int(np.argmax(members / np.where(sizes > 0.0, sizes, 1.0)))
-        evaluations = solution.stats.evaluations / len(subject.states) + solution.stats.steps + 1
-        rounding = 4 * subject.system.dim * UNIT_ROUNDOFF * evaluations + 8 * noise * solution.stats.steps
+        evaluations = run.stats.evaluations / len(subject.states) + run.stats.steps + 1
+        rounding = 4 * subject.system.dim * UNIT_ROUNDOFF * evaluations + 8 * noise * run.stats.steps
         value, scale = float(members[k]), drift.scale[k]
-        text = f"{value:.2g} after {solution.stats.steps} steps, relative to {scale:.2g}, growth {fitted.kind}"
+        text = f"{value:.2g} after {run.stats.steps} steps, relative to {scale:.2g}, growth {fitted.kind}"
         source = "round-off of the run, 4 n u each evaluation, all of one sign"
         measurements.append((value, float(rounding * sizes[k]), text, source))
     finite = [entry for entry in measurements if np.isfinite(entry[0]) and np.isfinite(entry[1])]
     if not finite or len(finite) < len(measurements):
-        return replace(row, reason=run.failed or "its value is not finite")
+        return replace(row, reason="its value is not finite" if failure is None else str(failure))
     value, bound, _, source = max(finite, key=lambda entry: entry[0] / entry[1] if entry[1] else np.inf * entry[0])
-    texts, reason = ", ".join(text for _, _, text, _ in finite), _shortening(subject, run)
+    texts, reason = ", ".join(text for _, _, text, _ in finite), _shortening(subject, run, failure)
     return row.bounded(value, bound, texts, source=source, reason=reason, evidence=evidence)
 
 
-def _shortening(subject: Subject, run: LongRun) -> str:
+def _shortening(subject: Subject, run: Solution | None, failure: IntegrationError | None) -> str:
     """Return the reason for a shorter long run; empty if it has all steps."""
-    if run.failed:
+    if failure is not None:
         return "of the steps that did not fail"
-    shorter = run.solution is not None and run.solution.stats.steps < steps_of(subject)
+    shorter = run is not None and run.stats.steps < steps_of(subject)
     return f"of the steps before a state has grown {MAX_GROWTH_FACTOR:.0f} times" if shorter else ""
 
 

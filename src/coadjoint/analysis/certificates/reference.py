@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -112,20 +112,21 @@ class Motion(NamedTuple):
     contradiction: str = ""
 
 
-def motion(system: System, x: Floats, t: float, norm: Norm | None = None) -> Motion | None:
+def motion(system: System, x: Floats, t: float, norm: Norm | None = None, element: bool = False) -> Motion | None:
     """Return the states after time t from states x (k, n) at time 0; t is negative for backward.
 
     The error is in `norm`; None is that of the states. The result is None if the motion leaves the range of float64 or
-    takes more than `MAX_STEPS` steps. It is cached.
+    takes more than `MAX_STEPS` steps. It is cached. With `element`, coadjoint matrices (n, n) follow the states in x.
     """
-    return _motion(system, x.tobytes(), x.shape, t, Norm.of(system, x) if norm is None else norm)
+    return _motion(system, x.tobytes(), x.shape, t, Norm.of(system, x) if norm is None else norm, element)
 
 
 @lru_cache(maxsize=64)
-def _motion(system: System, start: bytes, shape: tuple[int, int], t: float, norm: Norm) -> Motion | None:
+def _motion(system: System, start: bytes, shape: tuple[int, int], t: float, norm: Norm, element: bool) -> Motion | None:
     x = np.frombuffer(start).reshape(shape)
+    field = partial(_field_with_element, system) if element else system.vector_field
     pairs = [
-        (_integrated(system, y, t, norm, FINE_TOLERANCE), _integrated(system, y, t, norm, COARSE_TOLERANCE)) for y in x
+        (_integrated(field, y, t, norm, FINE_TOLERANCE), _integrated(field, y, t, norm, COARSE_TOLERANCE)) for y in x
     ]
     if any(fine is None or coarse is None for fine, coarse in pairs):
         return None
@@ -133,6 +134,8 @@ def _motion(system: System, start: bytes, shape: tuple[int, int], t: float, norm
     size = float(norm(fine)) or 1.0
     error = ERROR_SHARE * float(norm(fine - coarse)) / size + 16 * UNIT_ROUNDOFF
     integrated = Motion(fine, error, "DOP853 on the vector field")
+    if element:
+        return integrated
     closed, half = _closed_form(system, x, t), _closed_form(system, x, t / 2)
     two_halves = None if half is None else _closed_form(system, half, t / 2)
     if closed is None or two_halves is None:
@@ -147,6 +150,13 @@ def _motion(system: System, start: bytes, shape: tuple[int, int], t: float, norm
     return Motion(closed, rounding, "the closed form")
 
 
+def _field_with_element(system: Any, y: Floats, t: float) -> Floats:
+    """Return the field of a momentum and its coadjoint matrix, K' = -sign K D_u with u = grad H(x)."""
+    x, K = y[: system.dim], y[system.dim :].reshape(system.dim, system.dim)
+    product = K @ system.algebra.coadjoint(system.hamiltonian.gradient(x, t))
+    return np.concatenate([system.vector_field(x, t), -system.sign * product.ravel()])
+
+
 def _closed_form(system: System, x: Floats, t: float) -> Floats | None:
     if system.closed_form is None:
         return None
@@ -156,20 +166,20 @@ def _closed_form(system: System, x: Floats, t: float) -> Floats | None:
         return None  # outside the domain of the closed form
 
 
-def _integrated(system: System, x: Floats, t: float, norm: Norm, tolerance: float) -> Floats | None:
+def _integrated(field: Callable[[Any, float], Any], x: Floats, t: float, norm: Norm, tolerance: float) -> Floats | None:
     from scipy.integrate import DOP853
 
     if t == 0.0:
         return x
     shape = x.shape
 
-    def field(time: float, y: Floats) -> Floats:
-        return np.asarray(system.vector_field(y.reshape(shape), time), dtype=np.float64).ravel()
+    def rate(time: float, y: Floats) -> Floats:
+        return np.asarray(field(y.reshape(shape), time), dtype=np.float64).ravel()
 
     size = float(np.max(np.abs(norm.scaled(x)))) or 1.0
     atol: Any = norm.unscaled(np.full(x.shape, 0.1 * tolerance * size)).ravel()
     try:
-        solver = DOP853(field, 0.0, x.ravel(), t, rtol=tolerance, atol=atol)
+        solver = DOP853(rate, 0.0, x.ravel(), t, rtol=tolerance, atol=atol)
         for _ in range(MAX_STEPS):
             note_progress("the motion by an independent code")
             solver.step()

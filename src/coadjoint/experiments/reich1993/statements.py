@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.analysis.phase_drift import ANGLES, PhaseDrift, drift_of_series
+from coadjoint.analysis.phase_error import attitude_angle, precession_error
 from coadjoint.analysis.powers import OrderFit, fit_order
-from coadjoint.analysis.rotations import attitude_angle, precession_error
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.curves import PathUpdate
+from coadjoint.pictures.curves import PathUpdate, at_one_time
 from coadjoint.pictures.globe import Globe, view_frame, view_of
 from coadjoint.pictures.kinds.directions import axis_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour, ink, set_title, thickness, updating
+from coadjoint.pictures.style import colour, ink, set_title, thickness
 
 Floats = npt.NDArray[np.float64]
 
@@ -163,7 +163,7 @@ def bodies(drawn: PlottedRun, at: float = 1.0, view: tuple[float, float] = VIEW)
             drawn_shapes.set_facecolor(list(map(tuple, colours.tolist())))
 
         show(k)
-        return updating(axes, lambda j: f"bodies in space{drawn.of_member} at $t$ = {drawn.t[j]:g}", k, show)
+        return at_one_time(axes, drawn, "bodies in space", k, show)
 
     return paint
 

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.pictures.curves import MemberColours, PathUpdate
-from coadjoint.pictures.level_surface import level_surface
+from coadjoint.pictures.level_surface import Hides, hides_behind, level_surface
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour, dots, ink, set_title, setting, symbol, thickness
+from coadjoint.pictures.style import colour, ink, path_style, set_title, setting, symbol
 
 SURFACE_COLOUR = "#B8CCE0"
 MAX_COORDINATE = 1e75  # larger coordinates, of members that fail, overflow in the normals of a surface
@@ -70,7 +70,7 @@ def draw_orbit(
 ) -> tuple[list[Any], str]:
     """Draw orbits (members, k, 3) and the level surface of a Casimir; return their lines, and the title."""
     # The surface passes through the first point of the first orbit. Parts of orbits behind it are faint.
-    from coadjoint.pictures.hidden_lines import FadingLine, Hides, hides_behind
+    from coadjoint.pictures.artists import FadingLine
 
     name = surface_casimir(casimirs)
     members = np.where(np.abs(members) < MAX_COORDINATE, members, np.nan)
@@ -97,8 +97,7 @@ def draw_orbit(
     several, lines = len(members) > 1, []
     for m, orbit in enumerate(members):
         shade = colour(0) if shades is None else shades[m]
-        width = thickness(0.9 if several else 1.1)
-        style: dict[str, Any] = {"linewidth": width} if joined else dots(len(orbit))
+        style = path_style(len(orbit), joined, 0.9 if several else 1.1)
         line = FadingLine(orbit, hides, color=shade, zorder=5, **style)
         mark = {"marker": "o", "linestyle": "none", "color": shade if several else colour(1), "zorder": 6}
         start = FadingLine(orbit[:1], hides, markersize=2.5 if several else 4.0, **mark)

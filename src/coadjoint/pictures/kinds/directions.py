@@ -13,7 +13,7 @@ from coadjoint.pictures.globe import Globe, view_of
 from coadjoint.pictures.kinds.coadjoint_orbit import frame_space
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour, dots, ink, legend, plain_axes, set_title, thickness
+from coadjoint.pictures.style import colour, ink, legend, path_style, plain_axes, set_title, thickness
 from coadjoint.validation import read_finite, read_integer
 
 Floats = npt.NDArray[np.float64]
@@ -131,9 +131,8 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
             beyond = np.flatnonzero(np.abs(azimuth) > 360.0 * turns)
             last = int(beyond[0]) if beyond.size else len(azimuth)
             truncated |= bool(beyond.size)
-            style: dict[str, Any] = {"linewidth": thickness(1.1)} if drawn.axis_joined else dots(len(points))
-            curve = np.stack([azimuth[:last], inclination[:last]], axis=-1)
-            axes.plot(*curve.T, color=shades[m], **style)
+            style = path_style(len(points), drawn.axis_joined, 1.1)
+            axes.plot(azimuth[:last], inclination[:last], color=shades[m], **style)
             axes.plot(azimuth[:1], inclination[:1], "o", markersize=5, color=colour(1))
         axes.invert_yaxis()
         axes.set(xlabel="azimuth [degrees]", ylabel=f"inclination to the {vertical} [degrees]")
@@ -170,7 +169,7 @@ def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
         low, high = np.nanmin(positions, axis=(0, 1)), np.nanmax(positions, axis=(0, 1))
         reach = 0.09 * float(np.max(high - low)) or 1.0
         for m, (path, direction) in enumerate(zip(positions, directions, strict=True)):
-            style: dict[str, Any] = {"linewidth": thickness(1.2)} if drawn.axis_joined else dots(len(path))
+            style = path_style(len(path), drawn.axis_joined, 1.2)
             update.add(axes.plot(*path.T, color=shades[m], **style), times, path)
             k = spread(len(path), MAX_ATTITUDES)
             ends = np.stack([path[k], path[k] + reach * direction[k], np.full((len(k), 3), np.nan)], axis=1)

@@ -17,10 +17,10 @@ from coadjoint.pictures.style import (
     colour_bar,
     colour_scale,
     coordinate,
-    dots,
     ink,
     legend,
     new_figure,
+    path_style,
     plain_axes,
     set_title,
     thickness,
@@ -79,8 +79,7 @@ def phase_portrait(
                 jumps = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * cyclic) + 1
                 shown_x, shown_y = np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
                 times = np.insert(times, jumps, times[jumps])
-            style: dict[str, Any] = {"linewidth": thickness(0.9)} if drawn.joined else dots(len(x))
-            lines = axes.plot(shown_x, shown_y, color=shades[m], **style)
+            lines = axes.plot(shown_x, shown_y, color=shades[m], **path_style(len(x), drawn.joined, 0.9))
             axes.plot(x[:1], y[:1], "o", markersize=4, color=shades[m])
             update.add(lines, times, np.stack([shown_x, shown_y], axis=-1))
         axes.set(xlabel=names[0], ylabel=names[1])

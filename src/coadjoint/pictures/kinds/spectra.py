@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.curves import draw_over_time
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
@@ -95,14 +96,11 @@ def energy_by_scale(drawn: PlottedRun) -> Paint:
     shares = np.divide(energies, total, out=0.0 * energies, where=total > 0.0)
     largest = np.sort(np.argsort(-np.nanmax(shares, axis=0), kind="stable")[:MAX_SCALES])
 
+    lines = {f"${LETTER[fluid.surface]} = {scales[i]:g}$": shares[None, :, i] for i in largest}
+
     def paint(axes: Any) -> None:
-        for line, i in enumerate(largest):
-            label = f"${LETTER[fluid.surface]} = {scales[i]:g}$"
-            axes.plot(drawn.t[times], shares[:, i], color=colour(line), linewidth=thickness(0.9), label=label)
-        axes.set(xlabel="time $t$", ylabel="share of the energy", title=f"energy by scale{drawn.of_member}")
+        draw_over_time(axes, drawn.t[times], lines, True, "share of the energy", f"energy by scale{drawn.of_member}")
         axes.set_ylim(0.0, None)
-        plain_axes(axes)
-        legend(axes, beside=True)
 
     return paint
 

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.curves import at_one_time
 from coadjoint.pictures.globe import VIEW, Globe, unit_vectors, view_frame
 from coadjoint.pictures.kinds.spectra import fluid_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour_bar, ink, plain_axes, thickness, updating
+from coadjoint.pictures.style import colour_bar, ink, plain_axes, thickness
 from coadjoint.systems.matrices.fluid_system import FluidSystem, large_scales
 from coadjoint.validation import read_choice, read_number, read_positive
 
@@ -93,7 +94,7 @@ def vorticity(
         def show(j: int) -> None:
             image.set_data(pixels(on_fluid_grid(drawn.unforced, drawn.state(j))))
 
-        return updating(axes, lambda j: _title(drawn, PART_TITLES[part], j), k, show)
+        return at_one_time(axes, drawn, PART_TITLES[part], k, show)
 
     return paint
 
@@ -110,10 +111,6 @@ def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, in
         large = large_scales(P, shown)
         shown = {"stream": P, "large": large, "small": shown - large}[part]
     return fluid.to_grid(shown, shape)
-
-
-def _title(drawn: PlottedRun, name: str, k: int) -> str:
-    return f"{name}{drawn.of_member} at $t$ = {drawn.t[k]:.4g}"
 
 
 def _shape(N: int, surface: str) -> tuple[int, int]:
@@ -210,7 +207,7 @@ def sphere_field(
         def show(j: int) -> None:
             picture.set_data(pixels(np.asarray(values(drawn.unforced, drawn.state(j)), dtype=np.float64)))
 
-        return updating(axes, lambda j: _title(drawn, label, j), k, show)
+        return at_one_time(axes, drawn, label, k, show)
 
     return paint
 

@@ -74,6 +74,11 @@ OPEN_LATTICES = tuple(name for name in CELLS if name != "ring")
 NAMES = (*OPEN_LATTICES, "complete", "ring")
 
 
+def has_cell(lattice: Any) -> bool:
+    """Return whether a lattice is one of `CELLS`, by name; others are complete, or given by pairs of sites."""
+    return isinstance(lattice, str) and lattice in CELLS
+
+
 def sizes_of(shape: Any) -> tuple[int, ...]:
     """Return the number of cells along each axis."""
     return tuple(np.atleast_1d(shape).tolist())

@@ -1,4 +1,4 @@
-"""Figures with a PNG representation, which notebooks display, and titles and labels wrapped to their panels."""
+"""Classes derived from those of Matplotlib: figures that show themselves, layouts that wrap text, and fading lines."""
 
 from __future__ import annotations
 
@@ -11,10 +11,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from mpl_toolkits.mplot3d.art3d import Line3D
 from numpy.typing import NDArray
+
+from coadjoint.pictures.globe import FAR_ALPHA, view_frame
+from coadjoint.pictures.level_surface import Hides
+from coadjoint.pictures.style import paper
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+Floats = NDArray[np.float64]
 
 SAME_LENGTH = 0.02
 """Relative change of the length available to a text below which it is not wrapped anew."""
@@ -137,7 +144,7 @@ def _column_width(axes: Axes, figure: Figure) -> float:
     return float(cell.get_topmost_subplotspec().get_position(figure).width * figure.bbox.width)
 
 
-def _corners(figure: Figure) -> NDArray[np.float64]:
+def _corners(figure: Figure) -> Floats:
     """Return the corners of all axes in pixels, (axes, 4)."""
     return np.array([axes.get_position(original=True).transformed(figure.transFigure).extents for axes in figure.axes])
 
@@ -159,3 +166,38 @@ def _lines(full: str, fits: Any, anywhere: bool) -> list[str]:
             line = longer
         lines.append(line)
     return lines
+
+
+class FadingLine(Line3D):  # type: ignore[misc]
+    """Line in space that is faint where it is hidden; a mark is hollow there. For orthographic projection."""
+
+    def __init__(self, points: Floats, hides: Hides, **style: Any) -> None:
+        super().__init__(*points.T, **style)
+        self._hides, self._paper = hides, paper()
+
+    def draw(self, renderer: Any) -> None:
+        """Draw the hidden part and the visible one."""
+        data, alpha, face = self.get_data_3d(), self.get_alpha(), self.get_markerfacecolor()
+        points = np.stack([np.asarray(values, dtype=np.float64) for values in data], axis=-1)
+        hidden = self._hides(points, towards_viewer(self.axes)) if len(points) else np.zeros(0, dtype=bool)
+        is_mark = len(points) == 1
+        for part, opacity in ((hidden, FAR_ALPHA), (~hidden, 1.0)):
+            if not part.any():
+                continue
+            # Segments across the edge belong to both parts, to avoid gaps.
+            shown = part if self.get_linestyle() == "None" else part | np.append(part[1:], False)
+            self.set_data_3d(*np.where(shown[:, None], points, np.nan).T)
+            self.set_alpha((1.0 if is_mark else opacity) * (1.0 if alpha is None else alpha))
+            self.set_markerfacecolor(self._paper if is_mark and hidden[0] else face)
+            super().draw(renderer)
+        self.set_data_3d(*data)
+        self.set_alpha(alpha)
+        self.set_markerfacecolor(face)
+        self.stale = False
+
+
+def towards_viewer(axes: Any) -> Floats:
+    """Return the direction to the viewer of three-dimensional axes, in the coordinates of the data."""
+    towards = view_frame((axes.azim, axes.elev))[2]
+    size = np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1)
+    return np.asarray(towards * size / axes._box_aspect)

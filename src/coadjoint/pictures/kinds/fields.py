@@ -1,22 +1,26 @@
-"""Spins at their lattice sites: arrows for the components in the plane, colours for the third one."""
+"""Fields and spins in the plane at one time, as colours and arrows, and fields along a chain over time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.plot_data import PlottedRun
+from coadjoint.pictures.curves import at_one_time
+from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour_bar, setting, updating
-from coadjoint.systems.lattices.geometry import CELLS, lattice_positions
-from coadjoint.validation import read_choice
+from coadjoint.pictures.style import colour_bar, plain_axes, setting
+from coadjoint.systems.lattices.geometry import has_cell, lattice_positions
+from coadjoint.validation import read_choice, read_positive
 
 Floats = npt.NDArray[np.float64]
 
+CELLS_ALONG = 160  # along an edge of a field; smaller than a line is wide
+LEVELS = 21  # odd, so that one band is about zero
+MAX_ROWS = 400  # times; as many as pixels of the picture
 FLAT = ("plane", "side")
 SHADES = ("#0072B2", "#8A8A8A", "#D55E00")
 """Colours for down, in the plane, and up; the middle one is dark enough for arrows on white."""
@@ -36,6 +40,122 @@ PIXELS = 720
 SITE_RADIUS = 0.85
 """Largest distance of a pixel from the spin that colours it."""
 SATURATION = 0.8  # of colours of directions; full colours are too loud beside lines
+
+
+@kind("field", moves=True)
+def field(
+    drawn: PlottedRun,
+    width: Callable[[Any], float],
+    modes: Callable[..., Any] | None = None,
+    values: Callable[[Any, Any], Any] | None = None,
+    at: float = 0.0,
+    label: str = "field",
+) -> Paint:
+    """Show a sum of modes weighted by the coordinates, or values of a function, at one time for the first member.
+
+    Parameters
+    ----------
+    width : callable
+        Function of the system that returns the width of the square.
+    modes : callable
+        Function of the system and of positions X, Y, (k, k), that returns the modes, (n, k, k).
+    values : callable
+        Alternative: function of the system and of a state that returns the values on a grid, (rows, columns), from one
+        edge of the square to the other, both included: rows along Y, columns along X.
+    at : float
+        The time as a fraction of the span: 0 is the start, 1 the end.
+    label : str
+        Name of the field.
+    """
+    k, side = drawn.index_at(at), read_positive(width(drawn.unforced), "width")
+    if values is not None:
+        first, size = drawn.evaluate(values, k)
+
+        def field_at(j: int) -> Any:
+            return np.asarray(values(drawn.unforced, drawn.state(j)), dtype=np.float64)
+
+    elif modes is not None:
+        edge = np.linspace(0.0, side, CELLS_ALONG + 1)
+        waves = np.asarray(modes(drawn.unforced, *np.meshgrid(edge, edge)))
+        if len(waves) != drawn.n:
+            raise CannotShow(f"the field has {len(waves)} modes, and the state has {drawn.n} coordinates")
+
+        def field_at(j: int) -> Any:
+            return np.tensordot(drawn.x[0, j], waves, axes=1)
+
+        first = field_at(k)
+        # A bound on the sum of the modes, so that the scale is the same at all times.
+        size = float(np.max(np.abs(drawn.x[0]) @ np.abs(waves).max(axis=(1, 2)))) or 1.0
+    else:
+        raise TypeError("a field needs its modes, or a function that gives its values")
+
+    def paint(axes: Any) -> Update:
+        from matplotlib.ticker import MaxNLocator
+
+        coordinates = [np.linspace(0.0, side, count) for count in first.shape[::-1]]
+        style = {"levels": np.linspace(-size, size, LEVELS), "cmap": "RdBu_r"}
+        contours = axes.contourf(*coordinates, first, **style)
+        colour_bar(axes, contours, label, ticks=MaxNLocator(5))
+        plain_axes(axes)
+        axes.grid(False)
+        axes.set(xlabel="$X$", ylabel="$Y$")
+        axes.set_aspect("equal")
+
+        def show(j: int) -> None:
+            nonlocal contours
+            contours.remove()
+            contours = axes.contourf(*coordinates, np.clip(field_at(j), -size, size), **style)
+
+        return at_one_time(axes, drawn, label, k, show)
+
+    return paint
+
+
+@kind("space-time")
+def space_time(
+    drawn: PlottedRun,
+    sites: Callable[[int], Sequence[int]],
+    label: str,
+    across: str = "site",
+    centred: bool = False,
+    title: str = "",
+) -> Paint:
+    """Show coordinates of the first member by colour, sites to the right and time upwards.
+
+    Parameters
+    ----------
+    sites : callable
+        Function of the dimension that returns the coordinates, in the order of the sites.
+    label : str
+        Name of the coordinates.
+    across : str
+        Label of the sites.
+    centred : bool
+        Whether zero is at the middle of the colour scale.
+    title : str
+        Title of the picture.
+    """
+    indices = list(sites(drawn.n))
+    if len(indices) < 2:
+        raise CannotShow("there are fewer than two sites")
+
+    def paint(axes: Any) -> None:
+        rows = spread(len(drawn.t), MAX_ROWS)
+        values = drawn.x[0][rows][:, indices]
+        limits: dict[str, Any] = {"cmap": "viridis"}
+        if centred:
+            size = float(np.nanmax(np.abs(values))) or 1.0
+            limits = {"cmap": "RdBu_r", "vmin": -size, "vmax": size}
+        mesh = axes.pcolormesh(
+            np.arange(1, len(indices) + 1), drawn.t[rows], values, shading="nearest", rasterized=True, **limits
+        )
+        colour_bar(axes, mesh, label)
+        full_title = (title or f"{label} over {across} and time") + drawn.of_member.replace(" of", ",")
+        axes.set(xlabel=across, ylabel="time $t$", title=full_title)
+        plain_axes(axes)
+        axes.grid(False)
+
+    return paint
 
 
 @kind("spins", moves=True)
@@ -74,9 +194,7 @@ def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
         S = drawn.x[0, j].reshape(-1, 3) / size
         return S[:, [*flat, out]].T
 
-    def title_at(j: int) -> str:
-        arrows = "" if coloured else f": arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})$"
-        return f"spins{drawn.of_member} at $t$ = {drawn.t[j]:g}{arrows}{arrangement}"
+    arrows = "" if coloured else f": arrows $(S_{flat[0] + 1}, S_{flat[1] + 1})$"
 
     def paint(axes: Any) -> Update:
         show = (_draw_colours if coloured else _draw_arrows)(axes, positions, components(k), flat, out)
@@ -88,7 +206,7 @@ def spins(drawn: PlottedRun, at: float = 1.0, seen: str = "plane") -> Paint:
         axes.set_aspect("equal")
         axes.spines[:].set_visible(False)
         axes.grid(False)
-        return updating(axes, title_at, k, lambda j: show(components(j)))
+        return at_one_time(axes, drawn, "spins", k, lambda j: show(components(j)), arrows + arrangement)
 
     return paint
 
@@ -173,7 +291,7 @@ def direction_colours(S: Floats) -> Floats:
 
 def sites_of_row(lattice: Any, count: int) -> int:
     """Return the number of sites per row of a long chain, ring or graph, which is folded; else `count`."""
-    in_plane = isinstance(lattice, str) and lattice in CELLS and lattice not in ("chain", "ring")
+    in_plane = has_cell(lattice) and lattice not in ("chain", "ring")
     return count if in_plane or count <= SITES_PER_ROW else math.ceil((2.0 * count) ** 0.5)
 
 
@@ -186,7 +304,7 @@ def site_positions(lattice: Any, shape: Any, count: int) -> Floats:
     if row < count:
         site = np.arange(count)
         return np.stack([site % row, -1.4 * (site // row)], axis=-1)
-    if not isinstance(lattice, str) or lattice not in CELLS or lattice == "ring" or shape is None:
+    if not has_cell(lattice) or lattice == "ring" or shape is None:
         turn = 2.0 * np.pi * np.arange(count) / count
         return np.stack([np.sin(turn), np.cos(turn)], axis=-1) * max(1.0, count / 6.0)
     return lattice_positions(lattice, shape)
