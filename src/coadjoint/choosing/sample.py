@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coadjoint.choosing.pilot import LARGE_ERROR, Pilot, PilotErrors, short_run, speeds_of
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.suggested_scheme import reference_scheme
+from coadjoint.methods.registry import reference_scheme
 from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.system import System
 

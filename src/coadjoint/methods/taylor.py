@@ -20,7 +20,6 @@ from coadjoint.methods.numerics.projection import (
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.numerics.series_cost import series_operations
 from coadjoint.methods.numerics.taylor_series import (
     TOO_SHORT_MESSAGE,
     Dual,
@@ -33,6 +32,7 @@ from coadjoint.methods.protocol.cost_model import (
     LANES,
     Operations,
     Work,
+    series_operations,
     work_of_operations,
     work_of_own_steps,
 )

@@ -16,9 +16,9 @@ from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, quadrati
 from coadjoint.memory import check_available_memory
 from coadjoint.program.commutation import few_parts
 from coadjoint.program.generators import NotSplittable
+from coadjoint.program.parts.casimir_shifts import quadratic_position
 from coadjoint.program.parts.part import BodyShare, Parts
 from coadjoint.program.parts.split import atoms_of
-from coadjoint.program.shifts.shift import quadratic_position
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.shifts.shift import quadratic_entries
+from coadjoint.program.parts.casimir_shifts import quadratic_entries
 from coadjoint.runs.start import matrices_of
 
 Floats = NDArray[np.float64]

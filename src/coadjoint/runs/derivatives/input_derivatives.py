@@ -15,7 +15,7 @@ from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.program.multiples import NO_MULTIPLES
+from coadjoint.program.sources import NO_MULTIPLES
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.inputs import Inputs
 from coadjoint.systems.energy_derivatives import EnergyDerivative

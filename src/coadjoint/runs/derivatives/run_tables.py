@@ -20,7 +20,7 @@ from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, Derivative
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.generators import group_side
-from coadjoint.program.multiples import NO_MULTIPLES, Multiples
+from coadjoint.program.sources import NO_MULTIPLES, Multiples
 from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.input_derivatives import INPUTS, changed_inputs, tables_with_inputs

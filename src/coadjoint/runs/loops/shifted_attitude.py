@@ -15,7 +15,7 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices
-from coadjoint.program.shifts.group_correction import unshift_tables
+from coadjoint.program.group_correction import unshift_tables
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System
