@@ -15,7 +15,7 @@ from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.kernels.interface import limit
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.program.describe import action_work, bodies_of, count_series_blocks, share_work
-from coadjoint.program.generators import group_side
+from coadjoint.program.generators import given_matrices, group_side
 from coadjoint.program.table import Program
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.system import System
@@ -120,7 +120,8 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
     multiplications, functions = field_work(system)
     vectors = multiplications + stages * system.dim
     if group is not None and system.has_structure_constants:
-        entries = 2 * len(system.algebra.triples[3]) if isinstance(group, str) else np.count_nonzero(group)
+        matrices = given_matrices(group)
+        entries = 2 * len(system.algebra.triples[3]) if matrices is None else np.count_nonzero(matrices)
         edge = group_side(system.dim, group)
         vectors += edge * entries + stages * edge * edge
     elif stages <= LANES and _fits_in_registers(system):

@@ -227,7 +227,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
     if key is not None and key in _CHECKED_CACHE.get(system, ()):
         return
     try:
-        if isinstance(choice, str) and choice not in BODY_FLOW_CHOICES:
+        if choice in ("auto", "coordinates"):
             check_splits(system)
         else:
             decompose(system, choice)
