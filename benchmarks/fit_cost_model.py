@@ -32,7 +32,7 @@ from coadjoint.choosing.fitting import StepFit, confirmed_fit, fit, fit_of_toler
 from coadjoint.choosing.pilot import Pilot, short_run
 from coadjoint.methods.numerics.short_orbit import rate_at
 from coadjoint.methods.protocol import cost_model
-from coadjoint.methods.suggested_scheme import candidate_schemes
+from coadjoint.methods.registry import candidate_schemes
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 
 MEASURED = HERE / "build" / "cost_model.json"

@@ -15,7 +15,7 @@ from starts import STARTS
 
 import coadjoint as co
 from coadjoint.methods import registry
-from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.methods.registry import suggested_scheme
 from coadjoint.pictures.gallery import decaying_turbulence, summary_of
 from coadjoint.pictures.register import CannotShow
 from coadjoint.summaries import summarize_system

@@ -12,7 +12,7 @@ from coadjoint.algebra.catalogue import families, get, names
 from coadjoint.algebra.families.low_dimensional import entries
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.errors import in_one_line
-from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.methods.registry import suggested_scheme
 from coadjoint.systems.description import description
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import as_tuples

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import coadjoint as co
-from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.methods.registry import suggested_scheme
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems
 from random_runs.cases import case_of
 from random_runs.comparisons import run

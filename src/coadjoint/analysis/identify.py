@@ -29,7 +29,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.suggested_scheme import reference_scheme
+from coadjoint.methods.registry import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
 from coadjoint.systems.lie_poisson import LiePoissonSystem

@@ -16,8 +16,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.registry import read_method
-from coadjoint.methods.suggested_scheme import default_scheme
+from coadjoint.methods.registry import default_scheme, read_method
 from coadjoint.runs.loops.loops import loops_of_members
 from coadjoint.runs.plan_and_state import Plan
 from coadjoint.runs.run import Run

@@ -47,8 +47,7 @@ from coadjoint.choosing.step_predictor import StepPredictor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.registry import read_method
-from coadjoint.methods.suggested_scheme import candidate_schemes, reference_scheme
+from coadjoint.methods.registry import candidate_schemes, read_method, reference_scheme
 from coadjoint.runs.start import combined, start_of
 from coadjoint.runs.times import span_of
 from coadjoint.systems.batch import Batch

@@ -27,7 +27,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.cost_model import MIN_LANE_MEMBERS, Work, newton_work
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.suggested_scheme import reference_scheme
+from coadjoint.methods.registry import reference_scheme
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.batch import Batch, selected

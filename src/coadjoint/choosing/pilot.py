@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.suggested_scheme import reference_scheme
+from coadjoint.methods.registry import reference_scheme
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.plan_and_state import Plan

@@ -19,7 +19,7 @@ from jax.scipy.linalg import expm
 from coadjoint.jax.body_angles import Angles, body_angles
 from coadjoint.jax.stage_steps import Steps, gradient_of, sparse
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, BlockKind
-from coadjoint.program.shifts.group_correction import UnshiftTables
+from coadjoint.program.group_correction import UnshiftTables
 
 Table = Mapping[str, Any]
 State = tuple[Any, Any]

@@ -20,8 +20,8 @@ from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.generators import given_matrices, group_side
+from coadjoint.program.group_correction import unshift_tables
 from coadjoint.program.public_table import energy_and_parameters
-from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -241,9 +241,8 @@ def modes_by_coset(N: int, line: Line) -> tuple[NDArray[np.int64], NDArray[np.in
 def stream_of_modes(torus: MatrixSystem) -> tuple[NDArray[np.float64], Complexes | None]:
     """Return the factors by which the stream multiplies modes, and the modes that it adds, each (N, N)."""
     N = torus.algebra.N
-    assert isinstance(torus.stream, Circulants)
-    linear = torus.linear
-    return torus.stream.spectrum.T[(2 * np.arange(N)) % N], None if linear is None else modes_of(linear)
+    stream, linear = cast(Circulants, torus.stream), torus.linear
+    return stream.spectrum.T[(2 * np.arange(N)) % N], None if linear is None else modes_of(linear)
 
 
 def modes_of(W: Matrix) -> Complexes:
@@ -261,7 +260,7 @@ def matrix_of(v: Complexes) -> Complexes:
 def torus_of(system: Any) -> MatrixSystem:
     """Return a fluid on the torus with a prime N unchanged; raise ValueError for any other system."""
     name = getattr(system, "name", short(system))
-    supported = system.has_matrices and isinstance(system.stream, Circulants)
+    supported = system.has_matrices and system.stream.kind == Circulants.kind
     if not supported or system.algebra.kind not in ("u", "su") or len(system.matrix_shape) == 3:
         raise ValueError(
             f"LineSplitting integrates fluids on the torus, but {name} is not one: its stream is not a factor for each "

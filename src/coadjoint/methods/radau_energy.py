@@ -93,7 +93,7 @@ class RadauEnergy(CompiledStepMethod):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return one step, computed in NumPy for any number type; IntegrationError if x . grad H vanishes."""
         step, slopes, _ = self._solve(system, x, t, h)
-        return np.asarray(step.x + step.coefficients.out @ slopes)
+        return step.end(slopes)
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative, by the implicit function theorem."""
@@ -114,7 +114,7 @@ class RadauEnergy(CompiledStepMethod):
             matrix[constraint, rows] = gradients[i]
             rhs[constraint] = system.hamiltonian.gradient(step.x, t)
         derivatives = np.linalg.solve(matrix, rhs)
-        return step.x + step.coefficients.out @ slopes, derivatives[(s - 1) * n : s * n]
+        return step.end(slopes), derivatives[(s - 1) * n : s * n]
 
     def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[StageProblem, NDArray[Any], NDArray[Any]]:
         """Return the step, its slopes L_j = h b_j f(X_j) + nu_j X_j, shape (s, n), and the multipliers nu_j."""

@@ -20,7 +20,6 @@ from coadjoint.methods.numerics.projection import (
     project_with_tangent,
     restored_invariants,
 )
-from coadjoint.methods.numerics.series_cost import series_operations
 from coadjoint.methods.numerics.taylor_series import (
     TOO_SHORT_MESSAGE,
     Dual,
@@ -33,13 +32,14 @@ from coadjoint.methods.protocol.cost_model import (
     LANES,
     Operations,
     Work,
+    series_operations,
     work_of_operations,
     work_of_own_steps,
 )
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
-from coadjoint.program.generators import group_side
+from coadjoint.program.generators import given_matrices, group_side
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
@@ -215,8 +215,9 @@ class Taylor(CompiledStepMethod):
     def _vectors_of_group(self, system: System, group: Representation) -> float:
         """Return the number of vectors of rows of a group element that are multiplied in a step."""
         assert system.algebra is not None
-        if isinstance(group, np.ndarray):
-            size, entries = group.shape[1], int(np.count_nonzero(np.any(group != 0.0, axis=0)))
+        matrices = given_matrices(group)
+        if matrices is not None:
+            size, entries = matrices.shape[1], int(np.count_nonzero(np.any(matrices != 0.0, axis=0)))
         else:
             i, j, k, _ = system.algebra.triples
             size, entries = system.dim, len(np.unique(np.concatenate([i, j]) * system.dim + np.concatenate([k, k])))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.methods.registry import suggested_scheme
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution

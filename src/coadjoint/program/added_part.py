@@ -17,9 +17,8 @@ from coadjoint.algebra.polynomials.monomials import exponents_of, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.actions import Action, build_action
 from coadjoint.program.generators import BasisMatrices, given_matrices
-from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.parts.part import COMPUTED, Parts
-from coadjoint.program.sources import monomials_in, products_of
+from coadjoint.program.sources import Multiples, concatenated, monomials_in, products_of
 from coadjoint.program.sparse_rows import SparseRows, joined_starts, starts_of
 from coadjoint.program.sweeps import JoinRules, ProgramRows, Swept, rows_of
 from coadjoint.program.table import Program

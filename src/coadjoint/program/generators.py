@@ -115,7 +115,8 @@ def group_side(dim: int, representation: NDArray[Any] | str | None) -> int:
     """Return the number of rows of a group element in a representation of an algebra; 0 for None."""
     if representation is None:
         return 0
-    return dim if isinstance(representation, str) else int(representation.shape[-1])
+    matrices = given_matrices(representation)
+    return dim if matrices is None else int(matrices.shape[-1])
 
 
 class Components(NamedTuple):

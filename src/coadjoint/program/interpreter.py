@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.program.actions import Action, generator_entries, run_blocks
+from coadjoint.program.actions import Action, generator_entries, rational_angle, rational_angle_series, run_blocks
 from coadjoint.program.blocks import FEW_SUBSTEPS, MOST_SUBSTEPS, RULES, BlockKind
 from coadjoint.program.generators import Generators
 from coadjoint.program.numbers import array_of, elementary, roundoff
-from coadjoint.program.rational_rotations import rational_angle, rational_angle_series
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 

@@ -13,9 +13,8 @@ from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.program.actions import Action, run_blocks
 from coadjoint.program.added_part import Places
 from coadjoint.program.blocks import RULES, BlockKind
-from coadjoint.program.multiples import Multiples, concatenated
 from coadjoint.program.numbers import Number, array_of
-from coadjoint.program.sources import products_of
+from coadjoint.program.sources import Multiples, concatenated, products_of
 from coadjoint.program.sparse_rows import starts_of
 from coadjoint.program.table import Program
 from coadjoint.program.term_table import Terms

@@ -25,6 +25,14 @@ class SparseRows(NamedTuple):
     coordinate: NDArray[np.uint32]
     value: NDArray[Any]
 
+    @property
+    def target(self) -> None:
+        """Rows with entries of their own store no targets."""
+
+    def with_target(self, target: NDArray[Any]) -> SparseRows:
+        """Return the rows themselves, see `RepeatedRows`."""
+        return self
+
     @classmethod
     def of_lists(cls, coordinates: Sequence[Sequence[int]], values: Sequence[Sequence[Any]]) -> SparseRows:
         """Construct rows from lists; fractions among the values make all of them objects."""

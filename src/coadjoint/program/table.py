@@ -14,14 +14,13 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action, copied_action
+from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action, copied_action, rational_frequencies
 from coadjoint.program.generators import BasisMatrices, NotSplittable, given_matrices
 from coadjoint.program.numbers import Number, array_of
+from coadjoint.program.parts.casimir_shifts import quadratic_casimirs, shifted_terms
 from coadjoint.program.parts.decompose import ChosenParts, decompose
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.rational_rotations import rational_frequencies
 from coadjoint.program.separated_parts import separated_parts
-from coadjoint.program.shifts.shift import quadratic_casimirs, shifted_terms
 from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
 from coadjoint.program.sweeps import JoinRules, ProgramRows, Swept, rows_of

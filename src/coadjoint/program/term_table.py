@@ -12,7 +12,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, starts_of
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, RepeatedTerm, Term
+from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 
 LINEAR, POLYNOMIAL, FUNCTION = 0, 1, 2
 """Kinds of terms, as in `boundary/codes.hpp`."""
@@ -185,9 +185,7 @@ class TermTable:
 
 def rows_of_form(term: QuadraticTerm) -> Rows:
     """Return the sparse rows of M of a quadratic term, as they are stored."""
-    if isinstance(term, RepeatedTerm):
-        return term.matrix
-    return SparseRows(term.indptr, term.indices.astype(np.uint32, copy=False), term.values)
+    return term.repeated or SparseRows(term.indptr, term.indices.astype(np.uint32, copy=False), term.values)
 
 
 def _joined(pieces: list[NDArray[Any]], dtype: Any) -> NDArray[Any]:

@@ -14,8 +14,7 @@ from coadjoint.kernels.loop import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.methods.registry import read_method
-from coadjoint.methods.suggested_scheme import default_scheme
+from coadjoint.methods.registry import default_scheme, read_method
 from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.events import Event
 from coadjoint.runs.inputs import Inputs

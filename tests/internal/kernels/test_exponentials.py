@@ -9,8 +9,8 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.tables.casimir_shift import unshifting
 from coadjoint.kernels.tables.recording import schedule_of
-from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.program.shifts.shift import quadratic_casimirs
+from coadjoint.program.group_correction import unshift_tables
+from coadjoint.program.parts.casimir_shifts import quadratic_casimirs
 
 pytestmark = pytest.mark.thinned(3)
 

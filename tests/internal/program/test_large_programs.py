@@ -11,10 +11,10 @@ import coadjoint as co
 from coadjoint.algebra.exact import sparse_sums
 from coadjoint.program import actions, block_table
 from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.parts.casimir_shifts import candidate_shifts, quadratic_casimirs
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.split import split
 from coadjoint.program.parts.squares import complete_squares, sparse_squares
-from coadjoint.program.shifts.shift import candidate_shifts, quadratic_casimirs
 from coadjoint.program.sparse_rows import SparseRows, layers
 from coadjoint.program.table import build_program
 

@@ -31,7 +31,7 @@ from write_sources import (
 
 import coadjoint as co
 from coadjoint.methods import registry
-from coadjoint.methods.suggested_scheme import suggested_scheme
+from coadjoint.methods.registry import suggested_scheme
 from coadjoint.pictures import register
 from coadjoint.pictures.gallery import run_example
 from coadjoint.pictures.register import kinds

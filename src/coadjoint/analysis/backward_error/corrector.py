@@ -22,7 +22,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.short_orbit import MIN_STEPS, RELATIVE_STEP, orbit_overflow_error, rate_at
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.suggested_scheme import reference_scheme
+from coadjoint.methods.registry import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.start import momenta_of
 from coadjoint.systems.coordinates import in_coordinates_of

@@ -41,7 +41,7 @@ from coadjoint.files.records.reconstruction import event_of_file
 from coadjoint.memory import available, format_bytes
 from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.suggested_scheme import default_scheme
+from coadjoint.methods.registry import default_scheme
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import chosen_for, integrate

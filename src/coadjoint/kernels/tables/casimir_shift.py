@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.arrays import as_c_double
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.structures import as_structure, packer
-from coadjoint.program.shifts.group_correction import UnshiftTables
+from coadjoint.program.group_correction import UnshiftTables
 
 # Multiplications per call; interrupts are handled between calls.
 MAX_PRODUCTS = 2e7

@@ -15,10 +15,9 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.program.actions import Action, empty_action
+from coadjoint.program.actions import Action, acts_rationally, empty_action
 from coadjoint.program.blocks import BlockKind
 from coadjoint.program.parts.part import BodyShare
-from coadjoint.program.rational_rotations import acts_rationally
 from coadjoint.program.table import Program, recorded_sources
 from coadjoint.program.term_table import LINEAR, Terms
 

@@ -20,8 +20,7 @@ from coadjoint.kernels.tables.matrix_steps import stream_tables
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
-from coadjoint.program.multiples import Multiples
-from coadjoint.program.sources import CoefficientNumbers, Sources
+from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.forces.base import Force, Noise
 from coadjoint.systems.forces.torque import extrapolation_columns
 from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear

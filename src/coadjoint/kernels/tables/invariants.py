@@ -11,8 +11,7 @@ import numpy as np
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
 from coadjoint.kernels.tables.recording import Watch
-from coadjoint.program.multiples import Multiples, concatenated
-from coadjoint.program.sources import INDEPENDENT, CoefficientNumbers, Sources, sources_of
+from coadjoint.program.sources import INDEPENDENT, CoefficientNumbers, Multiples, Sources, concatenated, sources_of
 from coadjoint.program.term_table import TermTable
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term

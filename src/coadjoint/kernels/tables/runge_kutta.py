@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.tables.compiled import CompiledTables
 from coadjoint.kernels.tables.field import Field, GroupField, field_of, group_of, sources_of_field, substeps
-from coadjoint.program.multiples import Multiples
-from coadjoint.program.sources import CoefficientNumbers, Sources
+from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.system import System
 

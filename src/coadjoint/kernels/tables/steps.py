@@ -26,9 +26,8 @@ from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
 from coadjoint.kernels.tables.recording import Watch
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.program.generators import given_matrices
-from coadjoint.program.multiples import Multiples
-from coadjoint.program.shifts.group_correction import unshift_tables
-from coadjoint.program.sources import CoefficientNumbers, Sources
+from coadjoint.program.group_correction import unshift_tables
+from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.system import System
 
 

@@ -22,8 +22,7 @@ from coadjoint.memory import check_available_memory
 
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
-    from coadjoint.program.multiples import Multiples
-    from coadjoint.program.sources import Sources, Sums
+    from coadjoint.program.sources import Multiples, Sources, Sums
 
 Floats = NDArray[np.float64]
 
@@ -158,7 +157,7 @@ class WritableTables:
 
     def _written(self, block: _Block) -> tuple[Multiples, list[tuple[Sums, list[Integers]]]]:
         """Return the multiples of given numbers with their rows in a block, and exact sums with those of each rule."""
-        from coadjoint.program.multiples import concatenated
+        from coadjoint.program.sources import concatenated
 
         rows = [one._replace(position=block.start[table, path] + one.position) for table, path, one in self._multiples]
         multiples = concatenated(rows)
@@ -188,7 +187,7 @@ class WritableTables:
 
         Raise `NotWritable` if other fields depend on the numbers.
         """
-        from coadjoint.program.multiples import Multiples, concatenated
+        from coadjoint.program.sources import Multiples, concatenated
 
         sizes = (len(self._tables[0].value(name)) for name in names)
         first = dict(zip(names, accumulate(sizes, initial=0), strict=False))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.long_operations import note_progress
-from coadjoint.methods.numerics.solvers import Coefficients
+from coadjoint.methods.numerics.solvers import Coefficients, StageProblem
 from coadjoint.methods.numerics.taylor_series import PowerSeries
 from coadjoint.methods.protocol.method import is_short
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -57,7 +57,7 @@ class FormalNumber(PowerSeries):
         if isinstance(value, np.generic):
             value = value.item()
         if isinstance(value, Rational | float):
-            return rational(value if isinstance(value, float) else Fraction(value))
+            return rational(value)
         return None
 
     @classmethod
@@ -141,40 +141,13 @@ def vector(entries: Any) -> NDArray[Any]:
     return result
 
 
-class StagesOfTableau:
-    """Separate stages, with the numbers of a tableau: the points X for slopes L, and the end of the step."""
-
-    def __init__(self, coefficients: Coefficients, x: NDArray[Any], h: FormalNumber) -> None:
-        self.coefficients, self.x, self.h = coefficients, x, h
-
-    def start(self) -> NDArray[Any]:
-        """Return X = x for every stage."""
-        return np.stack([self.x] * len(self.coefficients.node))
-
-    def each(self, function: Callable[..., NDArray[Any]], *points: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of a function at the points of every stage."""
-        number = type(self.h)
-        return np.stack([vector(map(number, function(*rows))) for rows in zip(*points, strict=True)])
-
-    def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        """Return X = x + h A L."""
-        return self.x + self.coefficients.mix @ self._scaled(slopes)
-
-    def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        """Return x + h b . L."""
-        return self.x + self.coefficients.out @ self._scaled(slopes)
-
-    def _scaled(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        return self.coefficients.scale[:, None] * slopes * self.h
-
-
 class StagesOfCollocation:
-    """All stages at once: X(c) = x + h int_0^c L, modulo the polynomial whose roots are the nodes."""
+    """All stages of a `StageProblem` at once: X(c) = x + int_0^c L, modulo the polynomial whose roots are the nodes."""
 
     # Expressions equal at all nodes are computed once, and are rational although the nodes are not.
 
-    def __init__(self, nodes: Sequence[Fraction], x: NDArray[Any], h: FormalNumber) -> None:
-        self.x, self.h, ring = x, h, h.ring
+    def __init__(self, nodes: Sequence[Fraction], system: System, x: NDArray[Any], h: FormalNumber) -> None:
+        self.system, self.x, self.h, ring = system, x, h, h.ring
         self._node = ring.dim + ring.symbols.index(NODE)
         node = ring.symbol_elements[NODE]
         self._modulus = ring.zero
@@ -185,54 +158,55 @@ class StagesOfCollocation:
         """Return X = x."""
         return self.x[None]
 
-    def each(self, function: Callable[..., NDArray[Any]], *points: NDArray[Any]) -> NDArray[Any]:
-        """Return the values of a function at the points."""
-        values = vector(map(type(self.h), function(*(rows[0] for rows in points))))
-        return self._mapped(values, lambda term: divmod(term, self._modulus)[1])[None]
+    def fields(self, points: NDArray[Any]) -> NDArray[Any]:
+        """Return L = h f(X)."""
+        return self._reduced(self.system.vector_field(points[0])) * self.h
+
+    def gradients(self, points: NDArray[Any]) -> NDArray[Any]:
+        """Return grad H(X)."""
+        return self._reduced(self.system.hamiltonian.gradient(points[0], 0.0))
+
+    def products(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
+        """Return h sign J(Z) u."""
+        return self._reduced(self.system.structure_matrix(momenta[0]) @ gradients[0]) * (self.h * self.system.sign)
 
     def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        """Return X = x + h int_0^c L."""
-        integral = self._mapped(slopes[0], lambda term: divmod(term.integral(self._node), self._modulus)[1])
-        return (self.x + self.h * integral)[None]
+        """Return X = x + int_0^c L."""
+        return self.x + self._reduced(self._mapped(slopes[0], lambda term: term.integral(self._node)))
 
     def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        """Return x + h int_0^1 L."""
-        return self.x + self.h * self._mapped(slopes[0], lambda term: term.integral(self._node).subs({NODE: 1}))
+        """Return x + int_0^1 L."""
+        return self.x + self._mapped(slopes[0], lambda term: term.integral(self._node).subs({NODE: 1}))
+
+    def _reduced(self, values: Any) -> NDArray[Any]:
+        """Return the remainders modulo the polynomial of the nodes, as those of the only stage."""
+        return self._mapped(vector(map(type(self.h), values)), lambda term: divmod(term, self._modulus)[1])[None]
 
     @staticmethod
     def _mapped(values: NDArray[Any], function: Callable[[Any], Any]) -> NDArray[Any]:
         return vector(type(value).from_coefficients(map(function, value.coefficients)) for value in values)
 
 
-def formal_end(
-    stages: StagesOfTableau | StagesOfCollocation, system: System, solver: str, iterations: int
-) -> NDArray[Any]:
-    """Return the end of a step with slopes computed by `solver`, a key of ``solvers.SOLVERS``."""
+def formal_end(stages: StageProblem | StagesOfCollocation, solver: str, iterations: int, count: int) -> NDArray[Any]:
+    """Return the end of a step, by `count` powers of h, with slopes computed by `solver`, a key of `SOLVERS`."""
     # Explicit and implicit stages are treated alike: each pass through the equations gains a power of h.
-
-    def product(momentum: NDArray[Any], slope: NDArray[Any]) -> NDArray[Any]:
-        return system.sign * (system.structure_matrix(momentum) @ slope)
-
-    field, gradient = system.vector_field, system.hamiltonian.gradient
     if solver in ("explicit", "implicit"):
-        return stages.end(_converged_slopes(stages, lambda X: stages.each(field, X)))
+        return stages.end(_converged_slopes(stages, stages.fields, count))
     frozen = stages.start()
     for _ in range(iterations):
-        frozen = stages.points(stages.each(field, frozen))
+        frozen = stages.points(stages.fields(frozen))
     if solver == "iterated":
-        return stages.end(stages.each(field, frozen))
+        return stages.end(stages.fields(frozen))
     if solver == "structure":
-        return stages.end(
-            _converged_slopes(stages, lambda X: stages.each(lambda Z, Y: product(Z, gradient(Y)), frozen, X))
-        )
-    return stages.end(_converged_slopes(stages, lambda X: stages.each(lambda Z, Y: product(Y, gradient(Z)), frozen, X)))
+        return stages.end(_converged_slopes(stages, lambda X: stages.products(frozen, stages.gradients(X)), count))
+    gradients = stages.gradients(frozen)
+    return stages.end(_converged_slopes(stages, lambda X: stages.products(X, gradients), count))
 
 
 def _converged_slopes(
-    stages: StagesOfTableau | StagesOfCollocation, slopes_at: Callable[[NDArray[Any]], NDArray[Any]]
+    stages: StageProblem | StagesOfCollocation, slopes_at: Callable[[NDArray[Any]], NDArray[Any]], count: int
 ) -> NDArray[Any]:
     """Return the slopes at the solution of X = x + h A L(X); each pass is exact in one more power of h."""
-    count = stages.h.count
     points = vector(value.cut(1) for value in stages.start().ravel()).reshape(stages.start().shape)
     slopes = slopes_at(points)
     for _ in range(count):

@@ -48,6 +48,10 @@ class StageProblem(NamedTuple):
         """Return the stages X_i = x + sum_j mix_ij L_j, shape (s, n)."""
         return self.x + self.coefficients.mix @ slopes
 
+    def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
+        """Return the end of the step, x + sum_j out_j L_j."""
+        return np.asarray(self.x + self.coefficients.out @ slopes)
+
     def start(self) -> NDArray[Any]:
         """Return X_i = x for every stage."""
         return np.stack([self.x] * len(self.times))

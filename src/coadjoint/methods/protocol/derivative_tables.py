@@ -17,8 +17,7 @@ from coadjoint.kernels.tables.cotangents import (
 from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.program.added_part import Places, terms_of, with_added_part
-from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
-from coadjoint.program.sources import Sources
+from coadjoint.program.sources import NO_MULTIPLES, Multiples, Sources, concatenated
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System

@@ -10,6 +10,7 @@ import numpy as np
 from coadjoint.algebra.representation import intertwiner, invariant_form
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
+from coadjoint.program.generators import given_matrices
 from coadjoint.short_repr import short
 from coadjoint.validation import read_bool, read_choice, read_list
 
@@ -78,9 +79,10 @@ def check_attitude(kind: str, scheme: str, system: Any, representation: Any) -> 
         raise ValueError(
             f"{scheme} computes no group element; take Splitting, or GaussLegendre for the coadjoint matrix"
         )
-    if kind != "coadjoint" or isinstance(representation, str):
+    matrices = given_matrices(representation)
+    if kind != "coadjoint" or matrices is None:
         return
-    rho = np.asarray(representation, dtype=np.float64)
+    rho = np.asarray(matrices, dtype=np.float64)
     check_available_memory(16 * system.dim**3, f"the coadjoint matrices of {system.name}, of dimension {system.dim},")
     actions = np.stack([system.algebra.coadjoint(unit) for unit in np.eye(system.dim)])
     if np.array_equal(rho, actions):

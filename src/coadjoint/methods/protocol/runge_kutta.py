@@ -75,14 +75,18 @@ class RungeKuttaMethod(SubstepMethod):
         return None
 
     def formal_step(self, system: System, x: NDArray[Any], h: FormalNumber) -> NDArray[Any]:
-        from coadjoint.methods.numerics.formal_series import StagesOfCollocation, StagesOfTableau, formal_end
+        from coadjoint.methods.numerics.formal_series import StagesOfCollocation, formal_end
 
         self.properties(system)
         if not self._as_written:
             return super().formal_step(system, x, h)
-        nodes = self.collocation
-        stages = StagesOfTableau(self._rational[0], x, h) if nodes is None else StagesOfCollocation(nodes, x, h)
-        return formal_end(stages, system, read_choice(self.solver, "solver", SOLVERS), self.function_iterations)
+        nodes, solver = self.collocation, read_choice(self.solver, "solver", SOLVERS)
+        stages = (
+            begin(lambda _: self._rational[0], system, x, 0, h)
+            if nodes is None
+            else StagesOfCollocation(nodes, system, x, h)
+        )
+        return formal_end(stages, solver, self.function_iterations, h.count)
 
     @property
     def known_to(self) -> float:
@@ -173,7 +177,7 @@ class RungeKuttaMethod(SubstepMethod):
         """Return one step, by the defining formulas, without compensation."""
         self.properties(system)
         step = begin(self.coefficients, system, x, t, h)
-        return np.asarray(step.x + step.coefficients.out @ self.evaluate(step)[0])
+        return step.end(self.evaluate(step)[0])
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return one step and its exact derivative."""
@@ -182,8 +186,8 @@ class RungeKuttaMethod(SubstepMethod):
         slopes, derivatives = self.evaluate(step, tangent=True)
         if derivatives is None:
             raise TypeError(f"{self} gives no derivatives")
-        out = step.coefficients.out
-        return step.x + out @ slopes, np.eye(step.x.size) + np.einsum("j,jab->ab", out, derivatives)
+        derivative = np.eye(step.x.size) + np.einsum("j,jab->ab", step.coefficients.out, derivatives)
+        return step.end(slopes), derivative
 
 
 @dataclass(frozen=True)

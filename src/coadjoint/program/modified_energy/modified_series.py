@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -23,7 +23,6 @@ from coadjoint.program.modified_energy.logarithms import (
     Commutators,
     Coordinates,
     Flow,
-    Letter,
     check_products,
     composition_logarithm,
     exact_sweeps,
@@ -45,57 +44,50 @@ SAMPLED_PARTS = 6
 MIN_BITS = 60  # of a coefficient, relative to the largest product: seven more than those of a float
 
 
-class ModifiedSeries:
-    """Terms of h Y_1 + h^2 Y_2 + ... for a step: its Lie series, with polynomials for the letters."""
+def nested_brackets(commutators: Commutators, flows: Sequence[Flow], highest: int) -> Callable[[Word], Exact]:
+    """Return the function that gives, as a polynomial, the nested bracket of a Lyndon word of letters of a step."""
 
-    def __init__(self, commutators: Commutators, flows: Sequence[Flow], highest: int) -> None:
-        self._commutators, self._flows, self._highest = commutators, flows, highest
-        self._cache: dict[Word, Exact] = {}
+    @cache
+    def sweep() -> list[Exact]:
+        return sweep_logarithm(commutators, flows, highest)
 
-    @cached_property
-    def _sweep(self) -> list[Exact]:
-        return sweep_logarithm(self._commutators, self._flows, self._highest)
+    @cache
+    def bracket(word: Word) -> Exact:
+        if len(word) > 1:
+            left, right = standard_factorization(word)
+            return commutators(bracket(left), bracket(right))
+        weight, origin = word[0]
+        if origin == "sweep":
+            return sweep()[weight - 1]
+        return flows[0 if origin == "first" else -1].get(weight, commutators.ring.zero)
 
-    def bracket(self, word: Word) -> Exact:
-        """Return the nested bracket of a Lyndon word of letters, as a polynomial."""
-        if word not in self._cache:
-            if len(word) > 1:
-                left, right = standard_factorization(word)
-                self._cache[word] = self._commutators(self.bracket(left), self.bracket(right))
-            else:
-                self._cache[word] = self._letter(word[0])
-        return self._cache[word]
+    return bracket
 
-    def _letter(self, letter: Letter) -> Exact:
-        if letter.origin == "sweep":
-            return self._sweep[letter.weight - 1]
-        flow = self._flows[0 if letter.origin == "first" else -1]
-        return flow.get(letter.weight, self._commutators.ring.zero)
 
-    def term(self, coordinates: Coordinates, weight: int) -> tuple[Polynomial, float, float]:
-        """Return the term of one weight (power of h, >= 2) in coordinates and symbols, its radius, and a bound.
+def _term(
+    ring: ExactPolynomials, bracket: Callable[[Word], Exact], coefficients: Mapping[Word, Any]
+) -> tuple[Polynomial, float, float]:
+    """Return a term h^w (w >= 2) of a Lie series in coordinates and symbols, its radius, and a bound.
 
-        It is exact for rational coefficients. Otherwise the coefficients are floats, the radius is the largest one of a
-        ball relative to its midpoint, and the bound is that of coefficients dropped as zero up to rounding.
-        """
-        from flint import arb, ctx
+    It is exact for rational coefficients. Otherwise the coefficients are floats, the radius is the largest one of a
+    ball relative to its midpoint, and the bound is that of coefficients dropped as zero up to rounding.
+    """
+    from flint import arb, ctx
 
-        coefficients = coordinates.of_weight[weight]
-        ring = self._commutators.ring
-        if not any(isinstance(value, arb) for value in coefficients.values()):
-            total = ring.zero
-            for word, value in coefficients.items():
-                total += self.bracket(word) * value
-            return ring.with_symbols(total), 0.0, 0.0
-        sums: dict[tuple[int, ...], Any] = {}
-        largest = 0.0
-        with ctx.workprec(BALL_BITS):
-            for word, value in coefficients.items():
-                for exponents, factor in self.bracket(word).to_dict().items():
-                    sums[exponents] = sums.get(exponents, 0) + (product := value * factor)
-                    largest = max(largest, float(abs(product).upper()))
-            floats, radius, neglected = _rounded(sums, largest)
-        return Polynomial(floats, dim=ring.dim + len(ring.symbols)), radius, neglected
+    if not any(isinstance(value, arb) for value in coefficients.values()):
+        total = ring.zero
+        for word, value in coefficients.items():
+            total += bracket(word) * value
+        return ring.with_symbols(total), 0.0, 0.0
+    sums: dict[tuple[int, ...], Any] = {}
+    largest = 0.0
+    with ctx.workprec(BALL_BITS):
+        for word, value in coefficients.items():
+            for exponents, factor in bracket(word).to_dict().items():
+                sums[exponents] = sums.get(exponents, 0) + (product := value * factor)
+                largest = max(largest, float(abs(product).upper()))
+        floats, radius, neglected = _rounded(sums, largest)
+    return Polynomial(floats, dim=ring.dim + len(ring.symbols)), radius, neglected
 
 
 def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> tuple[dict[Exponents, float], float, float]:
@@ -157,11 +149,11 @@ def modified_terms(
         polynomials = with_hamiltonian_coefficients(ring, program.parts, polynomials, H, factors)
     rotation_terms = rational_pieces(ring, program.parts, program.frequency, highest)
     flows = [{1: piece, **more} for piece, more in zip(polynomials, rotation_terms, strict=True)]
-    series = ModifiedSeries(Commutators(ring, system.sign), flows, highest)
+    bracket = nested_brackets(Commutators(ring, system.sign), flows, highest)
     of_power: dict[int, Polynomial] = {}
     radius, neglected = 0.0, coordinates.neglected
     for weight in nonzero:
-        polynomial, rounding, dropped = series.term(coordinates, weight)
+        polynomial, rounding, dropped = _term(ring, bracket, coordinates.of_weight[weight])
         radius, neglected = max(radius, rounding), max(neglected, dropped)
         if polynomial.monomials:
             of_power[weight - 1] = polynomial

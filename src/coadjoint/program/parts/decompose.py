@@ -15,11 +15,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import note_progress
 from coadjoint.program.generators import NotSplittable
 from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, best_orders
-from coadjoint.program.parts.free_bodies import bonds, free_bodies
-from coadjoint.program.parts.part import Parts
-from coadjoint.program.parts.split import check_splits, split
-from coadjoint.program.parts.squares import with_linear_offsets
-from coadjoint.program.shifts.shift import (
+from coadjoint.program.parts.casimir_shifts import (
     QuadraticCasimir,
     Shift,
     candidate_shifts,
@@ -27,6 +23,10 @@ from coadjoint.program.shifts.shift import (
     quadratic_casimirs,
     shifted_terms,
 )
+from coadjoint.program.parts.free_bodies import bonds, free_bodies
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.parts.split import check_splits, split
+from coadjoint.program.parts.squares import with_linear_offsets
 from coadjoint.program.sparse_rows import sparse_row
 from coadjoint.short_repr import plain, short
 from coadjoint.systems.coordinates import coordinate_names
@@ -227,7 +227,7 @@ def check_parts(system: LiePoissonSystem, choice: Any, scheme: str) -> None:
     if key is not None and key in _CHECKED_CACHE.get(system, ()):
         return
     try:
-        if isinstance(choice, str) and choice not in BODY_FLOW_CHOICES:
+        if choice in ("auto", "coordinates"):
             check_splits(system)
         else:
             decompose(system, choice)

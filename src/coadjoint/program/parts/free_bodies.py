@@ -16,9 +16,9 @@ from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, quadrati
 from coadjoint.memory import check_available_memory
 from coadjoint.program.commutation import few_parts
 from coadjoint.program.generators import NotSplittable
+from coadjoint.program.parts.casimir_shifts import quadratic_position
 from coadjoint.program.parts.part import BodyShare, Parts
 from coadjoint.program.parts.split import atoms_of
-from coadjoint.program.shifts.shift import quadratic_position
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -27,6 +27,7 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MAX_BONDS = 100_000  # whose tables take about 1 GB
 BYTES_PER_BOND = 8000  # peak memory of building the tables
+NO_BONDS = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
 
 
 class Triple(NamedTuple):
@@ -160,12 +161,8 @@ def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
     return Parts.linear(SparseRows.of_lists([coordinates], [values]), np.ones(1), SparseRows.empty(1), np.array([0, 1]))
 
 
-class Bond(NamedTuple):
-    """The energy strength z.w of two triples with momenta z and w, in units of their scale."""
-
-    first: int
-    second: int
-    strength: float
+Bonds = tuple[NDArray[np.int64], NDArray[np.float64]]
+"""The energies strength z.w of pairs of triples with momenta z and w, in units of their scale: (bonds, 2), (bonds,)."""
 
 
 def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, float], ...] | None]:
@@ -175,36 +172,32 @@ def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, floa
     """
     form, before, after = _quadratic_term(system)
     spins = [] if form is None else _ideals(system.algebra)
-    couplings = _isotropic_couplings(form, spins) if form is not None and spins else []
-    if form is None or not couplings:
+    ends, strengths = _isotropic_couplings(form, spins) if form is not None and spins else NO_BONDS
+    if form is None or not len(ends):
         raise NotSplittable(
             "it has no isotropic coupling c z.w between the momenta z, w of two copies of so(3) that are ideals; take "
             'parts="auto"'
         )
-    if len(couplings) > MAX_BONDS:
-        raise NotSplittable(
-            f'it has {len(couplings)} bonds; parts="bonds" allows at most {MAX_BONDS}; take parts="auto"'
-        )
+    if len(ends) > MAX_BONDS:
+        raise NotSplittable(f'it has {len(ends)} bonds; parts="bonds" allows at most {MAX_BONDS}; take parts="auto"')
     check_available_memory(
-        BYTES_PER_BOND * len(couplings),
-        f"a splitting of {system.name} into {len(couplings)} bonds",
-        'take parts="auto"',
+        BYTES_PER_BOND * len(ends), f"a splitting of {system.name} into {len(ends)} bonds", 'take parts="auto"'
     )
-    colour = colours([(bond.first, bond.second) for bond in couplings], len(spins))
-    coloured = _shares(couplings, spins, colour)
+    colour = np.array(colours(ends.tolist(), len(spins)))
+    coloured = _shares(ends, strengths, spins, colour)
     axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple.coordinates)]) > 1]
-    remainder = _remainder_of_bonds(form, couplings, spins, axes)
+    remainder = _remainder_of_bonds(form, ends, spins, axes)
     rest = Parts.concatenate(
         [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, [*before, *remainder, *after])]
     )
     parts = Parts.concatenate([coloured, few_parts(rest, system.algebra)]) if len(rest) else coloured
     if not casimirs_fit(3 * len(spins), system.dim):
         return parts, None
-    casimir = _subtracted_casimir(couplings, spins, system.dim)
+    casimir = _subtracted_casimir(ends, strengths, spins, system.dim)
     return parts, ((casimir, 1.0),) if casimir.monomials else ()
 
 
-def colours(edges: Sequence[tuple[int, int]], count: int) -> list[int]:
+def colours(edges: Sequence[Sequence[int]], count: int) -> list[int]:
     """Colour edges by first fit in the order given; needs fewer than twice the largest degree of a node."""
     used = [0] * count  # bit mask of the colours used at each node
     assigned = []
@@ -226,7 +219,7 @@ def _ideals(algebra: LieAlgebra) -> list[Triple]:
     ]
 
 
-def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> list[Bond]:
+def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> Bonds:
     """Return the isotropic couplings, multiples of the identity, between two triples of equal scale."""
     triple_of, axis = _triple_of_coordinates(spins, len(form.linear))
     first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
@@ -235,7 +228,7 @@ def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> list[B
     pair = np.stack([first_triple[order], second_triple[order]], axis=1)
     begins = np.flatnonzero(np.any(np.diff(pair, axis=0, prepend=-1) != 0, axis=1))
     counts = np.diff(np.append(begins, len(order)))
-    couplings = []
+    found: list[tuple[list[int], float]] = []
     for begin in begins[counts == 3].tolist():
         entries = order[begin : begin + 3]
         rows, columns = axis[form.rows[entries]], axis[form.indices[entries]]
@@ -245,8 +238,9 @@ def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> list[B
         strengths = form.values[entries] / np.array(scale) ** 2
         diagonal = np.array_equal(rows, [0, 1, 2]) and np.array_equal(columns, rows)
         if diagonal and spins[second].scale == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
-            couplings.append(Bond(first, second, float(strengths[0])))
-    return couplings
+            found.append(([first, second], float(strengths[0])))
+    ends = np.array([pair for pair, _ in found], dtype=np.int64).reshape(-1, 2)
+    return ends, np.array([strength for _, strength in found], dtype=np.float64)
 
 
 def _triple_of_coordinates(spins: Sequence[Triple], dim: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -257,16 +251,17 @@ def _triple_of_coordinates(spins: Sequence[Triple], dim: int) -> tuple[NDArray[n
     return triple_of, axis
 
 
-def _shares(couplings: Sequence[Bond], spins: Sequence[Triple], colour: Sequence[int]) -> Parts:
+def _shares(
+    ends: NDArray[np.int64], strengths: NDArray[np.float64], spins: Sequence[Triple], colour: NDArray[np.int64]
+) -> Parts:
     """Build one share per bond, and one part per colour."""
-    order = np.argsort(colour, kind="stable").tolist()
-    ordered = [couplings[k] for k in order]
-    ends = np.array([(spins[b.first].coordinates, spins[b.second].coordinates) for b in ordered])  # (bonds, 2, 3)
-    pairs = np.sort(ends, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # rows of a free body: axes 3, 1, 2, 3
-    count = len(ordered)
-    squares = np.array([np.square(spins[b.first].scale) for b in ordered])
-    strengths = np.array([b.strength for b in ordered])[:, None] * squares
-    values = np.repeat(strengths[:, [0, 1, 2]], 2, axis=1)
+    order = np.argsort(colour, kind="stable")
+    count, bonded = len(order), ends[order].tolist()
+    triples = np.array([triple.coordinates for triple in spins])[ends[order]]  # (bonds, 2, 3)
+    pairs = np.sort(triples, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # rows of a free body: axes 3, 1, 2, 3
+    squares = np.square([triple.scale for triple in spins])[ends[order, 0]]
+    diagonals = strengths[order, None] * squares
+    values = np.repeat(diagonals, 2, axis=1)
     weights = SparseRows(
         np.append(0, np.cumsum(np.tile([0, 2, 2, 2], count))),
         pairs[:, 1:].reshape(-1).astype(np.uint32),
@@ -274,14 +269,14 @@ def _shares(couplings: Sequence[Bond], spins: Sequence[Triple], colour: Sequence
     )
     shares = {
         s: BodyShare(
-            spins[b.first].coordinates,
-            tuple(tuple(v if i == j else 0.0 for j in range(3)) for i, v in enumerate(strengths[s].tolist())),
-            spins[b.first].scale,
-            spins[b.second].coordinates,
+            spins[first].coordinates,
+            tuple(map(tuple, np.diag(diagonals[s]).tolist())),
+            spins[first].scale,
+            spins[second].coordinates,
         )
-        for s, b in enumerate(ordered)
+        for s, (first, second) in enumerate(bonded)
     }
-    begins = np.searchsorted(np.sort(colour), np.arange(max(colour) + 2))
+    begins = np.searchsorted(np.sort(colour), np.arange(int(colour.max()) + 2))
     return Parts(
         SparseRows(2 * np.arange(4 * count + 1), pairs.reshape(-1).astype(np.uint32), np.ones(8 * count)),
         np.zeros(4 * count),
@@ -294,12 +289,12 @@ def _shares(couplings: Sequence[Bond], spins: Sequence[Triple], colour: Sequence
 
 
 def _remainder_of_bonds(
-    form: QuadraticTerm, couplings: Sequence[Bond], spins: Sequence[Triple], axes: Sequence[Triple]
+    form: QuadraticTerm, ends: NDArray[np.int64], spins: Sequence[Triple], axes: Sequence[Triple]
 ) -> list[Term]:
     """Return the quadratic term without the bonds and the fixed axes."""
     triple_of, _ = _triple_of_coordinates(spins, len(form.linear))
     count = len(spins)
-    bonded = np.array([k for b in couplings for k in (b.first * count + b.second, b.second * count + b.first)])
+    bonded = np.concatenate([ends @ [count, 1], ends @ [1, count]])
     first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
     remaining = ~((first_triple >= 0) & (second_triple >= 0) & np.isin(first_triple * count + second_triple, bonded))
     linear = form.linear.copy()
@@ -307,11 +302,12 @@ def _remainder_of_bonds(
     return _remainder(form, remaining, linear)
 
 
-def _subtracted_casimir(couplings: Sequence[Bond], spins: Sequence[Triple], dim: int) -> Polynomial:
+def _subtracted_casimir(
+    ends: NDArray[np.int64], strengths: NDArray[np.float64], spins: Sequence[Triple], dim: int
+) -> Polynomial:
     """Return the Casimir subtracted by the bonds: the sum of -c (|z|^2 + |w|^2)/2."""
     total = np.zeros(len(spins))
-    for bond in couplings:
-        total[[bond.first, bond.second]] -= 0.5 * bond.strength
+    np.subtract.at(total, ends, 0.5 * strengths[:, None])
     return quadratic(
         (
             (i, i, factor * length**2)

@@ -12,6 +12,17 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.program.modified_energy.joint_orders import joint_sizes, smallest
 from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
+from coadjoint.program.parts.casimir_shifts import (
+    MAX_SINGULAR_DIMENSION,
+    ROUNDING,
+    QuadraticCasimir,
+    Rule,
+    Shift,
+    quadratic_casimirs,
+    quadratic_position,
+    shift_rules,
+    shifted_terms,
+)
 from coadjoint.program.parts.decompose import (
     BODY_FLOW_CHOICES,
     ChosenParts,
@@ -23,17 +34,6 @@ from coadjoint.program.parts.decompose import (
 )
 from coadjoint.program.parts.part import COMPUTED, Parts
 from coadjoint.program.parts.split import split
-from coadjoint.program.shifts.shift import (
-    MAX_SINGULAR_DIMENSION,
-    ROUNDING,
-    QuadraticCasimir,
-    Rule,
-    Shift,
-    quadratic_casimirs,
-    quadratic_position,
-    shift_rules,
-    shifted_terms,
-)
 from coadjoint.program.sources import Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE
 from coadjoint.program.table import term_table

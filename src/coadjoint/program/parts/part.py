@@ -14,7 +14,7 @@ from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.sparse_rows import Rows, SparseRows, joined_starts, run_starts, starts_of
 from coadjoint.program.term_table import derivative_of
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
+from coadjoint.systems.hamiltonians.repeated_rows import values_at
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 
@@ -181,7 +181,7 @@ class Parts(Sequence[tuple[Form, ...]]):
         _, angles = expand(begin, end)
         new_index = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear_shares else {}
         forms, weights = self.forms.take(angles), self.weights.take(angles)
-        if isinstance(weights, RepeatedRows) and getattr(self.weights, "target", None) is self.forms.coordinate:
+        if self.weights.target is self.forms.coordinate:
             weights = weights.with_target(forms.coordinate)
         return Parts(
             forms,

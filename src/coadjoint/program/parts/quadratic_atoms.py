@@ -18,8 +18,8 @@ from coadjoint.program.parts.squares import DENSE_ROW, MAX_RATIONAL_SIZE, Square
 from coadjoint.program.sparse_rows import SparseRows, order_by, run_starts, starts_of
 from coadjoint.program.term_table import rows_of_form
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, values_at
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm
+from coadjoint.systems.hamiltonians.repeated_rows import values_at
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm
 
 # Number of entries above which the width of squares is checked.
 MIN_CHECKED_ENTRIES = 1 << 14
@@ -67,9 +67,9 @@ def _sets(term: QuadraticTerm, algebra: LieAlgebra, separate: bool) -> tuple[Int
     used = term.linear != 0
     first: NDArray[Any]
     second: NDArray[Any]
-    if isinstance(term, RepeatedTerm):
-        first, second = term.matrix.edges()
-        used |= term.matrix.lengths > 0
+    if (matrix := term.repeated) is not None:
+        first, second = matrix.edges()
+        used |= matrix.lengths > 0
     else:
         rows = term.rows
         above = rows < term.indices
@@ -154,9 +154,7 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     matrix = rows_of_form(term)
     weights = matrix if len(members) == len(term.linear) and np.all(np.diff(members) == 1) else matrix.take(members)
     units = SparseRows.units(members)
-    if isinstance(weights, RepeatedRows):
-        weights = weights.with_target(units.coordinate)
-    return Parts.linear(units, values_at(term.linear, members), weights, row, source=0)
+    return Parts.linear(units, values_at(term.linear, members), weights.with_target(units.coordinate), row, source=0)
 
 
 def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:

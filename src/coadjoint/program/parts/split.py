@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
+from types import SimpleNamespace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -83,34 +84,44 @@ def _parts_of_pattern(pattern: Pattern[tuple[QuadraticTerm, LieAlgebra]]) -> Par
     return None if atoms is None else few_parts(_by_first_coordinate(atoms), algebra)
 
 
-class _Atoms:
-    """Visitor that collects the parts of terms, before they are joined."""
+def _read(
+    system: LiePoissonSystem,
+    term: Term,
+    quadratic: Callable[[QuadraticTerm], Any],
+    polynomial: Callable[[PolynomialTerm], Any],
+    function: Callable[[FunctionTerm], Any],
+) -> None:
+    """Pass a term to one of the functions, and for functions of noncommuting coordinates the terms of their sums."""
 
-    def __init__(self, system: LiePoissonSystem, separate: bool) -> None:
-        self.collected: list[Parts] = []
-        self._system, self._separate = system, separate
+    def summands(one: FunctionTerm) -> None:
+        if first_noncommuting(system.algebra, one.coordinates.tolist()) is None:
+            function(one)
+        else:
+            for summand in separated_terms(system, one):
+                summand.describe_to(reader)
 
-    def quadratic(self, term: QuadraticTerm) -> None:
-        self.collected.append(quadratic_atoms(term, self._system.algebra, self._separate))
+    reader = SimpleNamespace(quadratic=quadratic, polynomial=polynomial, function=summands)
+    term.describe_to(reader)
 
-    def polynomial(self, term: PolynomialTerm) -> None:
-        self.collected.append(_polynomial_atoms(self._system, term.polynomial, self._separate))
 
-    def function(self, term: FunctionTerm) -> None:
-        if first_noncommuting(self._system.algebra, term.coordinates.tolist()) is None:
-            self.collected.append(Parts.single(GradientShare(tuple(term.coordinates.tolist()), term=term), term.timed))
-            return
-        for summand in separated_terms(self._system, term):
-            summand.describe_to(self)
+def _atoms_of_term(system: LiePoissonSystem, term: Term, separate: bool) -> Parts:
+    """Return the parts of a term, before they are joined."""
+    found: list[Parts] = []
+    _read(
+        system,
+        term,
+        lambda one: found.append(quadratic_atoms(one, system.algebra, separate)),
+        lambda one: found.append(_polynomial_atoms(system, one.polynomial, separate)),
+        lambda one: found.append(Parts.single(GradientShare(tuple(one.coordinates.tolist()), term=one), one.timed)),
+    )
+    return Parts.concatenate(found)
 
 
 def _atoms(system: LiePoissonSystem, terms: Sequence[Term], separate: bool) -> Parts:
     result: list[Parts] = []
     pieces: dict[int, list[Parts]] = {}
     for number, term in enumerate(terms):
-        atoms = _Atoms(system, separate and term.piece is None)
-        term.describe_to(atoms)
-        parts = Parts.concatenate(atoms.collected).of_term(number)
+        parts = _atoms_of_term(system, term, separate and term.piece is None).of_term(number)
         if term.piece is None:
             result.append(parts)
         else:
@@ -144,12 +155,10 @@ def _polynomial_atoms(system: LiePoissonSystem, polynomial: Polynomial, separate
             assert form is not None
             atoms.append(quadratic_atoms(form, system.algebra, separate))
         for exponents in (e for e in terms if sum(e) > 2):
-            monomial, coordinates = Polynomial({exponents: terms[exponents]}), variables[exponents]
-            noncommuting = first_noncommuting(system.algebra, coordinates)
-            if noncommuting is not None:
-                shown = short(in_coordinates_of(system, monomial))
-                raise _not_splittable(system, f"its monomial {shown}", noncommuting)
-            atoms.append(Parts.single(GradientShare(tuple(coordinates), monomial)))
+            _check_monomial(system, exponents, terms[exponents])
+            atoms.append(
+                Parts.single(GradientShare(tuple(variables[exponents]), Polynomial({exponents: terms[exponents]})))
+            )
     return Parts.concatenate(atoms)
 
 
@@ -157,20 +166,20 @@ def separated_terms(system: LiePoissonSystem, term: FunctionTerm) -> tuple[Term,
     """Return a function of noncommuting coordinates as a sum of a polynomial and functions of commuting ones."""
     cache = _SEPARATED_CACHE.setdefault(system, {})
     if id(term.value) not in cache:
+        found: tuple[Term, ...] = ()
+        refused = None
         try:
-            found: tuple[Term, ...] | NotSplittable = separated(
-                term, system.dim, partial(first_noncommuting, system.algebra)
-            )
+            found = separated(term, system.dim, partial(first_noncommuting, system.algebra))
         except NotSeparable as reason:
-            found = _not_splittable(system, "a function in it", reason.noncommuting)
+            refused = _not_splittable(system, "a function in it", reason.noncommuting)
         except TracingError as reason:
             noncommuting = first_noncommuting(system.algebra, term.coordinates.tolist())
             assert noncommuting is not None
-            found = _not_splittable(system, "a function in it", noncommuting, str(reason))
-        cache[id(term.value)] = term.value, found
-    _, found = cache[id(term.value)]
-    if isinstance(found, NotSplittable):
-        raise NotSplittable(str(found))
+            refused = _not_splittable(system, "a function in it", noncommuting, str(reason))
+        cache[id(term.value)] = term.value, found, refused
+    _, found, refused = cache[id(term.value)]
+    if refused is not None:
+        raise NotSplittable(str(refused))
     return found
 
 
@@ -185,40 +194,31 @@ def separated_functions(system: LiePoissonSystem) -> dict[int, tuple[Term, ...]]
 
 
 # Systems are immutable. Functions are stored with their identities, so that these stay unique.
-_SEPARATED_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[int, tuple[Any, Any]]] = WeakKeyDictionary()
-
-
-class _CommutationCheck:
-    """Visitor that raises if a term does not split; for quadratic terms it checks the width of completed squares."""
-
-    def __init__(self, system: LiePoissonSystem) -> None:
-        self._system = system
-
-    def quadratic(self, term: QuadraticTerm) -> None:
-        check_width(term, self._system.algebra)
-
-    def polynomial(self, term: PolynomialTerm) -> None:
-        for exponents, coefficient in term.polynomial.monomials.items():
-            if sum(exponents) > 2:
-                noncommuting = first_noncommuting(
-                    self._system.algebra, [k for k, power in enumerate(exponents) if power]
-                )
-                if noncommuting is not None:
-                    shown = short(in_coordinates_of(self._system, Polynomial({exponents: coefficient})))
-                    raise _not_splittable(self._system, f"its monomial {shown}", noncommuting)
-
-    def function(self, term: FunctionTerm) -> None:
-        if first_noncommuting(self._system.algebra, term.coordinates.tolist()) is not None:
-            for summand in separated_terms(self._system, term):
-                summand.describe_to(self)
+Separated = tuple[Any, tuple[Term, ...], NotSplittable | None]
+_SEPARATED_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[int, Separated]] = WeakKeyDictionary()
 
 
 def check_splits(system: LiePoissonSystem) -> None:
     """Raise NotSplittable if the Hamiltonian is not a sum of functions of commuting forms, without splitting it."""
-    terms = system.hamiltonian.terms()
-    clashes = _CommutationCheck(system)
-    for term in terms:
-        term.describe_to(clashes)
+
+    def quadratic(term: QuadraticTerm) -> None:
+        check_width(term, system.algebra)
+
+    def polynomial(term: PolynomialTerm) -> None:
+        for exponents, coefficient in term.polynomial.monomials.items():
+            if sum(exponents) > 2:
+                _check_monomial(system, exponents, coefficient)
+
+    for term in system.hamiltonian.terms():
+        _read(system, term, quadratic, polynomial, lambda _: None)
+
+
+def _check_monomial(system: LiePoissonSystem, exponents: tuple[int, ...], coefficient: Any) -> None:
+    """Raise NotSplittable if the coordinates of a monomial do not commute."""
+    noncommuting = first_noncommuting(system.algebra, [k for k, power in enumerate(exponents) if power])
+    if noncommuting is not None:
+        shown = short(in_coordinates_of(system, Polynomial({exponents: coefficient})))
+        raise _not_splittable(system, f"its monomial {shown}", noncommuting)
 
 
 def _not_splittable(

@@ -16,7 +16,7 @@ from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import Forced, flow_of_force, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
-from coadjoint.program.multiples import NO_MULTIPLES, Multiples, concatenated
+from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
-from coadjoint.program.multiples import Multiples
+from coadjoint.program.sources import Multiples
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.run_tables import INPUTS
 from coadjoint.runs.results.solution import Solution

@@ -18,7 +18,7 @@ from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation
-from coadjoint.program.multiples import NO_MULTIPLES
+from coadjoint.program.sources import NO_MULTIPLES
 from coadjoint.runs.derivatives.forced_steps import FlowEntry, ForcedSteps, forced_tables
 from coadjoint.runs.derivatives.stretches import StepwiseDerivatives, Stretch, carry, stepwise_derivatives
 from coadjoint.runs.inputs import Inputs

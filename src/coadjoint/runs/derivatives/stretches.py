@@ -17,7 +17,7 @@ from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, Derivative
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.program.generators import group_side
-from coadjoint.program.multiples import NO_MULTIPLES, Multiples
+from coadjoint.program.sources import NO_MULTIPLES, Multiples
 from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import split_members, sum_in_threads
 from coadjoint.runs.partial_steps import PartialSteps

@@ -15,8 +15,8 @@ from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices
-from coadjoint.program.shifts.group_correction import UnshiftTables, unshift_tables
-from coadjoint.program.shifts.shift import quadratic_entries
+from coadjoint.program.group_correction import UnshiftTables, unshift_tables
+from coadjoint.program.parts.casimir_shifts import quadratic_entries
 from coadjoint.runs.start import Start, matrices_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System

@@ -121,6 +121,11 @@ class QuadraticTerm:
         """The term itself."""
         return self
 
+    @property
+    def repeated(self) -> RepeatedRows | None:
+        """The rows of M if they are stored once for each shape."""
+        return None
+
     def couplings(self) -> Iterator[npt.NDArray[np.int64]]:
         """Yield the pair of coordinates of each entry of M."""
         yield from np.stack([self.rows, self.indices], axis=1)
@@ -190,6 +195,11 @@ class RepeatedTerm(QuadraticTerm):
         self.__dict__.update(matrix=matrix, linear=linear, constant=constant, piece=piece)
 
     matrix: RepeatedRows
+
+    @property
+    def repeated(self) -> RepeatedRows:
+        """The rows of M."""
+        return self.matrix
 
     @property
     def indptr(self) -> npt.NDArray[np.int64]:  # type: ignore[override]

@@ -1,6 +1,6 @@
 // The effect on the group element of a Casimir that was subtracted from the Hamiltonian: g(t) = g0 exp(t X)
 // g_shifted(t), X constant and linear in the initial momentum. The components of X and their kinds are in the tables,
-// computed once for a system (`coadjoint.program.shifts.group_correction`, which documents them); only numbers are
+// computed once for a system (`coadjoint.program.group_correction`, which documents them); only numbers are
 // computed here.
 #include <limits>
 

@@ -19,7 +19,7 @@ from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.generators import BasisMatrices, Generators
-from coadjoint.program.shifts.shift import quadratic_entries
+from coadjoint.program.parts.casimir_shifts import quadratic_entries
 from coadjoint.program.sparse_rows import Pattern, SparseRows, layers, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 

@@ -1,1 +1,0 @@
-"""Casimir shifts: H - c C, and the motion of the group element that they subtract."""
