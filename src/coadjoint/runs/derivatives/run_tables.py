@@ -37,7 +37,7 @@ from coadjoint.systems.parameter_differences import (
     differences,
     nearby_systems,
 )
-from coadjoint.systems.parameters import Parameter, check_may_change, force_numbers, parameters_of, with_entry_moved
+from coadjoint.systems.parameters import Parameter, check_may_change, parameters_of, with_entry_moved
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
@@ -131,18 +131,18 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
 
 def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntry]:
     """Return the entries of parameters by which flows of forces change."""
-    of_forces, found = force_numbers(run.system), []
-    by_energy = _using_energy(run)
+    found, by_energy = [], _using_energy(run)
     for name in names:
-        if name in of_forces:
+        parameter = run.parameters[name]
+        if parameter.field:
             check_may_change(run.system, name)
-        moving = (of_forces[name].position,) if name in of_forces else by_energy
+        moving = by_energy if parameter.position is None else (parameter.position,)
         if not moving:
             continue
-        nearby = nearby_parameters(run.system, {name: run.parameters[name]})
+        nearby = nearby_parameters(run.system, {name: parameter})
         part: Any = None
         if run.inputs is None:  # derivatives of the energy may depend on inputs
-            part = of_forces[name].field if name in of_forces else run.parameters[name].energy()
+            part = parameter.field or parameter.energy()
         found += [FlowEntry(name, entry, one, moving, part) for entry, one in enumerate(nearby)]
     return found
 
