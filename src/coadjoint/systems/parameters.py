@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
 from coadjoint.short_repr import short
-from coadjoint.systems.coefficients import EnergyCoefficients, coefficients_in, coefficients_of, coordinates_of
+from coadjoint.systems.coefficients import (
+    EnergyCoefficients,
+    coefficients_in,
+    coefficients_of,
+    coordinates_of,
+    with_hamiltonian,
+)
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import (
     DerivativeMonomial,
@@ -25,7 +31,6 @@ from coadjoint.systems.energy_derivatives import (
 )
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants, HamiltonianLike, as_hamiltonian
-from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.parameter_differences import (

@@ -20,7 +20,7 @@ from coadjoint.runs.derivatives.attitudes import AttitudeDerivatives
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.systems.energy_derivatives import EnergyDerivative
-from coadjoint.systems.forces.orbit_flow import OrbitFlow
+from coadjoint.systems.forces.orbit_flow import pull_through
 from coadjoint.systems.parameter_differences import NearbySystems, differences
 from coadjoint.systems.system import System
 
@@ -34,7 +34,8 @@ class FlowEntry(NamedTuple):
     entry: int
     nearby: NearbySystems
     forces: tuple[int, ...]
-    part: Any = None  # the parameter of the force, or the derivative of the energy; None if only systems are known
+    field: str = ""  # the parameter of the force, if it is one
+    energy: EnergyDerivative | None = None  # the derivative of the energy, if known
 
 
 class Half(NamedTuple):
@@ -57,8 +58,8 @@ class ForceFlows:
     def apply(self, x: Floats, half: Half) -> Floats:
         """Return the state (n,) after a half flow of the forces."""
         for j in half.order:
-            flow = self._orbit_flow(j, x, half)
-            x = self._flow(self._system, j, x, half) if flow is None else flow.end
+            steps = self._orbit_steps(j, x, half)
+            x = steps[-1].end if steps else self._flow(self._system, j, x, half)
         return np.asarray(x, dtype=np.float64)
 
     def push(self, x: Floats, dx: Floats, half: Half, directions: Floats) -> tuple[Floats, Floats]:
@@ -74,16 +75,17 @@ class ForceFlows:
 
     def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
         """Return the cotangent (n,) before the flows; derivatives by the entries are added to `by_entries`."""
-        flows: list[tuple[int, Floats, LinearizedStep | OrbitFlow]] = []
+        flows: list[tuple[int, Floats, Sequence[Any], LinearizedStep | None]] = []
         for j in half.order:
-            known = self._orbit_flow(j, x, half)
-            flow = self._flow_with_derivative(j, x, half) if known is None else known
-            flows.append((j, x, flow))
-            x = flow.end
+            steps = self._orbit_steps(j, x, half)
+            flow = None if steps else self._flow_with_derivative(j, x, half)
+            flows.append((j, x, steps, flow))
+            x = steps[-1].end if flow is None else flow.end
         every = np.ones(len(by_entries), dtype=bool)
-        for j, start, flow in reversed(flows):
-            if isinstance(flow, OrbitFlow):
-                of_x, found = flow.pull(of_x, self._parts(j))
+        for j, start, steps, flow in reversed(flows):
+            if flow is None:
+                fields, energies = self._parameters(j)
+                of_x, found = pull_through(steps, self._system.forces[j].scalings(), of_x, fields, energies)
                 for number, entry in enumerate(self._entries):
                     if j in entry.forces:
                         by_entries[number] += found[entry.name][entry.entry]
@@ -101,18 +103,19 @@ class ForceFlows:
     def _flow_with_derivative(self, j: int, x: Floats, half: Half) -> LinearizedStep:
         return flow_of_force(self._system.forces[j], self._system.unforced, x, half.t, half.h, self._order)
 
-    def _parts(self, j: int) -> dict[str, Any]:
-        """Return the parameters on which the flow of force j depends."""
-        return {entry.name: entry.part for entry in self._entries if j in entry.forces}
+    def _parameters(self, j: int) -> tuple[dict[str, str], dict[str, EnergyDerivative]]:
+        """Return the fields and the derivatives of the energy on which the flow of force j depends."""
+        entries = [entry for entry in self._entries if j in entry.forces]
+        energies = {entry.name: entry.energy for entry in entries if entry.energy is not None}
+        return {entry.name: entry.field for entry in entries if entry.energy is None}, energies
 
-    def _orbit_flow(self, j: int, x: Floats, half: Half) -> OrbitFlow | None:
+    def _orbit_steps(self, j: int, x: Floats, half: Half) -> Sequence[Any]:
         """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
         force = self._system.forces[j]
-        fields = force.scalings()
-        if not all(isinstance(one, EnergyDerivative) or one in fields for one in self._parts(j).values()):
-            return None
-        flow: OrbitFlow | None = force.orbit_flow(self._system.unforced, x, half.t, half.h)
-        return flow
+        known = force.scalings()
+        if not all(field in known for field in self._parameters(j)[0].values()):
+            return ()
+        return force.orbit_steps(self._system.unforced, x, half.t, half.h)
 
     def _changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""

@@ -140,10 +140,10 @@ def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntr
         if not moving:
             continue
         nearby = nearby_parameters(run.system, {name: parameter})
-        part: Any = None
+        field, energy = "", None
         if run.inputs is None:  # derivatives of the energy may depend on inputs
-            part = parameter.field or parameter.energy()
-        found += [FlowEntry(name, entry, one, moving, part) for entry, one in enumerate(nearby)]
+            field, energy = parameter.field, None if parameter.field else parameter.energy()
+        found += [FlowEntry(name, entry, one, moving, field, energy) for entry, one in enumerate(nearby)]
     return found
 
 

@@ -202,12 +202,12 @@ class Force(metaclass=ExplainedCalls):
         return None
 
     def scalings(self) -> Mapping[str, tuple[Any, Any]]:
-        """Return the derivatives of log v by parameters, of the noise and of the damping in `orbit_flow`."""
+        """Return the derivatives of log v by parameters, of the noise and of the damping in `orbit_steps`."""
         return {}
 
-    def orbit_flow(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Any:
-        """Return the `OrbitFlow` of a force by exponentials of sparse generators v; None without one."""
-        return None
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Sequence[Any]:
+        """Return the flow of a force as steps of `orbit_flow`: exponentials of sparse generators v; none by default."""
+        return ()
 
     @abstractmethod
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
