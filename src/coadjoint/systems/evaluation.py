@@ -71,10 +71,8 @@ def vectorized_over_states(method: MethodT) -> MethodT:
 
 
 def lossless_coefficients(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return `coefficients` in a number type whose products with `x` are lossless: exact ones for objects."""
-    if x.dtype != object:
-        return coefficients
-    return exact_numbers(coefficients.tolist())
+    """Return `coefficients` in a type whose products with `x` are lossless: exact numbers for objects, or float64."""
+    return exact_numbers(coefficients.tolist()) if x.dtype == object else coefficients.astype(np.float64)
 
 
 def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:

@@ -274,6 +274,16 @@ class SplitHamiltonian(Summable):
         bound.dim, bound.timed, bound.coordinates, bound.pieces = n, self.timed, self.coordinates, self.pieces
         return bound
 
+    place_in_sum = 1
+
+    def joined(self, other: Any) -> SplitHamiltonian:
+        """Return the pieces of both."""
+        if None not in (self.dim, other.dim) and self.dim != other.dim:
+            raise ValueError(f"Hamiltonians of {self.dim} and {other.dim} coordinates cannot be added")
+        pieces = [pair for H in (self, other) for pair in zip(H.coordinates, H.pieces, strict=True)]
+        dim = self.dim if self.dim is not None else other.dim
+        return SplitHamiltonian(pieces) if dim is None else SplitHamiltonian(pieces).bind(dim)
+
     def check_commuting(self, algebra: LieAlgebra) -> None:
         """Raise ValueError if a piece has coordinates whose basis elements do not commute in the algebra."""
         i, j, _, _ = algebra.triples
