@@ -21,7 +21,6 @@ from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
-from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 
@@ -134,7 +133,7 @@ class Inputs:
             raise unknown_name("force", label, labels)
         k = labels.index(label)
         force: Any = self.system.forces[k]
-        if not is_constant_torque(force):
+        if not force.is_constant_torque:
             raise TypeError(
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
                 "Torque may be an input"

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.forces.torque import is_constant_torque
 from coadjoint.systems.hamiltonians.terms import Term, built_in
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs
@@ -123,7 +122,7 @@ def stacks_with_forces(
     """Return stacks of systems with forces, from a function that returns those of the systems without them."""
     groups: dict[Hashable, list[int]] = {}
     for m, system in enumerate(systems):
-        key = tuple(type(force) if is_constant_torque(force) else force for force in system.forces)
+        key = tuple(type(force) if force.is_constant_torque else force for force in system.forces)
         with suppress(TypeError):  # parameters that have no hash
             groups.setdefault(key, []).append(m)
     stacks = []
@@ -137,7 +136,7 @@ def stacks_with_forces(
 
 def _torque_numbers(system: Any) -> Floats:
     zeros = np.zeros(system.dim)
-    return np.concatenate([force.torque if is_constant_torque(force) else zeros for force in system.forces])
+    return np.concatenate([force.torque if force.is_constant_torque else zeros for force in system.forces])
 
 
 def _algebra(system: LiePoissonSystem, known: dict[Hashable, int]) -> tuple[int, int]:

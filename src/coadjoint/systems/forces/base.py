@@ -71,6 +71,9 @@ class Force(metaclass=ExplainedCalls):
     random: ClassVar[bool] = False
     """Whether it is random, and therefore has no field."""
 
+    is_constant_torque: ClassVar[bool] = False
+    """Whether it is a constant `torque`, which may be an input of runs."""
+
     uses_energy: ClassVar[bool] = True
     """Whether its flow may depend on the Hamiltonian or another parameter of the system."""
 

@@ -256,22 +256,6 @@ class Quadratic(Summable):
 
     @ignore_overflow
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor; fractions stay exact.
-
-        Parameters
-        ----------
-        factor : int, float or Fraction
-            Finite.
-
-        Returns
-        -------
-        Quadratic
-
-        Examples
-        --------
-        >>> Quadratic([1.0, 2.0]).times(0.5)
-        Quadratic([0.5, 1.0])
-        """
         if self.dim is None:
             return type(self)(self.scalar * factor, constant=self._constant * factor)
         return self.from_entries(self.dim, *self.as_given().times(factor), self._constant * factor)

@@ -99,22 +99,6 @@ class Separable(Summable):
         return bound
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor.
-
-        Parameters
-        ----------
-        factor : int, float or Fraction
-            Finite.
-
-        Returns
-        -------
-        Separable
-
-        Examples
-        --------
-        >>> Separable({1: (np.cosh, np.sinh)}).times(2).value([1.0, 0.0])
-        2.0
-        """
         result = object.__new__(type(self))
         result.dim, result.timed, result._terms = self.dim, self.timed, []
         for term in self._terms:

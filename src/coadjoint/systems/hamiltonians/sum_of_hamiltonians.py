@@ -44,7 +44,6 @@ class SumOfHamiltonians(Summable):
         return SumOfHamiltonians([as_hamiltonian(summand, n) for summand in self.summands])
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor."""
         return type(self)([factor * summand for summand in self.summands])
 
     def linear_part(self) -> npt.NDArray[np.float64]:

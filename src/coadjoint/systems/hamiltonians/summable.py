@@ -27,7 +27,24 @@ class Summable(ABC):
 
     @abstractmethod
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian, of the same type, multiplied by a finite int, float or Fraction."""
+        """Return the Hamiltonian, of the same type, multiplied by a factor; fractions stay exact.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        Hamiltonian
+            Of the same type.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.Quadratic([1.0, 2.0]).times(0.5)
+        Quadratic([0.5, 1.0])
+        """
 
     has_linear = False
     """Whether a sum takes its linear term from this summand."""
@@ -129,7 +146,6 @@ class PolynomialHamiltonian(Summable):
         return self
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor."""
         return type(self)(factor * self.polynomial)
 
     place_in_sum = 0
