@@ -20,7 +20,7 @@ from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.hamiltonians.linear_term import check_linear, linear_of, with_linear
+from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 

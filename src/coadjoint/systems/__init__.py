@@ -7,7 +7,7 @@ from typing import Any
 
 from coadjoint.errors import unknown_attribute
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.canonical import canonical_state
+from coadjoint.systems.coordinates import canonical_state
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, FunctionStream, Weights

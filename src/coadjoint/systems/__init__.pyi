@@ -20,7 +20,7 @@ from coadjoint.systems.bodies.satellite import satellite as satellite
 from coadjoint.systems.bodies.satellite_on_orbit import satellite_on_orbit as satellite_on_orbit
 from coadjoint.systems.bodies.so_n_bodies import manakov_top as manakov_top
 from coadjoint.systems.bodies.so_n_bodies import so_n_body as so_n_body
-from coadjoint.systems.canonical import canonical_state as canonical_state
+from coadjoint.systems.coordinates import canonical_state as canonical_state
 from coadjoint.systems.examples.maxwell_bloch import maxwell_bloch as maxwell_bloch
 from coadjoint.systems.examples.paper_examples import paper_a37 as paper_a37
 from coadjoint.systems.examples.paper_examples import paper_rigid_body as paper_rigid_body

@@ -1,24 +1,35 @@
-"""Coefficients of the monomials of Hamiltonians, as sorted arrays."""
+"""Coefficients of Hamiltonians: of their monomials, as sorted arrays, and of the linear term, which may change."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self
+from functools import cached_property
+from typing import Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.monomials import factors_of
+from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
+from coadjoint.systems.hamiltonians.summable import Summable, no_linear_term
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm
+from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Key = tuple[int, ...]
 """A monomial: its coordinates, sorted, each as often as its exponent."""
 
+SystemT = TypeVar("SystemT", bound=System)
+
 # Bits of a coordinate in the code of a monomial.
 CODE_BITS = 31
+
+PLACEHOLDER_COEFFICIENT = 2.0**-300
+"""Placeholder for a zero coefficient that may change later; products with it vanish."""
 
 
 class Monomials(NamedTuple):
@@ -176,3 +187,49 @@ def _of_quadratic(M: Any, linear: Any = (), constant: Any = 0.0) -> EnergyCoeffi
         np.concatenate([encoded(none, none), encoded(np.full(len(i), -1), i), encoded(rows, columns)]),
         np.concatenate([[constant], linear[i], np.where(rows == columns, 0.5 * entries, entries)]),
     )
+
+
+def linear_of(H: HamiltonianLike) -> Floats:
+    """Return the coefficients of the linear term, (n,), of a bound Hamiltonian; TypeError if it has none to read."""
+    return _with_linear_term(H).linear_part()
+
+
+def _with_linear_term(H: HamiltonianLike) -> Summable:
+    if not isinstance(H, Summable):
+        raise no_linear_term(H)
+    return H
+
+
+def with_linear(system: SystemT, linear: Floats) -> SystemT:
+    """Return the system with another linear term in its Hamiltonian; without closed form, integrals and parameters."""
+    H = _with_linear_term(system.hamiltonian)
+    return with_hamiltonian(system, H.with_linear(np.asarray(linear, dtype=np.float64)))
+
+
+def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
+    """Return the system with another bound Hamiltonian; closed form, integrals, parameters and caches are dropped."""
+    changed = copy.copy(system)
+    for name in list(vars(changed)):
+        if isinstance(getattr(type(system), name, None), cached_property):
+            del vars(changed)[name]
+    fields: dict[str, Any] = {"hamiltonian": hamiltonian, "closed_form": None, "_parameters": None, "_integrals": {}}
+    for name, value in fields.items():
+        if hasattr(system, name):
+            object.__setattr__(changed, name, value)
+    return changed
+
+
+def with_placeholders(system: SystemT, coordinates: Sequence[int]) -> SystemT:
+    """Replace zero linear coefficients, so that the Hamiltonian has every part that it can have for other values."""
+    linear, chosen = linear_of(system.hamiltonian), np.array(coordinates, dtype=np.int64)
+    absent = chosen[linear[chosen] == 0.0]
+    linear[absent] = PLACEHOLDER_COEFFICIENT
+    return with_linear(system, linear) if len(absent) else system
+
+
+def check_linear(system: Any) -> None:
+    """Raise TypeError if the Hamiltonian of a system has no linear term to replace."""
+    try:
+        linear_of(system.hamiltonian)
+    except TypeError as reason:
+        raise TypeError(f"{short(system.name)} cannot take inputs: {reason}") from None

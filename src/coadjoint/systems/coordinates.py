@@ -1,4 +1,4 @@
-"""Names of the coordinates of systems, and groups of coordinates that have units of their own."""
+"""Coordinates of systems: their names, groups with units of their own, and canonical pairs beside an algebra."""
 
 from __future__ import annotations
 
@@ -10,9 +10,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.families.phase_space import heisenberg
+from coadjoint.algebra.families.products import direct_sum
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.registry import gallery_entry_of
+from coadjoint.validation import read_finite
 
 Function = TypeVar("Function")
 
@@ -116,3 +121,44 @@ def _stem(names: Sequence[str]) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= 3 else f"{names[0]}, ..., {names[-1]}"
+
+
+def with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
+    """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g."""
+    # At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time.
+    algebra = direct_sum(heisenberg(pairs), g)
+    casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in algebra.casimirs_known.items()}
+    return LieAlgebra._from_valid(
+        algebra.triples, algebra.dim, algebra.basis, algebra.name, algebra.representation, casimirs
+    )
+
+
+@suggest_keywords
+def canonical_state(q: Any, p: Any, x: Any = ()) -> NDArray[np.float64]:
+    """Return the state (q, p, 1, x) of a system whose algebra adds canonical pairs to g.
+
+    Parameters
+    ----------
+    q, p : number or (pairs,)
+        Positions and momenta.
+    x : (g.dim,)
+        Coordinates on g*.
+
+    Returns
+    -------
+    (2 pairs + 1 + g.dim,) array
+
+    Raises
+    ------
+    TypeError, ValueError
+        Numbers that are not finite, or different numbers of positions and momenta.
+
+    Examples
+    --------
+    >>> canonical_state([1, 2], [3, 4], [5])
+    array([1., 2., 3., 4., 1., 5.])
+    """
+    positions, momenta = np.atleast_1d(read_finite(q, "q")), np.atleast_1d(read_finite(p, "p"))
+    if positions.shape != momenta.shape or positions.ndim > 1:
+        raise ValueError(f"q has shape {positions.shape} and p {momenta.shape}; give one number for each pair")
+    return np.concatenate([positions, momenta, [1.0], read_finite(x, "x").ravel()])

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterable
 from fractions import Fraction
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -71,10 +71,8 @@ def vectorized_over_states(method: MethodT) -> MethodT:
 
 
 def lossless_coefficients(coefficients: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return `coefficients` in a number type whose products with `x` are lossless: exact ones for objects."""
-    if x.dtype != object:
-        return coefficients
-    return exact_numbers(coefficients.tolist())
+    """Return `coefficients` in a type whose products with `x` are lossless: exact numbers for objects, or float64."""
+    return exact_numbers(coefficients.tolist()) if x.dtype == object else coefficients.astype(np.float64)
 
 
 def scatter(rows: npt.NDArray[np.int64], entries: npt.NDArray[Any], n: int) -> npt.NDArray[Any]:
@@ -90,16 +88,6 @@ MAX_BITS = 4096
 """Largest spread of exponents, or size of a common denominator, for which sums are exact."""
 
 
-class _IntegerTable(NamedTuple):
-    """Coefficients over a common denominator in the order of their rows, and the beginning of each row."""
-
-    order: npt.NDArray[np.int64]
-    starts: npt.NDArray[np.int64]
-    rows: list[int]
-    numerators: npt.NDArray[Any]
-    denominator: int
-
-
 class ProductSums:
     """The sums over equal rows of c_k x_(i_k) u_(j_k) ..., shape (n,), in the number type of the factors."""
 
@@ -107,6 +95,11 @@ class ProductSums:
 
     def __init__(self, rows: npt.NDArray[Any], coefficients: npt.NDArray[Any], n: int) -> None:
         self._rows, self._coefficients, self._n = rows, coefficients, n
+        # By rows: the order of the coefficients, the start of each row with some, and these rows.
+        self._order = np.argsort(rows, kind="stable")
+        by_rows = rows[self._order]
+        self._starts = np.flatnonzero(np.diff(by_rows, prepend=-1))
+        self._summed: list[int] = by_rows[self._starts].tolist()
 
     @property
     def size(self) -> int:
@@ -125,43 +118,36 @@ class ProductSums:
 
     def by_integers(self, *factors: tuple[npt.NDArray[Any], npt.NDArray[Any]]) -> npt.NDArray[Any] | None:
         """Return the sums of mpmath numbers; None if not all are finite, of one context and with similar exponents."""
-        table = self._integers
-        if table is None:
+        numerators, denominator = self._integers
+        if numerators is None:
             return None
-        products, exponent, kind = table.numerators, 0, None
+        products, exponent, kind = numerators, 0, None
         for values, index in factors:
             found = _integers(values, kind)
             if found is None:
                 return None
             integers, shift, kind = found
-            products, exponent = products * integers[index[table.order]], exponent + shift
+            products, exponent = products * integers[index[self._order]], exponent + shift
         assert kind is not None
-        sums = np.add.reduceat(products, table.starts) if len(table.starts) else products
-        return self._rounded(table, sums, exponent, kind.context)
+        sums = np.add.reduceat(products, self._starts) if len(self._starts) else products
+        return self._rounded(sums, denominator, exponent, kind.context)
 
     @cached_property
-    def _integers(self) -> _IntegerTable | None:
-        """The coefficients as integers, sorted by row; None if they are not rational, or too long."""
-        order = np.argsort(self._rows, kind="stable")
-        rows = self._rows[order]
-        begins = np.ones(len(rows), dtype=bool)
-        begins[1:] = rows[1:] != rows[:-1]
-        numerators, denominator = _over_common_denominator(self._coefficients[order].tolist())
-        if numerators is None:
-            return None
-        return _IntegerTable(order, np.flatnonzero(begins), rows[begins].tolist(), numerators, denominator)
+    def _integers(self) -> tuple[npt.NDArray[Any] | None, int]:
+        """The coefficients by rows as integers over a common denominator; None if they are not rational, or long."""
+        return _over_common_denominator(self._coefficients[self._order].tolist())
 
-    def _rounded(self, table: _IntegerTable, sums: Iterable[int], exponent: int, context: Any) -> npt.NDArray[Any]:
+    def _rounded(self, sums: Iterable[int], denominator: int, exponent: int, context: Any) -> npt.NDArray[Any]:
         from mpmath.libmp import from_int, from_man_exp, mpf_div
 
         precision, rounding = context._prec_rounding
         result = np.full(self._n, context.zero, dtype=object)
-        divisor = from_int(table.denominator)
-        for row, total in zip(table.rows, sums, strict=True):
-            if table.denominator & (table.denominator - 1):
+        divisor = from_int(denominator)
+        for row, total in zip(self._summed, sums, strict=True):
+            if denominator & (denominator - 1):
                 value = mpf_div(from_man_exp(total, exponent), divisor, precision, rounding)
             else:
-                value = from_man_exp(total, exponent - table.denominator.bit_length() + 1, precision, rounding)
+                value = from_man_exp(total, exponent - denominator.bit_length() + 1, precision, rounding)
             result[row] = context.make_mpf(value)
         return result
 

@@ -19,8 +19,7 @@ from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_
 from coadjoint.systems.evaluation import ProductSums, scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
-from coadjoint.systems.hamiltonians.sum_of_hamiltonians import summands_of
+from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import read_closed_form, read_layout, read_name, read_parameters, read_sign
@@ -127,9 +126,8 @@ class LiePoissonSystem(System):
         names = names_of_basis(algebra.basis) if isinstance(hamiltonian, str) else None
         owner = algebra.name or "the algebra"
         set_fields(self, hamiltonian=as_hamiltonian(hamiltonian, algebra.dim, owner, names))
-        for summand in summands_of(self.hamiltonian):
-            if isinstance(summand, SplitHamiltonian):
-                summand.check_commuting(algebra)
+        if isinstance(self.hamiltonian, Summable):
+            self.hamiltonian.check_commuting(algebra)
         check_available_memory(
             BYTES_PER_CONSTANT * algebra._constant_count,
             f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},",

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
 from coadjoint.short_repr import short
-from coadjoint.systems.coefficients import EnergyCoefficients, coefficients_in, coefficients_of, coordinates_of
+from coadjoint.systems.coefficients import (
+    EnergyCoefficients,
+    coefficients_in,
+    coefficients_of,
+    coordinates_of,
+    with_hamiltonian,
+)
 from coadjoint.systems.coordinates import in_coordinates_of
 from coadjoint.systems.energy_derivatives import (
     DerivativeMonomial,
@@ -25,7 +31,6 @@ from coadjoint.systems.energy_derivatives import (
 )
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants, HamiltonianLike, as_hamiltonian
-from coadjoint.systems.hamiltonians.linear_term import with_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
 from coadjoint.systems.parameter_differences import (
@@ -47,17 +52,17 @@ Floats = NDArray[np.float64]
 MAX_TRIED = 16
 
 
-class ForceParameter(NamedTuple):
-    """A parameter of the force at this position."""
+class Parameter(NamedTuple):
+    """Value of a parameter, a function of no argument for the derivative of the energy by its entries, and its kind."""
 
-    position: int
-    field: str
+    # A symmetric matrix enters the energy by its symmetric part only. A parameter of a force is a `field` of the force
+    # at a `position`.
+
     value: Floats
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether it is a matrix that must be symmetric."""
-        return self.value.ndim == 2 and self.field == "metric"
+    energy: Callable[[], EnergyDerivative]
+    symmetric: bool = False
+    position: int | None = None
+    field: str = ""
 
 
 def with_value(force: Any, field: str, value: Floats) -> Force:
@@ -68,15 +73,16 @@ def with_value(force: Any, field: str, value: Floats) -> Force:
     return replace(force, **{field: value if value.ndim else float(value)})
 
 
-def force_parameters(system: System) -> dict[str, ForceParameter]:
-    """Return the real parameters of the forces, which may change in both directions, by "label.parameter"."""
-    return {name: one for name, one in force_numbers(system).items() if _may_change(one, system)}
-
-
-def force_numbers(system: System) -> dict[str, ForceParameter]:
-    """Return the real numbers and arrays of them of the forces, also those that cannot change."""
+def force_numbers(system: System) -> dict[str, Parameter]:
+    """Return the real numbers and arrays of them of the forces, also those that cannot change, by "label.field"."""
     return {
-        f"{label}.{field}": ForceParameter(position, field, value)
+        f"{label}.{field}": Parameter(
+            value,
+            cache(partial(EnergyDerivative.of_monomials, value.size)),
+            value.ndim == 2 and field == "metric",
+            position,
+            field,
+        )
         for position, (label, force) in enumerate(zip(system.labels, system.forces, strict=True))
         for field, value in _numbers_of(force)
     }
@@ -95,7 +101,8 @@ def with_force_values(system: System, plain: Any, values: Mapping[str, Floats]) 
     """Return another Hamiltonian part with the same forces, of which these parameters have other values."""
     forces, known = list(system.forces), force_numbers(system)
     for name, value in values.items():
-        forces[known[name].position] = with_value(forces[known[name].position], known[name].field, value)
+        position: Any = known[name].position
+        forces[position] = with_value(forces[position], known[name].field, value)
     return plain.with_forces(*forces)
 
 
@@ -117,9 +124,10 @@ def check_may_change(system: System, name: str) -> None:
         )
 
 
-def _may_change(one: ForceParameter, system: System) -> bool:
+def _may_change(one: Parameter, system: System) -> bool:
     """Return whether the force is defined at the nodes of some differences that are farthest from the value."""
-    force, farthest = system.forces[one.position], NODES[-1] * DISTANCE * RADIUS * sizes_of_entries(one.value)
+    position: Any = one.position
+    force, farthest = system.forces[position], NODES[-1] * DISTANCE * RADIUS * sizes_of_entries(one.value)
     for scale in NEARER ** np.arange(MOST_DISTANCES):
         try:
             for index in islice(np.ndindex(one.value.shape), MAX_TRIED):
@@ -134,16 +142,6 @@ def _may_change(one: ForceParameter, system: System) -> bool:
 
 # Largest dimension of a matrix M with all entries as parameters; of larger ones those that are stored.
 MAX_DENSE_DIMENSION = 128
-
-
-class Parameter(NamedTuple):
-    """Value of a parameter, a function of no argument for the derivative of the energy by its entries, and its kind."""
-
-    # A symmetric matrix enters the energy by its symmetric part only.
-
-    value: Floats
-    energy: Callable[[], EnergyDerivative]
-    symmetric: bool = False
 
 
 # Systems are immutable.
@@ -169,15 +167,12 @@ def _find_parameters(system: Any, values: Mapping[str, Floats] | None = None) ->
     """Return the parameters of a system, or those with other values, which are some of them."""
     given = values or {}
     if system.forces:
-        numbers = force_parameters(system) if values is None else force_numbers(system)
+        numbers = force_numbers(system)
+        if values is None:
+            numbers = {name: one for name, one in numbers.items() if _may_change(one, system)}
         rest = {name: value for name, value in given.items() if name not in numbers}
-        of_forces = {
-            name: _linear(
-                given.get(name, one.value), partial(EnergyDerivative.of_monomials, one.value.size), one.symmetric
-            )
-            for name, one in numbers.items()
-        }
-        return {**(_find_parameters(system.unforced, rest) if rest else parameters_of(system.unforced)), **of_forces}
+        plain = _find_parameters(system.unforced, rest) if rest else parameters_of(system.unforced)
+        return {**plain, **_with_values(numbers, given)}
     if system.has_matrices:
         return _of_matrix_builder(system, given)
     if not system.hamiltonian.terms():
@@ -185,7 +180,11 @@ def _find_parameters(system: Any, values: Mapping[str, Floats] | None = None) ->
     declared = _declaration(system, given)
     if declared is not None:
         return _of_declared(declared, {**system.parameters, **given})
-    return {name: one._replace(value=given.get(name, one.value)) for name, one in _of_hamiltonian(system).items()}
+    return _with_values(_of_hamiltonian(system), given)
+
+
+def _with_values(parameters: Mapping[str, Parameter], values: Mapping[str, Floats]) -> dict[str, Parameter]:
+    return {name: one._replace(value=values.get(name, one.value)) for name, one in parameters.items()}
 
 
 def _of_hamiltonian(system: Any) -> dict[str, Parameter]:

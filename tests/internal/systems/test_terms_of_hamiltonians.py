@@ -10,8 +10,8 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.recording import values_along
+from coadjoint.systems.coefficients import linear_of, with_linear
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import takes_time

@@ -21,9 +21,9 @@ from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_lo
 from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
+from coadjoint.systems.coefficients import linear_of, with_linear
 from coadjoint.systems.forces.base import Force, Noise
 from coadjoint.systems.forces.torque import extrapolation_columns
-from coadjoint.systems.hamiltonians.linear_term import linear_of, with_linear
 
 NO_INTEGERS = np.zeros(1, dtype=np.int64)
 NO_NUMBERS = np.zeros(1)

@@ -29,8 +29,8 @@ from coadjoint.program.parts.split import check_splits, split
 from coadjoint.program.parts.squares import with_linear_offsets
 from coadjoint.program.sparse_rows import sparse_row
 from coadjoint.short_repr import plain, short
+from coadjoint.systems.coefficients import linear_of, with_placeholders
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.hamiltonians.linear_term import linear_of, with_placeholders
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.validation import read_integer, read_list, read_number
 

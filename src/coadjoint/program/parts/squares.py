@@ -20,7 +20,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
 from coadjoint.program.sparse_rows import SparseRows, sparse_row
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.hamiltonians.linear_term import PLACEHOLDER_COEFFICIENT
+from coadjoint.systems.coefficients import PLACEHOLDER_COEFFICIENT
 
 # Single pivots need a diagonal entry of at least this fraction of the largest entry, which bounds the coefficients of
 # the forms (Bunch and Parlett 1971, (1 + sqrt 17)/8).

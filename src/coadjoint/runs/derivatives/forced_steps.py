@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from operator import methodcaller
 from typing import Any, NamedTuple
 
@@ -20,7 +19,8 @@ from coadjoint.program.sources import NO_MULTIPLES, Multiples, concatenated
 from coadjoint.runs.derivatives.stretches import Stretch, carry
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.systems.forces.orbit_flow import OrbitFlow
+from coadjoint.systems.energy_derivatives import EnergyDerivative
+from coadjoint.systems.forces.orbit_flow import pull_through
 from coadjoint.systems.parameter_differences import NearbySystems, differences
 from coadjoint.systems.system import System
 
@@ -34,7 +34,8 @@ class FlowEntry(NamedTuple):
     entry: int
     nearby: NearbySystems
     forces: tuple[int, ...]
-    part: Any = None  # the parameter in `OrbitFlow.scalings`, or the derivative of the energy; None without a formula
+    field: str = ""  # the parameter of the force, if it is one
+    energy: EnergyDerivative | None = None  # the derivative of the energy, if known
 
 
 class Half(NamedTuple):
@@ -57,8 +58,8 @@ class ForceFlows:
     def apply(self, x: Floats, half: Half) -> Floats:
         """Return the state (n,) after a half flow of the forces."""
         for j in half.order:
-            flow = self._orbit_flow(j, x, half)
-            x = self._flow(self._system, j, x, half) if flow is None else flow.end
+            steps = self._orbit_steps(j, x, half)
+            x = steps[-1].end if steps else self._flow(self._system, j, x, half)
         return np.asarray(x, dtype=np.float64)
 
     def push(self, x: Floats, dx: Floats, half: Half, directions: Floats) -> tuple[Floats, Floats]:
@@ -74,32 +75,24 @@ class ForceFlows:
 
     def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
         """Return the cotangent (n,) before the flows; derivatives by the entries are added to `by_entries`."""
-        pulls: list[Callable[[Floats, Floats], Floats]] = []
+        flows: list[tuple[int, Floats, Sequence[Any], LinearizedStep | None]] = []
         for j in half.order:
-            orbit_flow = self._orbit_flow(j, x, half)
-            if orbit_flow is None:
-                step = self._flow_with_derivative(j, x, half)
-                pulls.append(partial(self._pull_step, j, x, half, step))
-                x = step.end
-            else:
-                pulls.append(partial(self._pull_orbit_flow, j, orbit_flow))
-                x = orbit_flow.end
-        for pull in reversed(pulls):
-            of_x = pull(of_x, by_entries)
-        return of_x
-
-    def _pull_step(
-        self, j: int, x: Floats, half: Half, step: LinearizedStep, of_x: Floats, by_entries: Floats
-    ) -> Floats:
-        for number, change in self._changes(np.ones(len(by_entries), dtype=bool), j, x, half):
-            by_entries[number] += change @ of_x
-        return step.cotangent(of_x)
-
-    def _pull_orbit_flow(self, j: int, flow: OrbitFlow, of_x: Floats, by_entries: Floats) -> Floats:
-        of_x, found = flow.pull(of_x, self._parts(j))
-        for number, entry in enumerate(self._entries):
-            if j in entry.forces:
-                by_entries[number] += found[entry.name][entry.entry]
+            steps = self._orbit_steps(j, x, half)
+            flow = None if steps else self._flow_with_derivative(j, x, half)
+            flows.append((j, x, steps, flow))
+            x = steps[-1].end if flow is None else flow.end
+        every = np.ones(len(by_entries), dtype=bool)
+        for j, start, steps, flow in reversed(flows):
+            if flow is None:
+                fields, energies = self._parameters(j)
+                of_x, found = pull_through(steps, self._system.forces[j].scalings(), of_x, fields, energies)
+                for number, entry in enumerate(self._entries):
+                    if j in entry.forces:
+                        by_entries[number] += found[entry.name][entry.entry]
+                continue
+            for number, change in self._changes(every, j, start, half):
+                by_entries[number] += change @ of_x
+            of_x = flow.cotangent(of_x)
         return of_x
 
     def _flow(self, system: System, j: int, x: Floats, half: Half) -> Floats:
@@ -110,16 +103,19 @@ class ForceFlows:
     def _flow_with_derivative(self, j: int, x: Floats, half: Half) -> LinearizedStep:
         return flow_of_force(self._system.forces[j], self._system.unforced, x, half.t, half.h, self._order)
 
-    def _parts(self, j: int) -> dict[str, Any]:
-        """Return the parameters on which the flow of force j depends."""
-        return {entry.name: entry.part for entry in self._entries if j in entry.forces}
+    def _parameters(self, j: int) -> tuple[dict[str, str], dict[str, EnergyDerivative]]:
+        """Return the fields and the derivatives of the energy on which the flow of force j depends."""
+        entries = [entry for entry in self._entries if j in entry.forces]
+        energies = {entry.name: entry.energy for entry in entries if entry.energy is not None}
+        return {entry.name: entry.field for entry in entries if entry.energy is None}, energies
 
-    def _orbit_flow(self, j: int, x: Floats, half: Half) -> OrbitFlow | None:
+    def _orbit_steps(self, j: int, x: Floats, half: Half) -> Sequence[Any]:
         """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
-        if any(part is None for part in self._parts(j).values()):
-            return None
-        flow: OrbitFlow | None = self._system.forces[j].orbit_flow(self._system.unforced, x, half.t, half.h)
-        return flow
+        force = self._system.forces[j]
+        known = force.scalings()
+        if not all(field in known for field in self._parameters(j)[0].values()):
+            return ()
+        return force.orbit_steps(self._system.unforced, x, half.t, half.h)
 
     def _changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""

@@ -34,14 +34,7 @@ from coadjoint.systems.parameter_differences import (
     NearbySystems,
     nearby_systems,
 )
-from coadjoint.systems.parameters import (
-    ForceParameter,
-    Parameter,
-    check_may_change,
-    force_numbers,
-    parameters_of,
-    with_entry_moved,
-)
+from coadjoint.systems.parameters import Parameter, check_may_change, parameters_of, with_entry_moved
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
@@ -137,26 +130,20 @@ def tables_of_members(run: DifferentiableRun, h: float, names: Sequence[str]) ->
 
 def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntry]:
     """Return the entries of parameters by which flows of forces change."""
-    of_forces, found = force_numbers(run.system), []
-    by_energy = _using_energy(run)
+    found, by_energy = [], _using_energy(run)
     for name in names:
-        if name in of_forces:
+        parameter = run.parameters[name]
+        if parameter.field:
             check_may_change(run.system, name)
-        moving = (of_forces[name].position,) if name in of_forces else by_energy
+        moving = by_energy if parameter.position is None else (parameter.position,)
         if not moving:
             continue
-        nearby = nearby_parameters(run.system, {name: run.parameters[name]})
-        # Derivatives of the energy may depend on inputs.
-        part = _formula_part(run, name, of_forces.get(name)) if run.inputs is None else None
-        found += [FlowEntry(name, entry, one, moving, part) for entry, one in enumerate(nearby)]
+        nearby = nearby_parameters(run.system, {name: parameter})
+        field, energy = "", None
+        if run.inputs is None:  # derivatives of the energy may depend on inputs
+            field, energy = parameter.field, None if parameter.field else parameter.energy()
+        found += [FlowEntry(name, entry, one, moving, field, energy) for entry, one in enumerate(nearby)]
     return found
-
-
-def _formula_part(run: DifferentiableRun, name: str, of_force: ForceParameter | None) -> Any:
-    """Return a parameter as `OrbitFlow.pull` takes it; None without a formula."""
-    if of_force is None:
-        return run.parameters[name].energy()
-    return of_force.field if of_force.field in run.system.forces[of_force.position].scalings() else None
 
 
 def _flow_entries_of_inputs(run: DifferentiableRun, inputs: Inputs, values: Floats, h: float) -> list[FlowEntry]:

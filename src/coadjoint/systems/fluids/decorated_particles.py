@@ -16,8 +16,8 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.canonical import with_canonical_pairs
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
+from coadjoint.systems.coordinates import with_canonical_pairs
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -119,7 +119,7 @@ def decorated_particles(
 
     Examples
     --------
-    >>> from coadjoint.systems.canonical import canonical_state
+    >>> from coadjoint.systems.coordinates import canonical_state
     >>> lump = decorated_particles(weights=[2.0], external=(0, 0, 0.5), pair=(0,))
     >>> lump.vector_field(canonical_state(1.0, 3.0, [0.5, 0.0, 0.25]))
     array([ 1.5 , -2.  ,  0.  ,  0.  , -0.25,  0.  ])

@@ -5,7 +5,6 @@ from .actuators import ReactionWheels as ReactionWheels
 from .actuators import Thrusters as Thrusters
 from .base import Force as Force
 from .body_torque import Pointing as Pointing
-from .custom_force import OwnForce as OwnForce
 from .double_bracket import DoubleBracketDamping as DoubleBracketDamping
 from .double_bracket import HeatBath as HeatBath
 from .environment_torques import Drag as Drag
@@ -16,7 +15,8 @@ from .fluid_forces import BetaPlane as BetaPlane
 from .fluid_forces import Friction as Friction
 from .fluid_forces import RandomForcing as RandomForcing
 from .fluid_forces import Viscosity as Viscosity
-from .linear_damping import LinearDamping as LinearDamping
+from .general_forces import LinearDamping as LinearDamping
+from .general_forces import OwnForce as OwnForce
 from .registry import get as get
 from .registry import names as names
 from .sampled import Sampled as Sampled

@@ -112,7 +112,7 @@ class Force(metaclass=ExplainedCalls):
 
     @property
     def is_constant_torque(self) -> bool:
-        """Whether the force is a torque that is no function."""
+        """Whether it is a constant `torque`, which may be an input of runs."""
         return False
 
     def held_numbers(self, system: Any) -> int:
@@ -207,12 +207,12 @@ class Force(metaclass=ExplainedCalls):
         return None
 
     def scalings(self) -> Mapping[str, tuple[Any, Any]]:
-        """Return the derivatives of log v by parameters, of the noise and of the damping in `orbit_flow`."""
+        """Return the derivatives of log v by parameters, of the noise and of the damping in `orbit_steps`."""
         return {}
 
-    def orbit_flow(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Any:
-        """Return the `OrbitFlow` of a force by exponentials of sparse generators v; None without one."""
-        return None
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Sequence[Any]:
+        """Return the flow of a force as steps of `orbit_flow`: exponentials of sparse generators v; none by default."""
+        return ()
 
     @abstractmethod
     def describe_to(self, reader: ForceReader, system: Any) -> Any:

@@ -26,7 +26,6 @@ from coadjoint.systems.forces.base import (
 from coadjoint.systems.forces.orbit_flow import (
     Exponential,
     Midpoint,
-    OrbitFlow,
     bracket_of,
     constant_hessian,
     exponential,
@@ -120,12 +119,12 @@ class DoubleBracketDamping(Force):
             last_change = change
         raise self._not_converged(t, last_change)
 
-    def orbit_flow(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> OrbitFlow | None:
-        """Return the flow with its transposed derivative; None for time-dependent or general Hamiltonians."""
-        stage = self._midpoint_stage(system, x, t, tau)
-        return None if stage is None else OrbitFlow([stage], self.scalings())
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
+        """Return the flow with its transposed derivative; nothing for time-dependent or general Hamiltonians."""
+        step = self._midpoint_step(system, x, t, tau)
+        return [] if step is None else [step]
 
-    def _midpoint_stage(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | None:
+    def _midpoint_step(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> Midpoint | None:
         form = constant_hessian(system.hamiltonian, system.dim) if system.algebra is not None else None
         if form is None:
             return None
@@ -289,22 +288,22 @@ class HeatBath(DoubleBracketDamping):
             product = by_x @ product
         return np.asarray(product)
 
-    def orbit_flow(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> OrbitFlow | None:
+    def orbit_steps(self, system: Any, x: NDArray[np.float64], t: float, tau: float) -> list[Exponential | Midpoint]:
         """Return the flow with the same noise, with its transposed derivative."""
-        stages: list[Any] = []
+        steps: list[Any] = []
 
         def noise(half: int) -> None:
             for v in self._noise_directions(system, t, tau, half):
-                stages.append(Exponential.of(bracket, v, stages[-1].end if stages else x))
+                steps.append(Exponential.of(bracket, v, steps[-1].end if steps else x))
 
         bracket = bracket_of(system.algebra, system.sign)
         noise(0)
-        damping = self._midpoint_stage(system, stages[-1].end if stages else x, t, tau)
+        damping = self._midpoint_step(system, steps[-1].end if steps else x, t, tau)
         if damping is None:
-            return None
-        stages.append(damping)
+            return []
+        steps.append(damping)
         noise(1)
-        return OrbitFlow(stages, self.scalings())
+        return steps
 
     def scalings(self) -> dict[str, tuple[Any, Any]]:
         return {**super().scalings(), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}

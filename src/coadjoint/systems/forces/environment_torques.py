@@ -172,40 +172,26 @@ UNIT = 1e-6
 """Largest deviation of a unit vector from the length 1 that is taken for rounding, and removed."""
 
 
-class _OnPlates(BodyTorque):
-    """Base class of forces on flat plates, each of which has an area, an outward normal and a centre."""
-
-    areas: Any
-    normals: Any
-    centres: Any
-
-    selectors: ClassVar[tuple[str, ...]] = ("normals",)
-
-    def _read_plates(self) -> None:
-        areas, normals, centres = (
-            read_finite(getattr(self, name), f"{name} of {self.label}") for name in ("areas", "normals", "centres")
+def _read_plates(force: Any) -> None:
+    """Validate the flat plates of a force, each of which has an area, an outward normal and a centre."""
+    label = force.label
+    areas, normals, centres = (
+        read_finite(getattr(force, name), f"{name} of {label}") for name in ("areas", "normals", "centres")
+    )
+    if areas.ndim != 1 or not len(areas) or normals.shape != (len(areas), 3) or centres.shape != normals.shape:
+        raise ValueError(
+            f"areas, normals and centres of {label} have the shapes {areas.shape}, {normals.shape} and "
+            f"{centres.shape}; give (p,), (p, 3) and (p, 3) for p plates"
         )
-        if areas.ndim != 1 or not len(areas) or normals.shape != (len(areas), 3) or centres.shape != normals.shape:
-            raise ValueError(
-                f"areas, normals and centres of {self.label} have the shapes {areas.shape}, {normals.shape} and "
-                f"{centres.shape}; give (p,), (p, 3) and (p, 3) for p plates"
-            )
-        lengths = np.sqrt((normals * normals).sum(axis=1))
-        if (areas < 0.0).any() or (abs(lengths - 1.0) > UNIT).any():
-            raise ValueError(f"areas of {self.label} must not be negative, and normals be unit vectors")
-        plates = {"areas": areas, "normals": normals / lengths[:, None], "centres": centres}
-        set_fields(self, **{name: as_tuples(array) for name, array in plates.items()})
-
-    def _read_share(self, value: Any, what: str) -> Any:
-        """Validate numbers from 0 to 1, one or one for each plate; a number stays one."""
-        array = read_finite(value, what)
-        if array.shape not in ((), (len(self.areas),)) or (array < 0.0).any() or (array > 1.0).any():
-            raise ValueError(f"{what} must be a number from 0 to 1, or one for each of {len(self.areas)} plates")
-        return as_tuples(array)
+    lengths = np.sqrt((normals * normals).sum(axis=1))
+    if (areas < 0.0).any() or (abs(lengths - 1.0) > UNIT).any():
+        raise ValueError(f"areas of {label} must not be negative, and normals be unit vectors")
+    plates = {"areas": areas, "normals": normals / lengths[:, None], "centres": centres}
+    set_fields(force, **{name: as_tuples(array) for name, array in plates.items()})
 
 
 @dataclass(frozen=True)
-class SolarPressure(_OnPlates):
+class SolarPressure(BodyTorque):
     """The torque of sunlight on flat plates, which absorb it, reflect it, and scatter it.
 
     A plate of area a and normal n at c that is lit, ``s . n > 0`` with the unit vector s toward the sun, has at c the
@@ -250,12 +236,21 @@ class SolarPressure(_OnPlates):
     specular: Any = 0.0
     diffuse: Any = 0.0
 
+    selectors: ClassVar[tuple[str, ...]] = ("normals",)
+
     def __post_init__(self) -> None:
-        self._read_plates()
+        _read_plates(self)
         share = self._read_share
         self._read(pressure=read_number, sun=read_prescribed, specular=share, diffuse=share)
         if (np.add(self.specular, self.diffuse) > 1.0).any():
             raise ValueError("specular and diffuse of SolarPressure exceed 1 together; they are shares of the light")
+
+    def _read_share(self, value: Any, what: str) -> Any:
+        """Validate numbers from 0 to 1, one or one for each plate; a number stays one."""
+        array = read_finite(value, what)
+        if array.shape not in ((), (len(self.areas),)) or (array < 0.0).any() or (array > 1.0).any():
+            raise ValueError(f"{what} must be a number from 0 to 1, or one for each of {len(self.areas)} plates")
+        return as_tuples(array)
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
         in_body, crossed = body_products()
@@ -275,7 +270,7 @@ class SolarPressure(_OnPlates):
 
 
 @dataclass(frozen=True)
-class Drag(_OnPlates):
+class Drag(BodyTorque):
     """The torque of thin air on flat plates, with the force ``-density coefficient/2 a (v . n) v`` where v . n > 0.
 
     Parameters
@@ -315,8 +310,10 @@ class Drag(_OnPlates):
     centres: Any
     coefficient: float = 2.2
 
+    selectors: ClassVar[tuple[str, ...]] = ("normals",)
+
     def __post_init__(self) -> None:
-        self._read_plates()
+        _read_plates(self)
         self._read(density=read_number, coefficient=read_number, velocity=read_prescribed)
 
     def torque_on(self, system: Any) -> Callable[..., Any]:

@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
-from coadjoint.systems.forces.base import ForceReader, normal_deviates, read_seed
+from coadjoint.systems.forces.base import Force, ForceReader, normal_deviates, read_seed
 from coadjoint.systems.forces.mode_force import (
     ModeBasis,
     ModeRates,
     Numbers,
-    OnLayer,
     PerMode,
     Waves,
+    layer_index,
+    layer_vector,
     modes_of,
     read_layer,
     values_by_scale,
@@ -200,7 +201,7 @@ def _read_band(value: Any, what: str) -> Any:
 
 
 @dataclass(frozen=True)
-class RandomForcing(OnLayer):
+class RandomForcing(Force):
     """White noise in time on a band of scales of a fluid of matrices, with a known mean rate of energy input.
 
     The real and the imaginary part of every mode of the band have independent Wiener processes, with equal shares of
@@ -264,7 +265,7 @@ class RandomForcing(OnLayer):
         numbers: list[Numbers] = []
         energies: PerMode = []
         stream = system.stream if self.layer == "vorticity" else system.second_stream
-        self.layer_index(system)
+        layer_index(system, self.layer)
         if stream is None:
             raise ValueError(f"the carried field of {system.name} has no energy; force the vorticity instead")
         waves, components = modes.kind == Waves.kind, 0
@@ -299,7 +300,7 @@ class RandomForcing(OnLayer):
                 continue
             multiplicity = 2.0 if d == 0 else 1.0
             coefficients.append(multiplicity * np.sqrt(0.5 * tau) * amplitude * (real + 1j * imaginary))
-        return np.asarray(x + self.layer_vector(system, modes.matrix(coefficients, numbers)))
+        return np.asarray(x + layer_vector(system, self.layer, modes.matrix(coefficients, numbers)))
 
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
         return np.array(1.0)
@@ -307,5 +308,5 @@ class RandomForcing(OnLayer):
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
         return reader.mode_noise(
-            modes, *self._selected_modes(system, modes), self.seed, self.stream, self.layer_index(system)
+            modes, *self._selected_modes(system, modes), self.seed, self.stream, layer_index(system, self.layer)
         )

@@ -1,4 +1,4 @@
-"""Modes of fluids on the sphere and the torus along the diagonals of W, and base classes of forces on them."""
+"""Modes of fluids on the sphere and the torus along the diagonals of W, and the base class of forces on them."""
 
 from __future__ import annotations
 
@@ -217,31 +217,25 @@ def read_layer(value: Any, what: str) -> str:
     return read_choice(value, what, LAYERS)
 
 
-class OnLayer(Force):
-    """A force on the modes of one field, by default the vorticity."""
-
-    layer: str
-
-    def layer_index(self, system: Any) -> int:
-        """Return the index of the field in a state."""
-        return layer_index(system, self.layer)
-
-    def layer_matrix(self, system: Any, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return the field of a state."""
-        state = system.from_vector(x)
-        return np.asarray(state if state.ndim == 2 else state[self.layer_index(system)])
-
-    def layer_vector(self, system: Any, W: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return the vector of a state with this field, and zero in the others."""
-        state = np.zeros(system.matrix_shape, dtype=W.dtype)
-        state[self.layer_index(system) if state.ndim == 3 else ...] = W
-        return np.asarray(system.to_vector(state))
+def layer_matrix(system: Any, layer: str, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a field of a state."""
+    state = system.from_vector(x)
+    return np.asarray(state if state.ndim == 2 else state[layer_index(system, layer)])
 
 
-class ModeRates(OnLayer):
+def layer_vector(system: Any, layer: str, W: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the vector of a state with this field, and zero in the others."""
+    state = np.zeros(system.matrix_shape, dtype=W.dtype)
+    state[layer_index(system, layer) if state.ndim == 3 else ...] = W
+    return np.asarray(system.to_vector(state))
+
+
+class ModeRates(Force):
     """A force that acts on each mode separately, ``c' = -rate c``, solved exactly; a complex rate rotates its phase."""
 
     # On a rotating sphere, whose state is the absolute vorticity, c is the mode of the relative vorticity.
+
+    layer: str
 
     @abstractmethod
     def rates(self, modes: ModeBasis, d: int, numbers: Numbers) -> npt.NDArray[Any]:
@@ -249,7 +243,7 @@ class ModeRates(OnLayer):
 
     def check(self, system: Any) -> None:
         self._selected_modes(modes_of(system, self.label))
-        self.layer_index(system)
+        layer_index(system, self.layer)
 
     def _selected_modes(self, modes: ModeBasis) -> tuple[list[Numbers], PerMode]:
         """Return the numbers of the modes with nonzero rates, and these rates, by diagonal."""
@@ -264,7 +258,7 @@ class ModeRates(OnLayer):
     def _scale_modes(
         self, system: Any, x: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
     ) -> npt.NDArray[Any]:
-        W = self.layer_matrix(system, x)
+        W = layer_matrix(system, self.layer, x)
         rest = self._rest_state(system)
         return self._scale_matrix(system, W if rest is None else W - rest, factor)
 
@@ -277,7 +271,7 @@ class ModeRates(OnLayer):
             factor(rate) * modes.coefficients(W, d, numbers)
             for d, (numbers, rate) in enumerate(zip(selected, rates, strict=True))
         ]
-        return self.layer_vector(system, modes.matrix(coefficients, selected))
+        return layer_vector(system, self.layer, modes.matrix(coefficients, selected))
 
     def _rest_state(self, system: Any) -> npt.NDArray[Any] | None:
         """Return the state at rest in the frame, or None if it is zero."""
@@ -301,7 +295,7 @@ class ModeRates(OnLayer):
         modes = modes_of(system, self.label)
         rest = self._rest_state(system)
         target = None if rest is None else np.ascontiguousarray(rest).view(np.float64).ravel()
-        return reader.mode_rates(modes, *self._selected_modes(modes), target, self.layer_index(system))
+        return reader.mode_rates(modes, *self._selected_modes(modes), target, layer_index(system, self.layer))
 
 
 @lru_cache(maxsize=4)
@@ -311,5 +305,6 @@ def _matrix_of_flow(force: ModeRates, system: Any, tau: float) -> npt.NDArray[np
     # Units are projected: gradients then lie in the algebra.
     rows = system.to_vector(system.algebra.projected(system.from_vector(np.eye(n))))
     for row in rows:
-        row += force._scale_matrix(system, force.layer_matrix(system, row), lambda rate: np.expm1(-tau * rate))
+        W = layer_matrix(system, force.layer, row)
+        row += force._scale_matrix(system, W, lambda rate: np.expm1(-tau * rate))
     return np.ascontiguousarray(rows.T)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -61,7 +61,7 @@ class Bracket(NamedTuple):
 
 
 class Exponential(NamedTuple):
-    """A step y = exp(D_v) x: the substeps of its series, and the terms of each."""
+    """A step y = exp(D_v) x, as of a noise: the substeps of its series, and the terms of each."""
 
     bracket: Bracket
     v: Floats
@@ -100,9 +100,18 @@ class Exponential(NamedTuple):
             row = rows[-1]
         return row, of_v
 
+    @property
+    def of_damping(self) -> bool:
+        """Whether it is the step of a damping."""
+        return False
+
+    def along(self, energy: EnergyDerivative, of_v: Floats) -> Any:
+        """Return zero: v does not depend on the energy."""
+        return 0.0
+
 
 class Midpoint(NamedTuple):
-    """The midpoint rule y = exp(D_v) x with v = scale P sign J(m) grad H(m) at m = exp(D_v/2) x."""
+    """The midpoint rule of a damping, y = exp(D_v) x with v = scale P sign J(m) grad H(m) at m = exp(D_v/2) x."""
 
     whole: Exponential
     half: Exponential
@@ -115,6 +124,16 @@ class Midpoint(NamedTuple):
     def end(self) -> Floats:
         """State after the flow."""
         return self.whole.end
+
+    @property
+    def v(self) -> Floats:
+        """Direction of the exponential."""
+        return self.whole.v
+
+    @property
+    def of_damping(self) -> bool:
+        """Whether it is the step of a damping."""
+        return True
 
     def pull(self, row: Floats) -> tuple[Floats, Floats]:
         """Return the cotangents of x and of what is added to v."""
@@ -130,9 +149,10 @@ class Midpoint(NamedTuple):
             last_change = change
         return of_x + through, of_v
 
-    def energy_direction(self, of_v: Floats) -> Floats:
-        """Return the cotangent of grad H(m) for that of v."""
-        return -self.half.bracket.product(self.half.end, self.scale * self.metric(of_v))
+    def along(self, energy: EnergyDerivative, of_v: Floats) -> Floats:
+        """Return the derivatives of the energy, in grad H(m), along the cotangent of v."""
+        of_gradient = -self.half.bracket.product(self.half.end, self.scale * self.metric(of_v))
+        return energy.along(self.half.end, of_gradient)
 
     def _of_middle(self, of_v: Floats) -> Floats:
         bracket = self.half.bracket
@@ -141,36 +161,25 @@ class Midpoint(NamedTuple):
         return bracket.transposed_times(bracket.transposed(self.gradient), row) + through_gradient
 
 
-class OrbitFlow(NamedTuple):
-    """The flow of a damping with noise on an orbit: exponentials, of which one may be a midpoint rule."""
-
-    # `scalings` by parameter of the force: v of the noise, and of the damping, by p is v times the first, second
-    # factor.
-
-    stages: Sequence[Exponential | Midpoint]
-    scalings: dict[str, tuple[Any, Any]]
-
-    @property
-    def end(self) -> Floats:
-        """State after the flow."""
-        return self.stages[-1].end
-
-    def pull(self, row: Floats, wanted: dict[str, Any]) -> tuple[Floats, dict[str, Floats]]:
-        """Return the cotangents of the state and of wanted parameters, names of them or derivatives of the energy."""
-        found: dict[str, Floats] = {name: np.zeros(1) for name in wanted}
-        for stage in reversed(self.stages):
-            row, of_v = stage.pull(row)
-            damping = isinstance(stage, Midpoint)
-            v = stage.whole.v if damping else stage.v
-            for name, part in wanted.items():
-                if isinstance(part, EnergyDerivative):
-                    if damping:
-                        found[name] = found[name] + part.along(stage.half.end, stage.energy_direction(of_v))
-                else:
-                    factor = self.scalings[part][damping]
-                    each = of_v * v * factor
-                    found[name] = found[name] + (each if np.ndim(factor) else each.sum())
-        return row, found
+def pull_through(
+    steps: Sequence[Exponential | Midpoint],
+    scalings: Mapping[str, tuple[Any, Any]],
+    row: Floats,
+    fields: Mapping[str, str],
+    energies: Mapping[str, EnergyDerivative],
+) -> tuple[Floats, dict[str, Floats]]:
+    """Return the cotangents of the state and of parameters: fields of the force, and those of the energy."""
+    # `scalings` by field: v of the noise, and of the damping, by p is v times the first, second factor.
+    found: dict[str, Floats] = {name: np.zeros(1) for name in (*fields, *energies)}
+    for step in reversed(steps):
+        row, of_v = step.pull(row)
+        for name, energy in energies.items():
+            found[name] = found[name] + step.along(energy, of_v)
+        for name, field in fields.items():
+            factor = scalings[field][step.of_damping]
+            each = of_v * step.v * factor
+            found[name] = found[name] + (each if np.ndim(factor) else each.sum())
+    return row, found
 
 
 def _padded(rows: Integers, columns: Sequence[Integers], values: Floats, n: int) -> tuple[Any, ...]:

@@ -218,7 +218,7 @@ class Torque(StateTorque):
     uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        if callable(self.torque):
+        if not self.is_constant_torque:
             self._arguments()
         else:
             set_fields(self, torque=read_state(self.torque, "the torque"))
@@ -243,7 +243,7 @@ class Torque(StateTorque):
         return not callable(self.torque)
 
     def check(self, system: Any) -> None:
-        if not callable(self.torque):
+        if self.is_constant_torque:
             check_state(self.torque, "the torque", system)
             return
         arguments, failure = self._arguments(), ""
@@ -276,7 +276,7 @@ class Torque(StateTorque):
         )
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        if not callable(self.torque):
+        if self.is_constant_torque:
             return state_vector(self.torque, system)
         if system.has_matrices:
             torque = self.torque(*_call_arguments(self._arguments(), system.from_vector(x), t))
@@ -286,28 +286,28 @@ class Torque(StateTorque):
     @property
     def sees_attitude(self) -> bool:
         """Whether it is a function of the attitude."""
-        return callable(self.torque) and "A" in self._arguments()
+        return not self.is_constant_torque and "A" in self._arguments()
 
     def law_on_state(self, system: Any) -> tuple[Any, str]:
-        if not callable(self.torque):
+        if self.is_constant_torque:
             return constant_in_time(np.array(self.torque)), "t"
         return self.on_state(system)
 
     def on_state(self, system: Any) -> tuple[Any, str]:
-        if not callable(self.torque):
+        if self.is_constant_torque:
             return constant_in_time(state_vector(self.torque, system)), "t"
         arguments = self._arguments()
         return torque_on_state(self.torque, arguments, system) if "A" in arguments else (self.torque, arguments)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        if not callable(self.torque):
+        if self.is_constant_torque:
             return np.asarray(x + tau * state_vector(self.torque, system))
         return super().flow(system, x, t, tau)
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
-        if callable(self.torque):
-            return super().describe_to(reader, system)
-        return reader.constant(state_vector(self.torque, system))
+        if self.is_constant_torque:
+            return reader.constant(state_vector(self.torque, system))
+        return super().describe_to(reader, system)
 
 
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:

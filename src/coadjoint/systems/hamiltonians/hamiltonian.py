@@ -208,17 +208,6 @@ class Hamiltonian(Summable):
         return result
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor.
-
-        Parameters
-        ----------
-        factor : int, float or Fraction
-            Finite.
-
-        Returns
-        -------
-        Hamiltonian
-        """
         result = copy.copy(self)
         result._value, result._loop_value = (
             multiple_of(function, factor, scalar=True) for function in (self._value, self._loop_value)

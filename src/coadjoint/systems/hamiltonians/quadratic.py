@@ -29,7 +29,7 @@ from coadjoint.systems.hamiltonians.repeated_rows import (
     starts_of_rows,
 )
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm, Term
+from coadjoint.systems.hamiltonians.terms import QuadraticTerm, RepeatedTerm
 from coadjoint.validation import read_finite, read_integer, read_number
 
 UNBOUND = "Quadratic of a number has no dimension yet; call bind(n) first"
@@ -81,7 +81,9 @@ class Quadratic(Summable):
     """
 
     timed = False
-    _terms: tuple[Term, ...] | None = None
+    has_linear = True
+    place_in_sum = 0
+    _terms: tuple[QuadraticTerm, ...] | None = None
 
     def __init__(self, M: Any, linear: npt.ArrayLike | None = None, constant: Any = 0.0) -> None:
         self._linear: npt.NDArray[Any] | None = None if linear is None else real_array(linear, "linear")
@@ -159,29 +161,19 @@ class Quadratic(Summable):
             array.flags.writeable = False
         return quadratic
 
-    def _column(self, number: int, name: str) -> npt.NDArray[Any]:
-        """Return an array of the sparse rows, by its number among them or its name as that of repeated rows."""
-        if self._sparse is not None:
-            return self._sparse[number]
-        array: npt.NDArray[Any] = getattr(self._repeated, name)
-        array.flags.writeable = False
-        return array
-
     @property
-    def _indptr(self) -> npt.NDArray[np.int64]:
-        return self._column(0, "start")
-
-    @property
-    def _indices(self) -> npt.NDArray[np.uint32]:
-        return self._column(1, "coordinate")
-
-    @property
-    def _entries(self) -> npt.NDArray[Any]:
-        return self._column(2, "value")
+    def _columns(self) -> tuple[npt.NDArray[Any], ...]:
+        """Starts of the sparse rows, and the columns and values of their entries."""
+        if self._repeated is None:
+            return cast(Any, self._sparse)
+        columns = self._repeated.start, self._repeated.coordinate, self._repeated.value
+        for array in columns:
+            array.flags.writeable = False
+        return columns
 
     @cached_if_small
     def _rows(self) -> npt.NDArray[np.int64]:
-        return rows_of(self._indptr)
+        return rows_of(self._columns[0])
 
     @classmethod
     def from_polynomial(cls, polynomial: Polynomial) -> Self:
@@ -251,7 +243,7 @@ class Quadratic(Summable):
         """Raise ValueError if the dimension of M is not n, that of `owner`; a number as M has any dimension."""
         if self.dim not in (None, read_integer(n, "the dimension")):
             # The size of M in the form in which it was probably given.
-            diagonal = np.array_equal(self._rows, self._indices)
+            diagonal = np.array_equal(self._rows, self._columns[1])
             size = f"has {self.dim} entries" if diagonal else f"is {self.dim} x {self.dim}"
             raise ValueError(f"M {size}; {owner} has dimension {n}; give {n}")
 
@@ -259,35 +251,31 @@ class Quadratic(Summable):
         """Return M, both triangles sorted by rows, and the linear part, bound, with fractions unchanged."""
         if self.dim is None or self._linear is None:
             raise TypeError(UNBOUND)
-        return Entries(self._rows, self._indices.astype(np.int64), self._entries, self._linear)
+        _, columns, entries = self._columns
+        return Entries(self._rows, columns.astype(np.int64), entries, self._linear)
 
+    @ignore_overflow
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor; fractions stay exact.
+        if self.dim is None:
+            return type(self)(self.scalar * factor, constant=self._constant * factor)
+        return self.from_entries(self.dim, *self.as_given().times(factor), self._constant * factor)
 
-        Parameters
-        ----------
-        factor : int, float or Fraction
-            Finite.
-
-        Returns
-        -------
-        Quadratic
-
-        Examples
-        --------
-        >>> Quadratic([1.0, 2.0]).times(0.5)
-        Quadratic([0.5, 1.0])
-        """
-        from coadjoint.systems.hamiltonians.sum_of_hamiltonians import scale_quadratic
-
-        return cast(Self, scale_quadratic(self, factor))
-
-    has_linear = True
+    @ignore_overflow
+    def joined(self, other: Any) -> Any:
+        """Return the sum with another one, as one, or with a polynomial, as that."""
+        if not isinstance(other, Quadratic):
+            return other.joined(self)
+        dim, constant = self.dim if self.dim is not None else other.dim, self._constant + other._constant
+        if dim is None:
+            return Quadratic(self.scalar + other.scalar, constant=constant)
+        if other.dim not in (None, dim):
+            raise ValueError(f"Hamiltonians of {dim} and {other.dim} coordinates cannot be added")
+        return self.from_entries(dim, *self.bind(dim).as_given().plus(other.bind(dim).as_given()), constant)
 
     def linear_part(self) -> npt.NDArray[np.float64]:
         """Return the coefficients of the linear term, (n,)."""
         (term,) = self.terms()
-        return np.array(cast(QuadraticTerm, term).linear)
+        return np.array(term.linear)
 
     def with_linear(self, linear: npt.ArrayLike) -> Quadratic:
         """Return the same bound Hamiltonian with another linear part; M is shared."""
@@ -325,8 +313,7 @@ class Quadratic(Summable):
 
     def gradient_and_size(self, x: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
         """Return the gradient, the sums of its absolute products in each component, and a bound of their number."""
-        (term,) = self.terms()
-        form, n = cast(QuadraticTerm, term), x.size
+        (form,), n = self.terms(), x.size
         size = scatter(form.rows, np.abs(form.values * x[form.indices]), n) + np.abs(form.linear)
         return self.gradient(x), size, 64 + 2 * n + len(form.values)
 
@@ -334,47 +321,45 @@ class Quadratic(Summable):
         """Return M as a dense array, shape (n, n)."""
         bound, y = self._at(x)
         check_available_memory(8 * y.size**2, f"M as a dense {y.size} x {y.size} array")
-        entries = bound._numbers(bound._entries, y)
+        _, columns, values = bound._columns
+        entries = lossless_coefficients(values, y)
         dense = np.zeros((y.size, y.size), dtype=entries.dtype)
-        dense[bound._rows, bound._indices] = entries
+        dense[bound._rows, columns] = entries
         return dense
 
-    @staticmethod
-    def _numbers(stored: npt.NDArray[Any], x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return lossless_coefficients(stored, x) if x.dtype == object else stored.astype(np.float64)
-
     def _linear_part(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        return self._numbers(self._linear if self._linear is not None else np.zeros(x.size), x)
+        return lossless_coefficients(self._linear if self._linear is not None else np.zeros(x.size), x)
 
     @cached_if_small
     def _sums(self) -> ProductSums:
-        return ProductSums(self._rows, self._entries, len(self._indptr) - 1)
+        start, _, entries = self._columns
+        return ProductSums(self._rows, entries, len(start) - 1)
 
     def _product(self, x: npt.NDArray[Any]) -> npt.NDArray[Any]:
         if x.dtype == object:
-            return self._sums((x, self._indices))
+            return self._sums((x, self._columns[1]))
         if self._repeated is not None:
             matrix, product = self._repeated, np.zeros(x.size, dtype=x.dtype)
             for first, row, column, entry in matrix.pieces():
                 sums = scatter(row, matrix.number[entry] * x[column], int(row.max(initial=-1)) + 1)
                 product[first : first + len(sums)] = sums
             return product
-        return scatter(self._rows, self._numbers(self._entries, x) * x[self._indices], x.size)
+        _, columns, entries = self._columns
+        return scatter(self._rows, lossless_coefficients(entries, x) * x[columns], x.size)
 
-    def terms(self) -> tuple[Term, ...]:
+    def terms(self) -> tuple[QuadraticTerm, ...]:
         """Return the single `QuadraticTerm`; the Hamiltonian must be bound."""
-        if self._terms is None:  # a `cached_property` takes a lock, once for each member of a batch
-            self._terms = self._new_terms()
-        return self._terms
-
-    def _new_terms(self) -> tuple[Term, ...]:
+        if self._terms is not None:  # a `cached_property` takes a lock, once for each member of a batch
+            return self._terms
         if self._linear is None:
             raise TypeError(UNBOUND)
         linear, constant = self._linear.astype(np.float64, copy=False), float(self._constant)
         if self._repeated is not None:
-            return (RepeatedTerm(self._repeated, linear, constant),)
-        starts, columns, entries = cast(Any, self._sparse)
-        return (QuadraticTerm(starts, columns, entries.astype(np.float64, copy=False), linear, constant),)
+            self._terms = (RepeatedTerm(self._repeated, linear, constant),)
+        else:
+            starts, columns, entries = self._columns
+            self._terms = (QuadraticTerm(starts, columns, entries.astype(np.float64, copy=False), linear, constant),)
+        return self._terms
 
     def __repr__(self) -> str:
         if self.scalar is not None:
@@ -385,7 +370,7 @@ class Quadratic(Summable):
             diagonal = np.array_equal(dense, np.diag(np.diag(dense)))
             shown = str((np.diag(dense) if diagonal else dense).tolist())
         if len(shown) > MAX_SHOWN_LENGTH or not shown:
-            count = self._indices.size if self._repeated is None else int(self._repeated.lengths.sum())
+            count = len(self._columns[1]) if self._repeated is None else int(self._repeated.lengths.sum())
             shown = f"<{self.dim} x {self.dim}, {count} nonzero>"
         linear = self._linear_part(np.zeros(self.dim or 0))
         entries = str(linear.tolist()) if linear.size <= 4 else ""

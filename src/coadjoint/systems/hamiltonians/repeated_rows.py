@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.exact.sparse_sums import distinct
-from coadjoint.algebra.polynomials.monomials import factors_of
+from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -221,6 +221,34 @@ class Entries(NamedTuple):
     columns: npt.NDArray[np.int64]
     entries: npt.NDArray[Any]
     linear: npt.NDArray[Any]
+
+    def plus(self, other: Entries) -> Entries:
+        """Return the entries of the sum; the order of both is that of rows and columns."""
+        count = len(self.entries) + len(other.entries)
+        check_available_memory(BYTES_PER_ENTRY * count, f"a sum of matrices with {count} entries")
+        rows, columns = np.r_[self.rows, other.rows], np.r_[self.columns, other.columns]
+        entries = np.concatenate([self.entries, other.entries])
+        order = np.lexsort((columns, rows))
+        rows, columns, entries = rows[order], columns[order], entries[order]
+        starts = np.flatnonzero(np.r_[True, (np.diff(rows) != 0) | (np.diff(columns) != 0)][: len(rows)])
+        if len(starts):
+            rows, columns, entries = rows[starts], columns[starts], np.add.reduceat(entries, starts)
+        return Entries(rows, columns, _as_floats(entries), _as_floats(self.linear + other.linear))
+
+    def times(self, factor: Coefficient) -> Entries:
+        """Return the entries of a multiple."""
+        entries, linear = (
+            _as_floats(numbers * (factor if numbers.dtype == object else float(factor)))
+            for numbers in (self.entries, self.linear)
+        )
+        return self._replace(entries=entries, linear=linear)
+
+
+def _as_floats(numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return an array of objects as float64 if all are floats."""
+    if numbers.dtype == object and all(isinstance(number, float) for number in numbers):
+        return numbers.astype(np.float64)
+    return numbers
 
 
 def entries_of_polynomial(polynomial: Polynomial) -> tuple[Entries, Any]:

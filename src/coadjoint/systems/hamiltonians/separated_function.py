@@ -14,7 +14,7 @@ from coadjoint.algebra.exact.numbers import is_finite, quotient
 from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
-from coadjoint.systems.hamiltonians.traced_function import Graph, TracedFunction, TracingError, traced
+from coadjoint.systems.hamiltonians.traced_function import Graph, TracingError, traced
 from coadjoint.systems.user_functions import check_derivative
 
 Pair = tuple[int, int]
@@ -43,8 +43,8 @@ class RecordedFunction:
     """A function of n coordinates by its recorded operations: as a sum, and as F(q_1, ..., q_k, t) of polynomials q."""
 
     def __init__(self, value: Callable[..., Any], n: int, timed: bool) -> None:
-        self.traced, self.n = traced(value, n, timed), n
-        self.graph, self._last = self.traced.graph, self.traced.graph.entry(self.traced.result)
+        self.graph, self.n = traced(value, n, timed), n
+        self._last = self.graph.entry(self.graph.result)
         self._expanded: dict[int, Monomials | None] = {}
         self._divided: dict[Any, tuple[Any, ...]] = {}
 
@@ -172,21 +172,21 @@ class RecordedFunction:
         return replace(term, coordinates=coordinates, value=value, gradient=gradient, hessian=hessian)
 
     def _functions(self, sets: Sequence[Sequence[int]], without_hessian: bool) -> tuple[Any, ...]:
-        graph, variables, result, timed = self.traced
-        n, ends = len(variables), [graph.at(index) for index in self._ends]
-        slopes = graph.gradient(result, ends, frozenset(self._ends))
+        graph, variables, n = self.graph, self.graph.variables, self.n
+        ends = [graph.at(index) for index in self._ends]
+        slopes = graph.gradient(graph.result, ends, frozenset(self._ends))
         gradient: list[Any] = []
         for numbers in sets:
             rows = [graph.gradient(ends[k], variables) for k in numbers]
             gradient += [sum(slopes[k] * row[a] for k, row in zip(numbers, rows, strict=True)) for a in range(n)]
-        value, first = self.traced.value(), graph.function(gradient, "np.array(({0},))", timed)
+        value, first = graph.value(), graph.function(gradient, "np.array(({0},))")
         if without_hessian:
             return value, first, None
         # Derivatives by the first of the repeated coordinates.
         rest = [0] * (len(gradient) - n)
         curvatures = [entry for one in gradient for entry in (*graph.gradient(one, variables), *rest)]
         shape = (len(gradient),) * 2
-        return value, first, graph.function(curvatures, f"np.array(({{0}},)).reshape({shape})", timed)
+        return value, first, graph.function(curvatures, f"np.array(({{0}},)).reshape({shape})")
 
 
 class NotSeparable(ValueError):
@@ -264,19 +264,18 @@ def _alone(
     recorded: RecordedFunction, coordinates: tuple[int, ...], summands: list[tuple[Any, int]]
 ) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None, bool]:
     """Return value, gradient and Hessian of a sum as functions of its coordinates, and whether they take the time."""
-    source, graph = recorded.graph, Graph()
-    variables = tuple(graph.variable(f"x[{j}]") for j in range(len(coordinates)))
-    copies: dict[int, Any] = dict(zip(coordinates, variables, strict=True)) | source.numbers
-    needed = source.needed([index for _, index in summands], copies)
+    source = recorded.graph
+    needed = source.needed([index for _, index in summands], {*coordinates, *source.numbers})
+    timed = source.timed and recorded.n in needed
+    graph = Graph(len(coordinates), timed)
+    copies: dict[int, Any] = dict(zip(coordinates, graph.variables, strict=True)) | source.numbers
     for index in needed:
         inputs = [copies[k] for k in source.inputs[index]]
-        copies[index] = graph.record(source.operations[index], *inputs) if inputs else graph.variable("t")
-    total: Any = 0
+        copies[index] = graph.record(source.operations[index], *inputs) if inputs else graph.time
     for factor, index in summands:
         number = float(factor) if isinstance(factor, Fraction) else factor
-        total = total + number * copies[index]
-    timed = recorded.traced.timed and recorded.n in needed
-    value, gradient, hessian = TracedFunction(graph, variables, total, timed).derivatives()
+        graph.result = graph.result + number * copies[index]
+    value, gradient, hessian = graph.derivatives()
     return value, gradient, hessian, timed
 
 

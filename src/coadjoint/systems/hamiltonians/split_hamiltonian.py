@@ -99,22 +99,6 @@ class Separable(Summable):
         return bound
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor.
-
-        Parameters
-        ----------
-        factor : int, float or Fraction
-            Finite.
-
-        Returns
-        -------
-        Separable
-
-        Examples
-        --------
-        >>> Separable({1: (np.cosh, np.sinh)}).times(2).value([1.0, 0.0])
-        2.0
-        """
         result = object.__new__(type(self))
         result.dim, result.timed, result._terms = self.dim, self.timed, []
         for term in self._terms:
@@ -273,6 +257,16 @@ class SplitHamiltonian(Summable):
         bound = object.__new__(SplitHamiltonian)
         bound.dim, bound.timed, bound.coordinates, bound.pieces = n, self.timed, self.coordinates, self.pieces
         return bound
+
+    place_in_sum = 1
+
+    def joined(self, other: Any) -> SplitHamiltonian:
+        """Return the pieces of both."""
+        if None not in (self.dim, other.dim) and self.dim != other.dim:
+            raise ValueError(f"Hamiltonians of {self.dim} and {other.dim} coordinates cannot be added")
+        pieces = [pair for H in (self, other) for pair in zip(H.coordinates, H.pieces, strict=True)]
+        dim = self.dim if self.dim is not None else other.dim
+        return SplitHamiltonian(pieces) if dim is None else SplitHamiltonian(pieces).bind(dim)
 
     def check_commuting(self, algebra: LieAlgebra) -> None:
         """Raise ValueError if a piece has coordinates whose basis elements do not commute in the algebra."""

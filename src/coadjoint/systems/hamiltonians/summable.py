@@ -10,6 +10,7 @@ from typing import Any, Self, cast
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient, read_coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
@@ -26,10 +27,37 @@ class Summable(ABC):
 
     @abstractmethod
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian, of the same type, multiplied by a finite int, float or Fraction."""
+        """Return the Hamiltonian, of the same type, multiplied by a factor; fractions stay exact.
+
+        Parameters
+        ----------
+        factor : int, float or Fraction
+            Finite.
+
+        Returns
+        -------
+        Hamiltonian
+            Of the same type.
+
+        Examples
+        --------
+        >>> import coadjoint as co
+        >>> co.Quadratic([1.0, 2.0]).times(0.5)
+        Quadratic([0.5, 1.0])
+        """
 
     has_linear = False
     """Whether a sum takes its linear term from this summand."""
+    place_in_sum: int | None = None
+    """Place among the summands of a sum, for those that are joined to one of them: polynomials, and sums of pieces."""
+
+    def joined(self, other: Any) -> Any:
+        """Return the sum with another Hamiltonian of the same place as one of them."""
+        raise NotImplementedError
+
+    def check_commuting(self, algebra: LieAlgebra) -> None:
+        """Raise ValueError if pieces of the Hamiltonian have coordinates that do not commute; most have no pieces."""
+        return
 
     def linear_part(self) -> npt.NDArray[np.float64]:
         """Return the coefficients of the linear term of the bound Hamiltonian."""
@@ -118,8 +146,18 @@ class PolynomialHamiltonian(Summable):
         return self
 
     def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor."""
         return type(self)(factor * self.polynomial)
+
+    place_in_sum = 0
+
+    def joined(self, other: Any) -> PolynomialHamiltonian:
+        """Return the sum with a polynomial, or with a quadratic Hamiltonian."""
+        bound = other if other.dim == self.dim else other.bind(self.polynomial.dim)
+        return PolynomialHamiltonian(self.polynomial + bound.to_polynomial())
+
+    def to_polynomial(self) -> Polynomial:
+        """Return the polynomial."""
+        return self.polynomial
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the value of the polynomial at x."""

@@ -68,14 +68,20 @@ def _slopes_of_power(base: Any, exponent: Any, value: Any) -> tuple[Any, Any]:
 
 
 class Graph:
-    """Recorded operations: each an operation with its arguments, which are earlier entries: variables, numbers, too."""
+    """A function of (x) or (x, t), x of shape (n,): operations with their arguments, earlier entries, and a result."""
 
-    def __init__(self) -> None:
+    # Variables and numbers are entries too. The variables come first, the time after the coordinates.
+
+    def __init__(self, n: int, timed: bool) -> None:
         self.operations: list[str] = []
         self.inputs: list[tuple[int, ...]] = []  # the arguments of each entry
         self.numbers: dict[int, int | float] = {}
         self._variables: dict[int, str] = {}
         self._known: dict[Any, int] = {}
+        self.timed = timed
+        self.variables = tuple(self._variable(f"x[{k}]") for k in range(n))
+        self.time = self._variable("t") if timed else None
+        self.result: Any = 0
 
     def _add(self, operation: str, inputs: tuple[int, ...] = (), text: str = "") -> int:
         """Return the number of an entry; equal ones are recorded once."""
@@ -88,8 +94,7 @@ class Graph:
             self.inputs.append(inputs)
         return self._known[key]
 
-    def variable(self, text: str) -> Traced:
-        """Return a variable, written as a text."""
+    def _variable(self, text: str) -> Traced:
         index = self._add("variable", text=text)
         self._variables[index] = text
         return Traced(self, index)
@@ -143,12 +148,27 @@ class Graph:
                     slopes[argument] = slopes.get(argument, 0) + slope * factor
         return [slopes.get(variable.index, 0) for variable in variables]
 
-    def function(self, results: Sequence[Any], returned: str, timed: bool) -> Callable[..., Any]:
+    def value(self) -> Callable[..., Any]:
+        """Return the function itself, as a plain function of the recorded operations."""
+        return self.function([self.result], "{0}")
+
+    def derivatives(self) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
+        """Return value, gradient and Hessian, which Numba compiles; no Hessian of more than `MAX_OPERATIONS`."""
+        n, slopes = len(self.variables), self.gradient(self.result, self.variables)
+        value, gradient = self.value(), self.function(slopes, "np.array(({0},))")
+        try:
+            lower = [self.gradient(slope, self.variables[: k + 1]) for k, slope in enumerate(slopes)]
+        except TracingError:
+            return value, gradient, None
+        curvatures = [lower[max(i, j)][min(i, j)] for i in range(n) for j in range(n)]
+        return value, gradient, self.function(curvatures, f"np.array(({{0}},)).reshape(({n}, {n}))")
+
+    def function(self, results: Sequence[Any], returned: str) -> Callable[..., Any]:
         """Return a function of (x) or (x, t) that computes results, written as ``{0}, {1}, ...`` in `returned`."""
         entries = [self.entry(result) for result in results]
         lines = [f"    v{index} = {self._text(index)}" for index in self.needed(entries) if index not in self.numbers]
         texts = [repr(float(self.numbers[k])) if k in self.numbers else f"v{k}" for k in entries]
-        heading = f"def derived(x{', t' if timed else ''}):"
+        heading = f"def derived(x{', t' if self.timed else ''}):"
         return _defined("\n".join([heading, *lines, f"    return {returned.format(', '.join(texts))}", ""]))
 
     def _text(self, index: int) -> str:
@@ -292,44 +312,18 @@ for _name in UNARY:
     setattr(Traced, _name, _unary(_name))
 
 
-class TracedFunction(NamedTuple):
-    """A function as recorded operations on its variables."""
-
-    graph: Graph
-    variables: tuple[Traced, ...]
-    result: Any
-    timed: bool
-
-    def value(self) -> Callable[..., Any]:
-        """Return the function itself, as a plain function of the recorded operations."""
-        return self.graph.function([self.result], "{0}", self.timed)
-
-    def derivatives(self) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
-        """Return value, gradient and Hessian, which Numba compiles; no Hessian of more than `MAX_OPERATIONS`."""
-        graph, n = self.graph, len(self.variables)
-        slopes = graph.gradient(self.result, self.variables)
-        value, gradient = self.value(), graph.function(slopes, "np.array(({0},))", self.timed)
-        try:
-            lower = [graph.gradient(slope, self.variables[: k + 1]) for k, slope in enumerate(slopes)]
-        except TracingError:
-            return value, gradient, None
-        curvatures = [lower[max(i, j)][min(i, j)] for i in range(n) for j in range(n)]
-        return value, gradient, graph.function(curvatures, f"np.array(({{0}},)).reshape(({n}, {n}))", self.timed)
-
-
-def traced(function: Callable[..., Any], n: int, timed: bool) -> TracedFunction:
+def traced(function: Callable[..., Any], n: int, timed: bool) -> Graph:
     """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if impossible."""
-    graph = Graph()
-    variables = tuple(graph.variable(f"x[{k}]") for k in range(n))
-    x = np.empty(n, dtype=object)
-    x[:] = variables
+    graph, x = Graph(n, timed), np.empty(n, dtype=object)
+    x[:] = graph.variables
     function = getattr(function, "py_func", function)
     try:
-        result = function(x, graph.variable("t")) if timed else function(x)
+        result = function(x, graph.time) if timed else function(x)
     except TracingError:
         raise
     except Exception as reason:
         raise TracingError(f"{type(reason).__name__}: {in_one_line(str(reason), 200)}") from reason
     if isinstance(result, np.ndarray) and result.size == 1:
         result = result.item()
-    return TracedFunction(graph, variables, _operand(result), timed)
+    graph.result = _operand(result)
+    return graph
