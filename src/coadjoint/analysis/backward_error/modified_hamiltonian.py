@@ -11,10 +11,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials, SymbolicPolynomial
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import readable, readable_latex
-from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.analysis.backward_error.scheme_terms import (
     MAX_POWER,
     ErrorTerm,
