@@ -1,17 +1,16 @@
-"""Brackets as text, such as "[e1, e3] = 2 e1 - e2": parser, for arbitrary names of basis elements, and formatter."""
+"""Brackets as mappings, and as text with any names of basis elements, "[e1, e3] = 2 e1 - e2": parser and formatter."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
+from coadjoint.algebra.constants import Triples, read_basis
 from coadjoint.algebra.exact.numbers import NUMBER, PLAIN_NUMBER, TOO_LARGE, parse_number, quotient
 from coadjoint.short_repr import short, short_rest
-
-if TYPE_CHECKING:
-    from coadjoint.algebra.constants import Triples
+from coadjoint.validation import is_integer
 
 MAX_QUOTED = 60  # letters of a bracket in a message
 MAX_EXAMINED_CONSTANTS = 20_000
@@ -20,7 +19,49 @@ MAX_EXAMINED_CONSTANTS = 20_000
 Brackets = dict[tuple[int, int], dict[int, float]]
 
 
-def parse_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
+def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
+    """Convert ``{(i, j): {k: c}}``, where basis names may replace indices, or lines of text to rows (i, j, k, c)."""
+    # An empty bracket is kept: the pair commutes, which contradicts a nonzero bracket in the opposite order.
+    if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
+        brackets = _parse_lines(brackets, read_basis(basis, dim))
+    if not isinstance(brackets, Mapping):
+        raise TypeError(
+            f"brackets must be a mapping {{(i, j): {{k: c}}}}, or lines such as '[e1, e2] = e3', not "
+            f"{type(brackets).__name__}"
+        )
+    rows: list[tuple[Any, Any, Any, Any]] = []
+    for pair, components in brackets.items():
+        if not (isinstance(pair, tuple) and len(pair) == 2):
+            raise TypeError(f"each key of brackets must be a pair of indices (i, j), not {short(pair)}")
+        if not isinstance(components, Mapping):
+            raise TypeError(f"bracket {short(pair)} must be a mapping {{k: c}}, not {short(components)}")
+        rows.extend((*pair, k, c) for k, c in (components or {0: 0.0}).items())
+    if any(isinstance(entry, str) for row in rows for entry in row[:3]):
+        names = read_basis(basis, dim)
+        rows = [(*(_basis_index(entry, names) for entry in row[:3]), row[3]) for row in rows]
+    numbers = [entry for row in rows for entry in row[:3] if is_integer(entry)]
+    if numbers and min(numbers) == 1 and max(numbers) == dim:
+        raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; subtract 1 from each")
+    for row in rows:
+        for name, entry in zip("ijk", row[:3], strict=True):
+            if is_integer(entry) and not 0 <= entry < dim:
+                pair, wrong = f"({row[0]}, {row[1]})", f"{name} = {short(entry)}"
+                raise ValueError(f"bracket {pair} has the index {wrong}; give indices from 0 to {dim - 1}")
+    return rows
+
+
+def _basis_index(argument: Any, names: Sequence[str]) -> Any:
+    """Return the index of a basis element given by name."""
+    if not isinstance(argument, str):
+        return argument
+    if argument not in names:
+        raise ValueError(
+            f"brackets name {short(argument)}, which is not in the basis {short(tuple(names))}; give basis="
+        )
+    return names.index(argument)
+
+
+def _parse_lines(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
     """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}``."""
     names = _NameTokenizer(basis)
     result: Brackets = {}

@@ -1,4 +1,4 @@
-"""Polynomials in momenta and symbols, such as masses: the exact ring, with its Lie-Poisson bracket and Taylor polynomials
+"""Exact polynomials in momenta and symbols, such as masses: the ring with its Lie-Poisson bracket, Taylor polynomials
 about a point, and polynomials whose coefficients are polynomials in symbols.
 """
 
