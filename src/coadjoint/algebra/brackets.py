@@ -17,6 +17,22 @@ MAX_EXAMINED_CONSTANTS = 20_000
 """Number of constants examined by `format_brackets`; an algebra may have millions."""
 
 Brackets = dict[tuple[int, int], dict[int, float]]
+Names = dict[int, dict[str, int]]
+"""Length, the longest first -> names of basis elements of this length, with their indices."""
+
+_OPENED, _BETWEEN, _CLOSED = (re.compile(p) for p in (r"\s*\[\s*", r"\s*,\s*", r"\s*\]\s*=\s*"))
+# A name that begins like an exponent may follow a number: the number in 2e1 is 2.
+_FACTORS = tuple(
+    re.compile(rf"\s*(?P<sign>[-+])?\s*{number}")
+    for number in (
+        rf"(?P<above>{NUMBER})(?:\s*/\s*(?P<below>{NUMBER}))?\s*\*?\s*",
+        rf"(?P<above>{NUMBER})\s*/\s*(?P<below>{PLAIN_NUMBER})\s*\*?\s*",
+        rf"(?P<above>{PLAIN_NUMBER})\s*\*?\s*(?P<below>(?!))?",
+        r"(?P<above>(?!))?(?P<below>(?!))?",
+    )
+)
+_WORD = re.compile(r"\w")
+_SPACE = re.compile(r"\s*")
 
 
 def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
@@ -63,10 +79,13 @@ def _basis_index(argument: Any, names: Sequence[str]) -> Any:
 
 def _parse_lines(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
     """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}``."""
-    names = _NameTokenizer(basis)
+    # By length, so that the time does not grow with the number of names; e12 is not read as e1 followed by 2.
+    names: Names = {length: {} for length in sorted(set(map(len, basis)), reverse=True)}
+    for k, name in reversed(list(enumerate(basis))):
+        names[len(name)][name] = k
     result: Brackets = {}
     for line in lines:
-        pair = names.parse_pair(line)
+        pair = _parse_pair(line, names)
         if pair is None:
             raise ValueError(
                 f"{short(line, MAX_QUOTED)} is not a bracket of {_format_names(basis)}; "
@@ -95,63 +114,44 @@ def names_in(lines: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-class _NameTokenizer:
-    """Tokenizer of basis names, by length: its time does not grow with the number of names."""
-
-    _OPENED, _BETWEEN, _CLOSED = (re.compile(p) for p in (r"\s*\[\s*", r"\s*,\s*", r"\s*\]\s*=\s*"))
-    # A name that begins like an exponent may follow a number: the number in 2e1 is 2.
-    _FACTORS = tuple(
-        re.compile(rf"\s*(?P<sign>[-+])?\s*{number}")
-        for number in (
-            rf"(?P<above>{NUMBER})(?:\s*/\s*(?P<below>{NUMBER}))?\s*\*?\s*",
-            rf"(?P<above>{NUMBER})\s*/\s*(?P<below>{PLAIN_NUMBER})\s*\*?\s*",
-            rf"(?P<above>{PLAIN_NUMBER})\s*\*?\s*(?P<below>(?!))?",
-            r"(?P<above>(?!))?(?P<below>(?!))?",
-        )
-    )
-    _WORD = re.compile(r"\w")
-    _SPACE = re.compile(r"\s*")
-
-    def __init__(self, basis: Sequence[str]) -> None:
-        self._index = {name: k for k, name in reversed(list(enumerate(basis)))}
-        # Longest first, so that e12 is not read as e1 followed by 2.
-        self._lengths = sorted(set(map(len, basis)), reverse=True)
-
-    def _matches(self, text: str, position: int) -> Iterator[tuple[int, int]]:
-        for length in self._lengths:
-            k = self._index.get(text[position : position + length])
-            if k is not None and position + length <= len(text):
-                yield k, position + length
-
-    def parse_pair(self, line: str) -> tuple[int, int, int] | None:
-        """Return the two elements in the bracket on the left, and the start of the right side."""
-        opened = self._OPENED.match(line)
-        for i, end in self._matches(line, opened.end()) if opened else ():
-            between = self._BETWEEN.match(line, end)
-            for j, last in self._matches(line, between.end()) if between else ():
-                closed = self._CLOSED.match(line, last)
-                if closed is not None:
-                    return i, j, closed.end()
-        return None
-
-    def parse_term(self, line: str, position: int) -> tuple[re.Match[str], int, int] | None:
-        """Parse the term at a position: sign and number, its element, and the start of the next term."""
-        for factor in self._FACTORS:
-            match = factor.match(line, position)
-            for k, end in self._matches(line, match.end()) if match else ():
-                if match is not None and not self._WORD.match(line, end):
-                    space = self._SPACE.match(line, end)
-                    return match, k, space.end() if space else end
-        return None
+def _names_at(names: Names, text: str, position: int) -> Iterator[tuple[int, int]]:
+    """Yield the basis elements whose names begin at a position, with the ends of their names, longest first."""
+    for length, numbers in names.items():
+        k = numbers.get(text[position : position + length])
+        if k is not None:
+            yield k, position + length
 
 
-def _parse_sum(line: str, position: int, names: _NameTokenizer, basis: Sequence[str]) -> dict[int, float]:
+def _parse_pair(line: str, names: Names) -> tuple[int, int, int] | None:
+    """Return the two elements in the bracket on the left, and the start of the right side."""
+    opened = _OPENED.match(line)
+    for i, end in _names_at(names, line, opened.end()) if opened else ():
+        between = _BETWEEN.match(line, end)
+        for j, last in _names_at(names, line, between.end()) if between else ():
+            closed = _CLOSED.match(line, last)
+            if closed is not None:
+                return i, j, closed.end()
+    return None
+
+
+def _parse_term(line: str, position: int, names: Names) -> tuple[re.Match[str], int, int] | None:
+    """Parse the term at a position: sign and number, its element, and the start of the next term."""
+    for factor in _FACTORS:
+        match = factor.match(line, position)
+        for k, end in _names_at(names, line, match.end()) if match else ():
+            if match is not None and not _WORD.match(line, end):
+                space = _SPACE.match(line, end)
+                return match, k, space.end() if space else end
+    return None
+
+
+def _parse_sum(line: str, position: int, names: Names, basis: Sequence[str]) -> dict[int, float]:
     if line[position : position + MAX_QUOTED].strip() == "0" and line[position:].strip() == "0":
         return {}
     result: dict[int, float] = {}
     first = True
     while first or position < len(line):
-        term = names.parse_term(line, position)
+        term = _parse_term(line, position, names)
         if term is None or not (first or term[0]["sign"]):
             where = short_rest(line[position:], MAX_QUOTED)
             raise ValueError(
