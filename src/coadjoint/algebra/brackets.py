@@ -1,31 +1,91 @@
-"""Brackets as text, such as "[e1, e3] = 2 e1 - e2": parser, for arbitrary names of basis elements, and formatter."""
+"""Brackets as mappings, and as text with any names of basis elements, "[e1, e3] = 2 e1 - e2": parser and formatter."""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
+from coadjoint.algebra.constants import Triples, read_basis
 from coadjoint.algebra.exact.numbers import NUMBER, PLAIN_NUMBER, TOO_LARGE, parse_number, quotient
 from coadjoint.short_repr import short, short_rest
-
-if TYPE_CHECKING:
-    from coadjoint.algebra.constants import Triples
+from coadjoint.validation import is_integer
 
 MAX_QUOTED = 60  # letters of a bracket in a message
 MAX_EXAMINED_CONSTANTS = 20_000
 """Number of constants examined by `format_brackets`; an algebra may have millions."""
 
 Brackets = dict[tuple[int, int], dict[int, float]]
+Names = dict[int, dict[str, int]]
+"""Length, the longest first -> names of basis elements of this length, with their indices."""
+
+_OPENED, _BETWEEN, _CLOSED = (re.compile(p) for p in (r"\s*\[\s*", r"\s*,\s*", r"\s*\]\s*=\s*"))
+# A name that begins like an exponent may follow a number: the number in 2e1 is 2.
+_FACTORS = tuple(
+    re.compile(rf"\s*(?P<sign>[-+])?\s*{number}")
+    for number in (
+        rf"(?P<above>{NUMBER})(?:\s*/\s*(?P<below>{NUMBER}))?\s*\*?\s*",
+        rf"(?P<above>{NUMBER})\s*/\s*(?P<below>{PLAIN_NUMBER})\s*\*?\s*",
+        rf"(?P<above>{PLAIN_NUMBER})\s*\*?\s*(?P<below>(?!))?",
+        r"(?P<above>(?!))?(?P<below>(?!))?",
+    )
+)
+_WORD = re.compile(r"\w")
+_SPACE = re.compile(r"\s*")
 
 
-def parse_brackets(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
+def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
+    """Convert ``{(i, j): {k: c}}``, where basis names may replace indices, or lines of text to rows (i, j, k, c)."""
+    # An empty bracket is kept: the pair commutes, which contradicts a nonzero bracket in the opposite order.
+    if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
+        brackets = _parse_lines(brackets, read_basis(basis, dim))
+    if not isinstance(brackets, Mapping):
+        raise TypeError(
+            f"brackets must be a mapping {{(i, j): {{k: c}}}}, or lines such as '[e1, e2] = e3', not "
+            f"{type(brackets).__name__}"
+        )
+    rows: list[tuple[Any, Any, Any, Any]] = []
+    for pair, components in brackets.items():
+        if not (isinstance(pair, tuple) and len(pair) == 2):
+            raise TypeError(f"each key of brackets must be a pair of indices (i, j), not {short(pair)}")
+        if not isinstance(components, Mapping):
+            raise TypeError(f"bracket {short(pair)} must be a mapping {{k: c}}, not {short(components)}")
+        rows.extend((*pair, k, c) for k, c in (components or {0: 0.0}).items())
+    if any(isinstance(entry, str) for row in rows for entry in row[:3]):
+        names = read_basis(basis, dim)
+        rows = [(*(_basis_index(entry, names) for entry in row[:3]), row[3]) for row in rows]
+    numbers = [entry for row in rows for entry in row[:3] if is_integer(entry)]
+    if numbers and min(numbers) == 1 and max(numbers) == dim:
+        raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; subtract 1 from each")
+    for row in rows:
+        for name, entry in zip("ijk", row[:3], strict=True):
+            if is_integer(entry) and not 0 <= entry < dim:
+                pair, wrong = f"({row[0]}, {row[1]})", f"{name} = {short(entry)}"
+                raise ValueError(f"bracket {pair} has the index {wrong}; give indices from 0 to {dim - 1}")
+    return rows
+
+
+def _basis_index(argument: Any, names: Sequence[str]) -> Any:
+    """Return the index of a basis element given by name."""
+    if not isinstance(argument, str):
+        return argument
+    if argument not in names:
+        raise ValueError(
+            f"brackets name {short(argument)}, which is not in the basis {short(tuple(names))}; give basis="
+        )
+    return names.index(argument)
+
+
+def _parse_lines(lines: Sequence[str], basis: Sequence[str]) -> Brackets:
     """Parse lines ``"[e1, e3] = 2 e1 - e2"``, one per noncommuting pair, to ``{(i, j): {k: c}}``."""
-    names = _NameTokenizer(basis)
+    # By length, so that the time does not grow with the number of names; e12 is not read as e1 followed by 2.
+    names: Names = {length: {} for length in sorted(set(map(len, basis)), reverse=True)}
+    for k, name in reversed(list(enumerate(basis))):
+        names[len(name)][name] = k
     result: Brackets = {}
     for line in lines:
-        pair = names.parse_pair(line)
+        pair = _parse_pair(line, names)
         if pair is None:
             raise ValueError(
                 f"{short(line, MAX_QUOTED)} is not a bracket of {_format_names(basis)}; "
@@ -54,63 +114,44 @@ def names_in(lines: Sequence[str]) -> tuple[str, ...]:
     return tuple(names)
 
 
-class _NameTokenizer:
-    """Tokenizer of basis names, by length: its time does not grow with the number of names."""
-
-    _OPENED, _BETWEEN, _CLOSED = (re.compile(p) for p in (r"\s*\[\s*", r"\s*,\s*", r"\s*\]\s*=\s*"))
-    # A name that begins like an exponent may follow a number: the number in 2e1 is 2.
-    _FACTORS = tuple(
-        re.compile(rf"\s*(?P<sign>[-+])?\s*{number}")
-        for number in (
-            rf"(?P<above>{NUMBER})(?:\s*/\s*(?P<below>{NUMBER}))?\s*\*?\s*",
-            rf"(?P<above>{NUMBER})\s*/\s*(?P<below>{PLAIN_NUMBER})\s*\*?\s*",
-            rf"(?P<above>{PLAIN_NUMBER})\s*\*?\s*(?P<below>(?!))?",
-            r"(?P<above>(?!))?(?P<below>(?!))?",
-        )
-    )
-    _WORD = re.compile(r"\w")
-    _SPACE = re.compile(r"\s*")
-
-    def __init__(self, basis: Sequence[str]) -> None:
-        self._index = {name: k for k, name in reversed(list(enumerate(basis)))}
-        # Longest first, so that e12 is not read as e1 followed by 2.
-        self._lengths = sorted(set(map(len, basis)), reverse=True)
-
-    def _matches(self, text: str, position: int) -> Iterator[tuple[int, int]]:
-        for length in self._lengths:
-            k = self._index.get(text[position : position + length])
-            if k is not None and position + length <= len(text):
-                yield k, position + length
-
-    def parse_pair(self, line: str) -> tuple[int, int, int] | None:
-        """Return the two elements in the bracket on the left, and the start of the right side."""
-        opened = self._OPENED.match(line)
-        for i, end in self._matches(line, opened.end()) if opened else ():
-            between = self._BETWEEN.match(line, end)
-            for j, last in self._matches(line, between.end()) if between else ():
-                closed = self._CLOSED.match(line, last)
-                if closed is not None:
-                    return i, j, closed.end()
-        return None
-
-    def parse_term(self, line: str, position: int) -> tuple[re.Match[str], int, int] | None:
-        """Parse the term at a position: sign and number, its element, and the start of the next term."""
-        for factor in self._FACTORS:
-            match = factor.match(line, position)
-            for k, end in self._matches(line, match.end()) if match else ():
-                if match is not None and not self._WORD.match(line, end):
-                    space = self._SPACE.match(line, end)
-                    return match, k, space.end() if space else end
-        return None
+def _names_at(names: Names, text: str, position: int) -> Iterator[tuple[int, int]]:
+    """Yield the basis elements whose names begin at a position, with the ends of their names, longest first."""
+    for length, numbers in names.items():
+        k = numbers.get(text[position : position + length])
+        if k is not None:
+            yield k, position + length
 
 
-def _parse_sum(line: str, position: int, names: _NameTokenizer, basis: Sequence[str]) -> dict[int, float]:
+def _parse_pair(line: str, names: Names) -> tuple[int, int, int] | None:
+    """Return the two elements in the bracket on the left, and the start of the right side."""
+    opened = _OPENED.match(line)
+    for i, end in _names_at(names, line, opened.end()) if opened else ():
+        between = _BETWEEN.match(line, end)
+        for j, last in _names_at(names, line, between.end()) if between else ():
+            closed = _CLOSED.match(line, last)
+            if closed is not None:
+                return i, j, closed.end()
+    return None
+
+
+def _parse_term(line: str, position: int, names: Names) -> tuple[re.Match[str], int, int] | None:
+    """Parse the term at a position: sign and number, its element, and the start of the next term."""
+    for factor in _FACTORS:
+        match = factor.match(line, position)
+        for k, end in _names_at(names, line, match.end()) if match else ():
+            if match is not None and not _WORD.match(line, end):
+                space = _SPACE.match(line, end)
+                return match, k, space.end() if space else end
+    return None
+
+
+def _parse_sum(line: str, position: int, names: Names, basis: Sequence[str]) -> dict[int, float]:
     if line[position : position + MAX_QUOTED].strip() == "0" and line[position:].strip() == "0":
         return {}
     result: dict[int, float] = {}
     first = True
     while first or position < len(line):
-        term = names.parse_term(line, position)
+        term = _parse_term(line, position, names)
         if term is None or not (first or term[0]["sign"]):
             where = short_rest(line[position:], MAX_QUOTED)
             raise ValueError(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra import brackets as bracket_text
 from coadjoint.algebra.exact.sparse_sums import (
     DEFECT_FACTOR,
     Floats,
@@ -120,50 +119,6 @@ def _check_finite_constants(i: Integers, j: Integers, k: Integers, c: Floats) ->
         raise ValueError(
             f"structure constant (i, j, k) = ({i[row]}, {j[row]}, {k[row]}) is {c[row]}; it must be finite"
         )
-
-
-def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) -> list[tuple[Any, Any, Any, Any]]:
-    """Convert ``{(i, j): {k: c}}`` to rows (i, j, k, c); basis names may replace indices."""
-    # An empty bracket is kept: the pair commutes, which contradicts a nonzero bracket in the opposite order.
-    if isinstance(brackets, list | tuple) and brackets and all(isinstance(line, str) for line in brackets):
-        brackets = bracket_text.parse_brackets(brackets, read_basis(basis, dim))
-    if not isinstance(brackets, Mapping):
-        raise TypeError(
-            f"brackets must be a mapping {{(i, j): {{k: c}}}}, or lines such as '[e1, e2] = e3', not "
-            f"{type(brackets).__name__}"
-        )
-    rows: list[tuple[Any, Any, Any, Any]] = []
-    for pair, components in brackets.items():
-        if not (isinstance(pair, tuple) and len(pair) == 2):
-            raise TypeError(f"each key of brackets must be a pair of indices (i, j), not {short(pair)}")
-        if not isinstance(components, Mapping):
-            raise TypeError(f"bracket {short(pair)} must be a mapping {{k: c}}, not {short(components)}")
-        rows.extend((*pair, k, c) for k, c in components.items())
-        if not components:
-            rows.append((*pair, 0, 0.0))
-    if any(isinstance(entry, str) for row in rows for entry in row[:3]):
-        names = read_basis(basis, dim)
-        rows = [(*(_basis_index(entry, names) for entry in row[:3]), row[3]) for row in rows]
-    numbers = [entry for row in rows for entry in row[:3] if isinstance(entry, int)]
-    if numbers and min(numbers) == 1 and max(numbers) == dim:
-        raise ValueError(f"brackets use indices from 0, and these go from 1 to {dim}; subtract 1 from each")
-    for row in rows:
-        for name, entry in zip("ijk", row[:3], strict=True):
-            if isinstance(entry, int) and not 0 <= entry < dim:
-                pair, wrong = f"({row[0]}, {row[1]})", f"{name} = {short(entry)}"
-                raise ValueError(f"bracket {pair} has the index {wrong}; give indices from 0 to {dim - 1}")
-    return rows
-
-
-def _basis_index(argument: Any, names: Sequence[str]) -> Any:
-    """Return the index of a basis element given by name."""
-    if not isinstance(argument, str):
-        return argument
-    if argument not in names:
-        raise ValueError(
-            f"brackets name {short(argument)}, which is not in the basis {short(tuple(names))}; give basis="
-        )
-    return names.index(argument)
 
 
 def read_basis(basis: Sequence[str] | None, dim: int) -> tuple[str, ...]:

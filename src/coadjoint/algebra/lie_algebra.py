@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.brackets import count_of_brackets, format_brackets, names_in
+from coadjoint.algebra.brackets import count_of_brackets, format_brackets, names_in, parse_brackets
 from coadjoint.algebra.constants import (
     Triples,
     antisymmetric,
     check_jacobi,
-    parse_brackets,
     parse_constants,
     read_basis,
 )

@@ -288,8 +288,8 @@ class Structure:
 
         If the constants round simple fractions (`coadjoint.algebra.exact.ranks`), the equations are solved
         exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
-        clear gap (`coadjoint.algebra.exact.numerical_kernel`), and the coefficients are floats. Direct summands visible
-        in the basis are solved separately, equal ones once.
+        clear gap (`coadjoint.algebra.invariants.casimir_equations`), and the coefficients are floats. Direct summands
+        visible in the basis are solved separately, equal ones once.
 
         Parameters
         ----------

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.group_elements import (
+from coadjoint.algebra.representation import (
     are_rotations,
     automorphism_violation,
     expected_elements,

@@ -7,8 +7,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra import representation as module
-from coadjoint.algebra.group_elements import are_rotations
-from coadjoint.algebra.representation import intertwiner, invariant_form
+from coadjoint.algebra.representation import are_rotations, intertwiner, invariant_form
 from group_elements import random_element
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U

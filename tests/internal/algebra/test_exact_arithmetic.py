@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact import numerical_kernel, ranks, rational_kernel
+from coadjoint.algebra.exact import ranks
 from coadjoint.algebra.exact.free_algebra import (
     expand_bracket,
     exponential,
@@ -19,7 +19,13 @@ from coadjoint.algebra.exact.free_algebra import (
     product,
     standard_factorization,
 )
-from coadjoint.algebra.invariants.casimir_equations import equations, monomials
+from coadjoint.algebra.invariants.casimir_equations import (
+    _row_echelon_form,
+    equations,
+    exact_kernel,
+    monomials,
+    numerical_kernel,
+)
 from drawn_matrices import constants_of
 from refusals import refused
 
@@ -85,7 +91,7 @@ def test_a_rank_needs_a_gap():
 
 def test_large_blocks_of_equations_are_refused():
     i, j, k, c = co.algebras.so(3).triples
-    for values, solve in ((c, numerical_kernel.kernel), (c.astype(int).astype(object), rational_kernel.kernel)):
+    for values, solve in ((c, numerical_kernel), (c.astype(int).astype(object), exact_kernel)):
         given = equations(Triples(i, j, k, c), values, monomials(3, 4), 3)
         assert len(solve(given, 6)) == 1  # x1^4 ... x3^4: six even monomials
         with refused(ValueError, "6 coefficients", "5"):
@@ -96,7 +102,7 @@ def test_large_blocks_of_equations_are_refused():
 def test_a_leading_coefficient_is_clear_above_its_threshold(size, clear):
     vector = np.array([[size, np.sqrt(1.0 - size**2)]])
     with nullcontext() if clear else refused(ValueError, "leading"):
-        assert numerical_kernel._row_echelon_form(vector, 1e-14)[0] == [0]
+        assert _row_echelon_form(vector, 1e-14)[0] == [0]
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100])

@@ -8,11 +8,13 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.exact.numbers import fits
+from coadjoint.algebra.families.matrix_bases import linear, quadratic
+from coadjoint.algebra.families.subspaces import substituted
+from coadjoint.algebra.invariants.casimirs import embedded
 from coadjoint.algebra.invariants.invariant import LogarithmicSum
+from coadjoint.algebra.polynomials.exact_polynomials import SymbolicPolynomial
 from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial_format import latex, plain, readable, readable_latex, rounded_if_long
-from coadjoint.algebra.polynomials.quadratic_forms import embedded, linear, quadratic, substituted
-from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from refusals import refused
 
 pytestmark = pytest.mark.thinned(1)
@@ -89,7 +91,7 @@ def test_polynomials_in_other_coordinates():
     x = np.array([Fraction(2), Fraction(5)])
     assert substituted(p, rows, 2)(x) == p(np.array([x[0] + 2 * x[1], x[1] / 3, Fraction(0)]))
     y = np.array([Fraction(k) for k in range(5)])
-    assert embedded(p, 1, 5)(y) == p(y[1:4])
+    assert embedded(p, [1, 2, 3], 5)(y) == p(y[1:4])
 
 
 def test_conditions_are_bounded_too():

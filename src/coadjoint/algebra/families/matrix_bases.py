@@ -10,11 +10,11 @@ import numpy as np
 from coadjoint.algebra.constants import Triples, read_basis
 from coadjoint.algebra.exact.sparse_sums import Floats, Integers, chunks, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, linear, quadratic
+from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 
-MAX_REPRESENTATION_NUMBERS = (
-    2**24
-)  # numbers in the representation of a catalogue algebra: 128 MB; so(60) has 1770 * 60^2
+MAX_REPRESENTATION_NUMBERS = 2**24  # in a representation of the catalogue: 128 MB; so(60) has 1770 * 60^2
+MAX_STORED_EXPONENTS = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
 
 Entry = tuple[int, int, int, float]
 Form = list[tuple[int, int, int | Fraction]]
@@ -119,6 +119,25 @@ def matrix_algebra(
     # Matrix commutators satisfy all identities, and the matrices are a representation: no check is needed.
     constants = commutator_constants(sparse, sparse_matrices(coordinates), size)
     return LieAlgebra._from_valid(constants, dim, read_basis(None, dim), name, matrices(sparse, dim, size), casimirs)
+
+
+def casimirs_fit(monomials: int, dim: int) -> bool:
+    """Return whether polynomials with this many monomials in `dim` coordinates are small enough to be stored."""
+    return monomials * dim <= MAX_STORED_EXPONENTS
+
+
+def quadratic(entries: Iterable[tuple[int, int, Coefficient]], dim: int) -> Polynomial:
+    """Return the sum of c x_i x_j over the entries (i, j, c)."""
+    total: dict[tuple[int, ...], Coefficient] = {}
+    for i, j, value in entries:
+        exponents = exponents_of((i, j), dim)
+        total[exponents] = total.get(exponents, 0) + value
+    return Polynomial._from_valid(total, dim)
+
+
+def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
+    """Return the sum of c_i x_i."""
+    return Polynomial._from_valid({exponents_of((i,), dim): value for i, value in entries.items()}, dim)
 
 
 def pairs(n: int) -> list[tuple[int, int]]:

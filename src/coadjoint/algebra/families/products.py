@@ -10,10 +10,10 @@ import numpy as np
 
 from coadjoint.algebra.constants import BYTES_PER_CONSTANT, Triples, check_algebra_memory
 from coadjoint.algebra.exact.sparse_sums import Floats, groups
-from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS
+from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, casimirs_fit
+from coadjoint.algebra.invariants.casimirs import embedded
 from coadjoint.algebra.lie_algebra import LieAlgebra, read_algebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, embedded
 from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import MAX_CACHED_SIZE, check_available_memory
@@ -171,7 +171,9 @@ def _summand_casimirs(algebras: Sequence[LieAlgebra], begins: Sequence[int]) -> 
     result: dict[str, Any] = {}
     for number, (algebra, begin) in enumerate(zip(algebras, begins, strict=False), 1):
         for name, casimir in algebra.casimirs_known.items():
-            placed = casimir._transformed(functools.partial(embedded, begin=begin, dim=dim))
+            placed = casimir._transformed(
+                functools.partial(embedded, coordinates=range(begin, begin + algebra.dim), dim=dim)
+            )
             if placed is not None:
                 result[f"{name} [{number}]"] = placed
     return result

@@ -13,9 +13,9 @@ from coadjoint.algebra.constants import read_basis
 from coadjoint.algebra.exact.elimination import Number, Span, Vector, add_multiple, read_vector
 from coadjoint.algebra.exact.numbers import exact_number, rounded
 from coadjoint.algebra.exact.sparse_sums import Floats
+from coadjoint.algebra.families.matrix_bases import linear
 from coadjoint.algebra.lie_algebra import LieAlgebra, read_algebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import substituted
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
@@ -94,6 +94,21 @@ def _combine_representation(g: LieAlgebra, vectors: Sequence[Vector]) -> Floats 
         for position, value in total.items():
             rho[number].flat[position] = rounded(value)
     return rho
+
+
+def substituted(p: Polynomial, rows: Sequence[Mapping[int, Number]], dim: int) -> Polynomial:
+    """Substitute x_i = sum_j rows[i][j] y_j (sparse rows) in a polynomial of x; the result has `dim` coordinates."""
+    forms: dict[int, Polynomial] = {}
+    total = Polynomial({}, dim=dim)
+    for exponents, value in p.monomials.items():
+        product = Polynomial({(0,) * dim: value})
+        for i, power in enumerate(exponents):
+            if power:
+                if i not in forms:
+                    forms[i] = linear(rows[i], dim)
+                product = product * forms[i] ** power
+        total = total + product
+    return total
 
 
 def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exact: bool) -> dict[str, Any]:

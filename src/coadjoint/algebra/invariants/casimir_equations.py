@@ -1,18 +1,33 @@
-"""Linear equations for the homogeneous polynomial Casimirs of one degree, and their independent blocks."""
+"""Linear equations for the homogeneous polynomial Casimirs of one degree, and their kernels: exact or in floats.
+
+Exact kernels are found by elimination modulo primes, rational reconstruction and exact verification; those in floats by
+singular values, accepted only if they leave a clear gap.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
 from coadjoint.algebra.exact.components import connected, parts
-from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Integers, expand, group_max_abs, groups
+from coadjoint.algebra.exact.numbers import rational
+from coadjoint.algebra.exact.ranks import random_prime, rank_from_gap, residues
+from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, Integers, expand, group_max_abs, groups
+from coadjoint.long_operations import note_progress
 from coadjoint.rounding import UNIT_ROUNDOFF
+
+if TYPE_CHECKING:
+    from flint import nmod_mat
+
+MAX_EXACT_UNKNOWNS = 3000  # of a block; at most a minute
+MAX_NUMERICAL_UNKNOWNS = 1000
+MIN_PIVOT = 2.0**-20  # pivots of unit vectors must be above this or below round-off
 
 Vector = dict[int, Any]  # unknown -> coefficient, sorted; the first coefficient is 1
 
@@ -162,3 +177,207 @@ def solutions(
         of_block = block_kernel(part) if part.values.size else [{index: one} for index in range(part.unknowns)]
         found += [{int(unknowns[index]): value for index, value in vector.items()} for vector in of_block]
     return sorted(found, key=lambda vector: next(iter(vector)))
+
+
+def _modular_echelon_form(rows: nmod_mat) -> tuple[tuple[int, ...], list[list[int]]]:
+    """Return pivots and rows of the reduced row echelon form."""
+    reduced, rank = rows.rref()
+    width = reduced.ncols()
+    flat = [int(value) for value in reduced.entries()[: rank * width]]
+    echelon = [flat[index * width : (index + 1) * width] for index in range(rank)]
+    return tuple(next(index for index, value in enumerate(row) if value) for row in echelon), echelon
+
+
+def _kernel_modulo(linear_equations: CasimirEquations, prime: int) -> tuple[tuple[int, ...], list[list[int]]]:
+    """Return the kernel modulo a prime in reduced row echelon form, intersected derivation by derivation."""
+    from flint import nmod_mat
+
+    size, values = linear_equations.unknowns, residues(linear_equations.values, prime)
+    order, starts = groups(linear_equations.along)
+    cuts = np.split(order, starts[1:]) if order.size else []
+    kernel: Any = None
+    for selection in sorted(cuts, key=len, reverse=True):  # longest first, since it reduces the kernel most
+        note_progress(f"the equations of {size} coupled coefficients")
+        names, row = np.unique(linear_equations.target[selection], return_inverse=True)
+        flat = [0] * (names.size * size)
+        positions = (row * size + linear_equations.columns[selection]).tolist()
+        for position, value in zip(positions, values[selection].tolist(), strict=True):
+            flat[position] = value
+        matrix = nmod_mat(names.size, size, flat, prime)
+        if kernel is not None:
+            matrix = matrix * kernel
+        null, nullity = matrix.nullspace()
+        if not nullity:
+            return (), []
+        width = null.nrows()
+        chosen = [int(column == r) for r in range(width) for column in range(nullity)]
+        null = null * nmod_mat(width, nullity, chosen, prime)
+        kernel = null if kernel is None else kernel * null
+    if kernel is None:
+        kernel = nmod_mat(size, size, [int(a == b) for a in range(size) for b in range(size)], prime)
+    return _modular_echelon_form(kernel.transpose())
+
+
+def _fraction_modulo(residue: int, modulus: int) -> Fraction | None:
+    """Return the fraction p/q with p^2, q^2 <= modulus/2 that has this residue, or None (Wang's algorithm)."""
+    bound = math.isqrt(modulus // 2)
+    previous, current = (modulus, 0), (residue, 1)
+    while current[0] > bound:
+        quotient = previous[0] // current[0]
+        previous, current = current, (previous[0] - quotient * current[0], previous[1] - quotient * current[1])
+    if current[1] == 0 or abs(current[1]) > bound or math.gcd(current[0], current[1]) != 1:
+        return None
+    return Fraction(current[0], current[1])
+
+
+def _annihilated(linear_equations: CasimirEquations, vector: Vector) -> bool:
+    """Return whether a rational vector fulfils the equations exactly."""
+    common = math.lcm(*(Fraction(value).denominator for value in vector.values()))
+    dense = np.zeros(linear_equations.unknowns, dtype=object)
+    for column, value in vector.items():
+        dense[column] = int(value * common)
+    touched = np.isin(linear_equations.columns, list(vector))
+    terms = linear_equations.values[touched].astype(object) * dense[linear_equations.columns[touched]]
+    order, starts = groups(linear_equations.along[touched], linear_equations.target[touched])
+    return not (order.size and np.any(np.add.reduceat(terms[order], starts) != 0))
+
+
+def _exact_block_kernel(linear_equations: CasimirEquations, rng: np.random.Generator) -> list[Vector]:
+    """Return the kernel of one block in reduced row echelon form."""
+    # Modulo a prime the kernel is at least as large as over Q, so once that many reconstructed vectors fulfil the
+    # equations exactly they span it. A prime with a larger kernel or later pivots is dropped.
+    pivots: tuple[int, ...] = ()
+    columns: list[list[int]] = []
+    modulus = 1
+    while True:
+        prime = random_prime(rng)
+        if modulus % prime == 0:
+            continue
+        leading, rows = _kernel_modulo(linear_equations, prime)
+        if not leading:
+            return []
+        if modulus == 1 or (len(leading), leading) < (len(pivots), pivots):
+            pivots, columns, modulus = leading, rows, prime
+        elif leading == pivots:
+            inverse = pow(modulus, -1, prime)
+            columns = [
+                [old + modulus * ((new - old) * inverse % prime) for old, new in zip(*pair, strict=True)]
+                for pair in zip(columns, rows, strict=True)
+            ]
+            modulus *= prime
+        else:
+            continue
+        vectors: list[Vector] = []
+        for row in columns:
+            vector = {index: _fraction_modulo(value, modulus) for index, value in enumerate(row) if value}
+            if None in vector.values() or not _annihilated(linear_equations, vector):
+                break
+            vectors.append(vector)
+        if len(vectors) == len(pivots):
+            return vectors
+
+
+def exact_kernel(linear_equations: CasimirEquations, largest: int = MAX_EXACT_UNKNOWNS) -> list[Vector]:
+    """Return the solutions of integer equations as Fractions; every one fulfils its block in exact arithmetic."""
+    rng = np.random.default_rng(0)
+    return solutions(linear_equations, largest, 1, lambda block: _exact_block_kernel(block, rng))
+
+
+def exact_pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
+    """Return the pivot columns of the exact reduced row echelon form."""
+    from flint import fmpq_mat
+
+    if not rows:
+        return []
+    flat = [rational(value) for row in rows for value in row]
+    reduced, rank = fmpq_mat(len(rows), width, flat).rref()
+    entries = reduced.entries()
+    return [next(column for column in range(width) if entries[row * width + column] != 0) for row in range(rank)]
+
+
+def _row_echelon_form(basis: Floats, error: float) -> tuple[list[int], Floats, float]:
+    """Return pivots, reduced row echelon form and its error, for orthonormal rows known to `error`."""
+    rows = basis.copy()
+    pivot_columns: list[int] = []
+    for column in range(rows.shape[1]):
+        rank = len(pivot_columns)
+        if rank == len(rows):
+            break
+        pivot_row = rank + int(np.argmax(np.abs(rows[rank:, column])))
+        size = abs(rows[pivot_row, column])
+        if size <= error:
+            continue
+        if size < MIN_PIVOT:
+            raise ValueError(
+                f"a leading coefficient {size:.3g} of a Casimir is neither round-off (below {error:.3g}) nor above "
+                f"{MIN_PIVOT:.3g}; give constants that are rational or more exact"
+            )
+        rows[[rank, pivot_row]] = rows[[pivot_row, rank]]
+        rows[rank] /= rows[rank, column]
+        other_rows = np.arange(len(rows)) != rank
+        rows[other_rows] -= np.outer(rows[other_rows, column], rows[rank])
+        pivot_columns.append(column)
+        error *= max(1.0, 1.0 / size)
+    return pivot_columns, rows, error
+
+
+def _snap_to_integers(row: Floats, error: float) -> Floats:
+    """Round coefficients that are within their error of a whole number (often zero) to it."""
+    nearest = np.round(row)
+    return np.where(np.abs(row - nearest) <= error * np.maximum(1.0, np.abs(nearest)), nearest, row)
+
+
+def _numerical_block_kernel(linear_equations: CasimirEquations) -> list[Vector]:
+    """Return the kernel of one block in reduced row echelon form, cleaned and checked against the equations."""
+    order, starts = groups(linear_equations.along, linear_equations.target)
+    row = np.repeat(np.arange(starts.size), np.diff(np.append(starts, order.size)))
+    matrix = np.zeros((starts.size, linear_equations.unknowns))
+    matrix[row, linear_equations.columns[order]] = linear_equations.values[order]
+    if starts.size > linear_equations.unknowns:
+        matrix = np.asarray(np.linalg.qr(matrix, mode="r"), dtype=np.float64)
+    _, singular, basis = np.linalg.svd(matrix)
+    # every entry is known to 64 u times the largest one
+    roundoff = (
+        DEFECT_FACTOR
+        * UNIT_ROUNDOFF
+        * float(np.abs(linear_equations.values).max())
+        * math.sqrt(linear_equations.values.size)
+    )
+    rank = rank_from_gap(singular, roundoff, "the equations for Casimirs")
+    if rank == linear_equations.unknowns:
+        return []
+    error = roundoff / singular[rank - 1] if rank else DEFECT_FACTOR * UNIT_ROUNDOFF
+    pivot_columns, rows, error = _row_echelon_form(basis[rank:], error)
+    vectors: list[Vector] = []
+    for pivot, coefficients in zip(pivot_columns, rows, strict=True):
+        clean = _snap_to_integers(coefficients, error)
+        clean[:pivot] = 0.0
+        residual = np.add.reduceat((linear_equations.values * clean[linear_equations.columns])[order], starts)
+        allowed = error * float(np.abs(linear_equations.values).max()) * float(np.abs(clean).sum()) + roundoff
+        if np.abs(residual).max() > allowed:
+            raise ArithmeticError(
+                f"a Casimir found in floats has the residual {np.abs(residual).max():.3g} in J(x) grad C(x) = 0, above "
+                f"the {allowed:.3g} of round-off"
+            )
+        vectors.append({index: float(clean[index]) for index in np.flatnonzero(clean).tolist()})
+    return vectors
+
+
+def numerical_kernel(linear_equations: CasimirEquations, largest: int = MAX_NUMERICAL_UNKNOWNS) -> list[Vector]:
+    """Return the solutions of floating-point equations.
+
+    With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
+    zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
+    """
+    return solutions(linear_equations, largest, 1.0, _numerical_block_kernel)
+
+
+def numerical_pivots(rows: Sequence[Sequence[Any]], width: int) -> list[int]:
+    """Return the pivot columns of the reduced row echelon form if they are unambiguous."""
+    if not rows:
+        return []
+    matrix = np.array(rows, dtype=np.float64)
+    _, singular, basis = np.linalg.svd(matrix, full_matrices=False)
+    roundoff = DEFECT_FACTOR * UNIT_ROUNDOFF * float(np.linalg.norm(matrix))
+    rank = rank_from_gap(singular, roundoff, "the products of Casimirs")
+    return _row_echelon_form(basis[:rank], roundoff / singular[rank - 1])[0]

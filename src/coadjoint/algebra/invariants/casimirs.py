@@ -12,11 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact import numerical_kernel, rational_kernel
 from coadjoint.algebra.exact.components import summands
 from coadjoint.algebra.exact.ranks import clear_denominators, generic_rank, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.algebra.invariants.casimir_equations import Vector, equations, monomial_count, monomials
+from coadjoint.algebra.invariants.casimir_equations import (
+    Vector,
+    equations,
+    exact_kernel,
+    exact_pivots,
+    monomial_count,
+    monomials,
+    numerical_kernel,
+    numerical_pivots,
+)
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.validation import read_integer
@@ -71,14 +79,16 @@ def _of_degree(
     triples: Triples, integers: NDArray[Any] | None, dim: int, degree: int, lower: Sequence[Polynomial]
 ) -> list[Polynomial]:
     """Return a basis of the Casimirs of a degree modulo sums of products of lower ones."""
-    arithmetic, constants = (numerical_kernel, triples.c) if integers is None else (rational_kernel, integers)
     note_progress(f"degree {degree} of dimension {dim}")
     basis = monomials(dim, degree)
-    space = arithmetic.kernel(equations(triples, constants, basis, dim))
+    if integers is None:
+        space, pivots = numerical_kernel(equations(triples, triples.c, basis, dim)), numerical_pivots
+    else:
+        space, pivots = exact_kernel(equations(triples, integers, basis, dim)), exact_pivots
     # In a reduced row echelon basis the coordinates of an element are its coefficients at the leading monomials.
     leading = [tuple(np.bincount(basis[next(iter(vector))], minlength=dim).tolist()) for vector in space]
     coordinates = [[product.monomials.get(e, 0) for e in leading] for product in products(lower, degree)]
-    generated = set(arithmetic.pivots(coordinates, len(space)))
+    generated = set(pivots(coordinates, len(space)))
     return [_polynomial(vector, basis, dim) for index, vector in enumerate(space) if index not in generated]
 
 
@@ -141,7 +151,7 @@ def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polyn
                 f"the Casimirs of this direct sum of dimension {dim} need more than {MAX_EXPONENTS} exponents as "
                 f"polynomials in all coordinates; compute the Casimirs of one summand instead"
             )
-    polynomials = [_extended(polynomial, coordinates, dim) for coordinates, polynomial in placed]
+    polynomials = [embedded(polynomial, coordinates.tolist(), dim) for coordinates, polynomial in placed]
     result: dict[str, Polynomial] = {}
     polynomials.sort(key=lambda polynomial: (polynomial.degree, [-e for e in next(iter(polynomial.monomials))]))
     for degree, same_degree in itertools.groupby(polynomials, key=lambda polynomial: polynomial.degree):
@@ -151,13 +161,14 @@ def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polyn
     return result
 
 
-def _extended(polynomial: Polynomial, coordinates: Integers, dim: int) -> Polynomial:
+def embedded(polynomial: Polynomial, coordinates: Sequence[int], dim: int) -> Polynomial:
     """Rewrite a polynomial in some coordinates as one in all `dim` coordinates."""
-    if coordinates.size == dim:
+    if len(coordinates) == dim:
         return polynomial
     terms = {}
     for exponents, value in polynomial.monomials.items():
-        wide = np.zeros(dim, dtype=np.int64)
-        wide[coordinates] = exponents
-        terms[tuple(wide.tolist())] = value
-    return Polynomial(terms)
+        wide = [0] * dim
+        for coordinate, exponent in zip(coordinates, exponents, strict=True):
+            wide[coordinate] = exponent
+        terms[tuple(wide)] = value
+    return Polynomial._from_valid(terms, dim)

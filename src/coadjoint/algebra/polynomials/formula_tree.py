@@ -7,8 +7,7 @@ import ast
 import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from coadjoint.algebra.exact.numbers import MAX_DIGITS, NUMBER, Constant, parse_number
 from coadjoint.algebra.polynomials.monomials import read_coefficient
@@ -53,28 +52,19 @@ _TOKEN = re.compile(
 _COMPARISONS = frozenset({"<", "<=", ">", ">=", "==", "!="})
 
 
-@dataclass(frozen=True)
-class Coordinate:
-    """A coordinate in a formula, by its index."""
+class Monomial(NamedTuple):
+    """A number times powers of coordinates; a number if there are none."""
 
-    index: int
+    number: Constant
+    powers: dict[int, int]
 
+    @property
+    def degree(self) -> int:
+        """Sum of the powers."""
+        return sum(self.powers.values())
 
-@dataclass(frozen=True)
-class FormulaTree:
-    """A parsed formula: terms of a sum with their signs, and the values that the placeholders in them stand for."""
-
-    text: str
-    terms: tuple[tuple[int, ast.expr], ...]
-    symbols: tuple[Any, ...]
-
-    def symbol(self, node: ast.Name) -> Any:
-        """Return what a placeholder stands for: a number, a `Coordinate`, or the name of a function."""
-        return self.symbols[int(node.id[1:])]
-
-    def refused(self, reason: str) -> ValueError:
-        """Return the error for a formula that can be parsed, but is not allowed."""
-        return ValueError(f"{short(self.text, MAX_QUOTED)} {reason}")
+    def __neg__(self) -> Monomial:
+        return self._replace(number=-self.number)
 
 
 def summands(node: ast.expr, sign: int = 1) -> Iterator[tuple[int, ast.expr]]:
@@ -97,38 +87,46 @@ def factors(node: ast.expr) -> list[tuple[bool, ast.expr]]:
     return [(False, node), *reversed(found)]
 
 
-def parse_tree(
-    text: str, value_of: Callable[[str], Any], functions: Collection[str], notation: str, conditions: bool = False
-) -> FormulaTree:
-    """Parse a formula; with `conditions`, comparisons joined by ``and`` and ``or``, as a single term."""
-    # `value_of` returns the number or the `Coordinate` of a name, or None; `notation` ends messages.
-    return _Scanner(text, value_of, functions, notation, conditions).tree()
+class FormulaTree:
+    """A parsed formula: signed terms of a sum, and the numbers and coordinates that placeholders in them stand for.
 
+    With `conditions` it is comparisons joined by ``and`` and ``or``, as a single term.
+    """
 
-class _Scanner:
-    """Check of the tokens of a formula: alternation of operands and operators, brackets, and bounds."""
+    # The tokens are checked first: alternation of operands and operators, brackets, and bounds. `value_of` returns the
+    # number or the coordinate of a name, or None; `notation` ends messages.
 
     def __init__(
-        self, text: str, value_of: Callable[[str], Any], functions: Collection[str], notation: str, conditions: bool
+        self,
+        text: str,
+        value_of: Callable[[str], Monomial | None],
+        functions: Collection[str],
+        notation: str,
+        conditions: bool = False,
     ) -> None:
         if len(text) > MAX_CHARACTERS:
             raise ValueError(f"{short(text)} has {len(text)} letters; a formula has at most {MAX_CHARACTERS}")
-        self._text, self._value_of, self._functions = text, value_of, functions
+        self.text, self._value_of, self._functions = text, value_of, functions
         self._notation, self._conditions = notation, conditions
-        self._symbols: list[Constant | Coordinate | str] = []
-        self._known: dict[tuple[str, bool], str] = {}
+        self.symbols: dict[str, Monomial] = {}
+        self._placeholders: dict[str, str] = {}
         self._source: list[str] = []  # of the current term
         self._signs, self._sources = [1], list[str]()
         self._calls = list[bool]()  # for each open bracket, whether it is that of a function
         self._pending = [0]  # signs and powers that wait for their operand, for each open bracket
         self._nesting = self._operations = 0
+        self._scan()
+        self.terms: tuple[tuple[int, ast.expr], ...] = tuple(zip(self._signs, self._nodes(), strict=True))
 
-    def tree(self) -> FormulaTree:
-        """Return the parsed formula."""
+    def refused(self, reason: str) -> ValueError:
+        """Return the error for a formula that is not allowed."""
+        return ValueError(f"{short(self.text, MAX_QUOTED)} {reason}")
+
+    def _scan(self) -> None:
         operand_expected, is_function, end = True, False, 0
         while True:
             begin = end
-            token = _TOKEN.match(self._text, begin)
+            token = _TOKEN.match(self.text, begin)
             if token is None:
                 raise self._syntax_error(begin)
             end, kind = token.end(), token.lastgroup
@@ -148,9 +146,9 @@ class _Scanner:
             elif operator is None:
                 if not operand_expected:
                     raise self._syntax_error(begin)
-                following = _TOKEN.match(self._text, end)
+                following = _TOKEN.match(self.text, end)
                 is_function = word is not None and following is not None and following["sign"] == "("
-                self._source.append(self._placeholder(token[kind or ""], is_function, word is not None))
+                self._source.append(self._operand(token[kind or ""], is_function, word is not None))
                 operand_expected = is_function
             elif operator in ("+", "-") and operand_expected:
                 self._sign(operator)
@@ -159,20 +157,22 @@ class _Scanner:
             else:
                 operand_expected = operator != ")"
         self._sources.append("".join(self._source))
-        return FormulaTree(self._text, tuple(zip(self._signs, self._nodes(), strict=True)), tuple(self._symbols))
 
-    def _placeholder(self, token: str, is_function: bool, is_name: bool) -> str:
-        if is_function and token not in self._functions:
-            known = f"the functions are {', '.join(self._functions)}" if self._functions else "there are no functions"
-            raise self._refused(f"has the function {short(token, MAX_QUOTED)}; {known} here (a product has a *)")
-        key = token, is_function
-        if key not in self._known:
-            value: Any = token if is_function else self._value_of(token) if is_name else parse_number(token)
+    def _operand(self, token: str, is_function: bool, is_name: bool) -> str:
+        """Return a known function itself, and a placeholder for any other name and for a number."""
+        if is_function:
+            if token not in self._functions:
+                known = ", ".join(self._functions)
+                known = f"the functions are {known}" if known else "there are no functions"
+                raise self.refused(f"has the function {short(token, MAX_QUOTED)}; {known} here (a product has a *)")
+            return token
+        if token not in self._placeholders:
+            value = self._value_of(token) if is_name else Monomial(parse_number(token), {})
             if value is None:
-                raise self._refused(f"has {short(token, MAX_QUOTED)}, which is not a known name; {self._notation}")
-            self._known[key] = f"_{len(self._symbols)}"
-            self._symbols.append(value)
-        return self._known[key]
+                raise self.refused(f"has {short(token, MAX_QUOTED)}, which is not a known name; {self._notation}")
+            self._placeholders[token] = placeholder = f"_{len(self.symbols)}"
+            self.symbols[placeholder] = value
+        return self._placeholders[token]
 
     def _open(self, is_function: bool) -> None:
         self._source.append("(")
@@ -183,7 +183,7 @@ class _Scanner:
     def _nest(self) -> None:
         self._nesting += 1
         if self._nesting > MAX_NESTING:
-            raise self._refused(NESTING_MESSAGE)
+            raise self.refused(NESTING_MESSAGE)
 
     def _sign(self, sign: str) -> None:
         self._source.append(sign)
@@ -229,7 +229,7 @@ class _Scanner:
     def _count(self) -> None:
         self._operations += 1
         if self._operations > MAX_OPERATIONS:
-            raise self._refused(f"has more than {MAX_OPERATIONS} operations in one term")
+            raise self.refused(f"has more than {MAX_OPERATIONS} operations in one term")
 
     def _nodes(self) -> Iterator[ast.expr]:
         for k in range(0, len(self._sources), TERMS_PARSED_AT_ONCE):
@@ -237,16 +237,12 @@ class _Scanner:
             try:
                 parsed = ast.parse(source, mode="eval").body
             except (RecursionError, MemoryError):
-                raise self._refused(NESTING_MESSAGE) from None
+                raise self.refused(NESTING_MESSAGE) from None
             assert isinstance(parsed, ast.Tuple)
             yield from parsed.elts
 
-    def _refused(self, reason: str) -> ValueError:
-        return ValueError(f"{short(self._text, MAX_QUOTED)} {reason}")
-
     def _syntax_error(self, begin: int) -> ValueError:
-        where = short_rest(self._text[begin:], MAX_QUOTED)
-        return ValueError(f"{short(self._text, MAX_QUOTED)} cannot be parsed {where}; {self._notation}")
+        return self.refused(f"cannot be parsed {short_rest(self.text[begin:], MAX_QUOTED)}; {self._notation}")
 
 
 def names_in(text: str, dim: int, names: Sequence[str] | None) -> Sequence[str] | None:
@@ -269,21 +265,23 @@ def names_in(text: str, dim: int, names: Sequence[str] | None) -> Sequence[str] 
 
 def coordinates_and_parameters(
     text: str, dim: int, names: Sequence[str] | None, parameters: Mapping[str, Any] | None
-) -> Callable[[str], Any]:
+) -> Callable[[str], Monomial | None]:
     """Return the function from the names in a formula to coordinates and numbers; ``pi`` has its usual value."""
     numbers = {} if parameters is None else read_parameters(parameters, names or ())
     if names is None:
         return names_and_parameters(text, dim, "x", {"pi": math.pi} | numbers)
-    places = {name: Coordinate(k) for k, name in reversed(list(enumerate(names)))}
+    places = {name: k for k, name in reversed(list(enumerate(names)))}
 
-    def value_of(name: str) -> Any:
-        if name not in places and name not in numbers and name != "pi":
+    def value_of(name: str) -> Monomial:
+        if name in places:
+            return Monomial(1, {places[name]: 1})
+        if name not in numbers and name != "pi":
             raise ValueError(
                 f"{short(text, MAX_QUOTED)} has {short(name, MAX_QUOTED)}; the coordinates are "
                 f"{in_one_line(', '.join(names), MAX_SHOWN_NAMES)}"
                 + (f", and the parameters {in_one_line(', '.join(numbers), MAX_QUOTED)}" if numbers else "")
             )
-        return places[name] if name in places else numbers.get(name, math.pi)
+        return Monomial(numbers.get(name, math.pi), {})
 
     return value_of
 
@@ -300,18 +298,20 @@ def read_parameters(parameters: Mapping[str, Any], names: Sequence[str] = ()) ->
     return {name: read_coefficient(value, f"the parameter {name}") for name, value in parameters.items()}
 
 
-def names_and_parameters(text: str, dim: int, letter: str, numbers: Mapping[str, Any]) -> Callable[[str], Any]:
+def names_and_parameters(
+    text: str, dim: int, letter: str, numbers: Mapping[str, Constant]
+) -> Callable[[str], Monomial | None]:
     """Return the function from the names in a formula to numbers, and to coordinates: a letter and their number."""
 
-    def value_of(name: str) -> Any:
+    def value_of(name: str) -> Monomial | None:
         if name[:1] != letter or not name[1:].isdecimal():
-            return numbers.get(name)
+            return Monomial(numbers[name], {}) if name in numbers else None
         index = int(name[1:]) if len(name) <= MAX_DIGITS else 0
         if not 1 <= index <= dim:
             raise ValueError(
                 f"{short(text, MAX_QUOTED)} has the coordinate {name[:20]}; there are {letter}1 to {letter}{dim}"
             )
-        return Coordinate(index - 1)
+        return Monomial(1, {index - 1: 1})
 
     return value_of
 
@@ -319,7 +319,7 @@ def names_and_parameters(text: str, dim: int, letter: str, numbers: Mapping[str,
 def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> int:
     """Return the number of coordinates of a text, from `dim` or the names in `basis`."""
     if basis is None and dim is None:
-        parse_tree(text, lambda name: Coordinate(0), FUNCTIONS, NOTATION)  # may be no formula at all
+        FormulaTree(text, lambda name: Monomial(1, {0: 1}), FUNCTIONS, NOTATION)  # may be no formula at all
         raise ValueError(f"{short(text)} does not determine the number of coordinates; give dim= or basis=")
     names = () if basis is None else read_list(basis, "basis", "give a list of names")
     if not all(isinstance(name, str) for name in names) or len(set(names)) < len(names):

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 from coadjoint.algebra.exact.numbers import Constant, checked, is_finite, quotient, too_large
 from coadjoint.algebra.invariants.invariant import LogarithmicSum
@@ -16,12 +16,11 @@ from coadjoint.algebra.polynomials.formula_tree import (
     FUNCTIONS,
     MAX_QUOTED,
     NOTATION,
-    Coordinate,
     FormulaTree,
+    Monomial,
     coordinates_and_parameters,
     factors,
     names_and_parameters,
-    parse_tree,
     summands,
 )
 from coadjoint.algebra.polynomials.monomials import Exponents
@@ -62,14 +61,14 @@ def parse_polynomial(
 ) -> Polynomial:
     """Parse a polynomial, such as ``"0.5*x1^2 - x2*x3 + x1/3"`` or ``"a*(x1 + x2)**2/2"``, and multiply it out."""
     # Quotients of integers stay exact; products with floats are rounded in the order of the text.
-    tree = parse_tree(text, coordinates_and_parameters(text, dim, names, parameters), FUNCTIONS, NOTATION)
+    tree = FormulaTree(text, coordinates_and_parameters(text, dim, names, parameters), FUNCTIONS, NOTATION)
     return Expansion(tree, dim).polynomial()
 
 
 def parse_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: str = "x") -> Formula:
     """Parse a formula of the catalogue in exact arithmetic; ``log(p)`` is log|p|; `letter` names coordinates."""
-    tree = parse_tree(text, names_and_parameters(text, dim, letter, parameters), ("log", "atan2"), _EXACT_NOTATION)
-    if any(isinstance(symbol, float) for symbol in tree.symbols):
+    tree = FormulaTree(text, names_and_parameters(text, dim, letter, parameters), ("log", "atan2"), _EXACT_NOTATION)
+    if any(isinstance(symbol.number, float) for symbol in tree.symbols.values()):
         raise tree.refused(f"has decimals; {_EXACT_NOTATION}")
     value: Formula = ExactExpansion(tree, dim).value()
     return value
@@ -78,7 +77,8 @@ def parse_formula(text: str, parameters: Mapping[str, Number], dim: int, letter:
 def condition_holds(text: str, parameters: Mapping[str, Number]) -> bool:
     """Return whether parameters satisfy a condition: comparisons joined by ``and`` or ``or``."""
     notation = "it must be comparisons of parameters, joined by 'and' or 'or'"
-    tree = parse_tree(text, parameters.get, (), notation, conditions=True)
+    values = {name: Monomial(number, {}) for name, number in parameters.items()}
+    tree = FormulaTree(text, values.get, (), notation, conditions=True)
     expansion = ExactExpansion(tree, 0)
     ((_, node),) = tree.terms
 
@@ -106,21 +106,6 @@ def add_term(total: dict[Exponents, Constant], exponents: Exponents, coefficient
         size = len(total) * (BYTES_PER_TERM + BYTES_PER_EXPONENT * len(exponents))
         what = f"a polynomial of {len(total)} terms or more in {len(exponents)} coordinates"
         check_available_memory(2 * size, what)
-
-
-class Monomial(NamedTuple):
-    """A number times powers of coordinates; a number if there are none."""
-
-    number: Constant
-    powers: dict[int, int]
-
-    @property
-    def degree(self) -> int:
-        """Sum of the powers."""
-        return sum(self.powers.values())
-
-    def __neg__(self) -> Monomial:
-        return self._replace(number=-self.number)
 
 
 def number_of(value: Monomial | Polynomial) -> Constant | None:
@@ -165,14 +150,13 @@ class Expansion:
     def _node(self, node: ast.expr) -> Monomial | Polynomial:
         match node:
             case ast.Name():
-                symbol = self.tree.symbol(node)
-                return Monomial(1, {symbol.index: 1}) if isinstance(symbol, Coordinate) else Monomial(symbol, {})
+                return self.tree.symbols[node.id]
             case ast.UnaryOp(op=ast.USub()):
                 return -self._node(node.operand)
             case ast.UnaryOp():
                 return self._node(node.operand)
-            case ast.Call(func=ast.Name() as name):
-                return self.call(self.tree.symbol(name), [self._node(argument) for argument in node.args])
+            case ast.Call(func=ast.Name(id=name)):
+                return self.call(name, [self._node(argument) for argument in node.args])
             case ast.BinOp(op=ast.Pow()):
                 return self._power(self._node(node.left), self.of(node.right))
             case ast.BinOp(op=ast.Mult() | ast.Div()):

@@ -7,7 +7,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import combinations_with_replacement, pairwise
 from numbers import Rational
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,28 +154,36 @@ class ProductSum:
         points = x.reshape(-1, x.shape[-1])
         result = np.zeros((len(points), self._size), dtype=x.dtype)
         if len(self._targets):
-            chunk = max(1, MAX_NUMBERS // (len(self._targets) + self._distinct_products.distinct_factors))
+            _, targets, _ = self._by_target
+            count, _, _ = self._distinct_products
+            chunk = max(1, MAX_NUMBERS // (len(self._targets) + count))
             for first in range(0, len(points), chunk):
                 rows = slice(first, first + chunk)
-                sums = self._nonconstant_sums(np.ascontiguousarray(points[rows].T))
-                result[rows, self._distinct_products.targets] = sums.T
+                result[rows, targets] = self._nonconstant_sums(np.ascontiguousarray(points[rows].T)).T
         return result.reshape(*x.shape[:-1], self._size)
 
     def _nonconstant_sums(self, x: NDArray[Any]) -> NDArray[Any]:
         """Return the sums that have terms at points (n, k), shape (targets with terms, k)."""
-        shared, exact = self._distinct_products, x.dtype == object
+        (order, _, starts), (count, factors, product) = self._by_target, self._distinct_products
         powers = [x]
         while len(powers) < int(self._power.max(initial=1)):
             powers.append(powers[-1] * x)
         table = np.stack(powers)
-        products = np.ones((shared.distinct_factors, x.shape[1]), dtype=x.dtype)
-        for row, index, power in shared.factors:
+        products = np.ones((count, x.shape[1]), dtype=x.dtype)
+        for row, index, power in factors:
             products[row] = products[row] * table[power - 1, index]
-        coefficients = (self._exact if exact else self._coefficients.astype(x.dtype))[shared.order]
-        return np.add.reduceat(products[shared.product] * coefficients[:, None], shared.starts, axis=0)
+        coefficients = self._exact if x.dtype == object else self._coefficients.astype(x.dtype)
+        return np.add.reduceat(products[product[order]] * coefficients[order][:, None], starts, axis=0)
 
     @cached_property
-    def _distinct_products(self) -> _DistinctProducts:
+    def _by_target(self) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """The terms in order of target, the targets, and the first term of each."""
+        order = np.argsort(self._targets, kind="stable")
+        return order, *np.unique(self._targets[order], return_index=True)
+
+    @cached_property
+    def _distinct_products(self) -> tuple[int, list[tuple[NDArray[np.int64], ...]], NDArray[np.int64]]:
+        """The number of distinct products, their first, second and further factors, and the product of each term."""
         of_rows: list[tuple[tuple[int, int], ...]] = [()] * len(self._targets)
         ends = np.append(self._starts, len(self._index))
         for row, (first, last) in enumerate(pairwise(ends.tolist())):
@@ -187,19 +195,5 @@ class ProductSum:
         for factors, k in product_index.items():
             for step, (i, e) in zip(steps, factors, strict=False):
                 step.append((k, i, e))
-        order = np.argsort(self._targets, kind="stable")
-        targets, starts = np.unique(self._targets[order], return_index=True)
-        product = np.array([product_index[factors] for factors in of_rows], dtype=np.int64)[order]
         columns = [tuple(np.array(step, dtype=np.int64).T) for step in steps]
-        return _DistinctProducts(len(product_index), columns, order, product, targets, starts)
-
-
-class _DistinctProducts(NamedTuple):
-    """The distinct products of all sums, and the terms in order of target."""
-
-    distinct_factors: int
-    factors: list[tuple[NDArray[np.int64], ...]]  # of the first factor of each product, then of the second, and so on
-    order: NDArray[np.int64]
-    product: NDArray[np.int64]
-    targets: NDArray[np.int64]
-    starts: NDArray[np.int64]
+        return len(product_index), columns, np.array([product_index[factors] for factors in of_rows], dtype=np.int64)

@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials, SymbolicPolynomial
 from coadjoint.algebra.polynomials.monomials import Exponents, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.symbolic_polynomial import SymbolicPolynomial
 from coadjoint.errors import unknown_name
 from coadjoint.program.modified_energy.logarithms import Coordinates
 from coadjoint.program.modified_energy.modified_series import coordinates_of, modified_terms

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from coadjoint import systems
 from coadjoint.algebra import catalogue
-from coadjoint.algebra.brackets import parse_brackets
 from coadjoint.algebra.exact.numbers import TOO_LARGE, Constant, fits
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
@@ -194,7 +193,7 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
     if len(basis) != dim:
         raise ConfigurationError(f"{name}: algebra.basis: has {len(basis)} names; dim is {dim}")
     with section(name, "algebra.brackets"):
-        return LieAlgebra.from_brackets(dim, parse_brackets(table.brackets or [], basis), basis=basis)
+        return LieAlgebra.from_brackets(dim, table.brackets or {}, basis=basis)
 
 
 def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any:

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.families.matrix_bases import casimirs_fit, quadratic
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import casimirs_fit, quadratic
 from coadjoint.memory import check_available_memory
 from coadjoint.program.commutation import few_parts
 from coadjoint.program.generators import NotSplittable

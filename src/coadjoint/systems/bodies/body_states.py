@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.group_elements import ORTHOGONALITY, is_rotation, matrices_of_quaternions
+from coadjoint.algebra.representation import ORTHOGONALITY, is_rotation, matrices_of_quaternions
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_inertia import BodyInertia

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.group_elements import expected_elements, group_elements
+from coadjoint.algebra.representation import expected_elements, group_elements
 from coadjoint.short_repr import short
 from coadjoint.validation import read_finite
 

@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import of_entries
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, plain, short
@@ -22,6 +21,7 @@ from coadjoint.systems.hamiltonians.repeated_rows import (
     RepeatedRows,
     check_symmetric,
     entries_of_polynomial,
+    polynomial_of_entries,
     real_array,
     repeated_rows,
     rows_of,
@@ -227,7 +227,7 @@ class Quadratic(Summable):
         >>> Quadratic([[1.0, -1.0], [-1.0, 0.0]], linear=[0.0, 3.0]).to_polynomial()
         3.0*x2 + 0.5*x1^2 - x1*x2
         """
-        return of_entries(*self.as_given(), self._constant)
+        return polynomial_of_entries(*self.as_given(), self._constant)
 
     def bind(self, n: int) -> Quadratic:
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix."""

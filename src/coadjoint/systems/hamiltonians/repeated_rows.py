@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.exact.numbers import quotient
 from coadjoint.algebra.exact.sparse_sums import distinct
-from coadjoint.algebra.polynomials.monomials import Coefficient, factors_of
+from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -249,6 +250,24 @@ def _as_floats(numbers: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if numbers.dtype == object and all(isinstance(number, float) for number in numbers):
         return numbers.astype(np.float64)
     return numbers
+
+
+def polynomial_of_entries(
+    rows: npt.NDArray[Any],
+    columns: npt.NDArray[Any],
+    entries: npt.NDArray[Any],
+    coefficients: npt.NDArray[Any],
+    constant: Coefficient,
+) -> Polynomial:
+    """Return ``x . M x / 2 + coefficients . x + constant`` for entries of both triangles of M; exact if they are."""
+    n = len(coefficients)
+    monomials: dict[tuple[int, ...], Any] = {(0,) * n: constant}
+    for i, c in enumerate(coefficients.tolist()):
+        monomials[exponents_of((i,), n)] = c
+    for i, j, c in zip(rows.tolist(), columns.tolist(), entries.tolist(), strict=True):
+        if i <= j:
+            monomials[exponents_of((i, j), n)] = c if i < j else quotient(c, 2)
+    return Polynomial(monomials, dim=n)
 
 
 def entries_of_polynomial(polynomial: Polynomial) -> tuple[Entries, Any]:

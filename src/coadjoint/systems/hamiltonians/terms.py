@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.quadratic_forms import of_entries
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small
-from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, rows_of, starts_of_rows
+from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, polynomial_of_entries, rows_of, starts_of_rows
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
 
@@ -159,7 +158,7 @@ class QuadraticTerm:
 
     def to_polynomial(self) -> Polynomial:
         """Return the term as a polynomial."""
-        return of_entries(self.rows, self.indices, self.values, self.linear, self.constant)
+        return polynomial_of_entries(self.rows, self.indices, self.values, self.linear, self.constant)
 
     def structure(self) -> tuple[Hashable, list[Any]]:
         """Return what tables depend on apart from coefficients, and the coefficients: linear ones and the entries."""

@@ -15,11 +15,9 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.formula_tree import (
     FUNCTIONS,
     NOTATION,
-    Coordinate,
     FormulaTree,
     coordinates_and_parameters,
     factors,
-    parse_tree,
     read_parameters,
     summands,
 )
@@ -96,20 +94,20 @@ def check_traceable(function: Callable[..., Any], n: int, timed: bool) -> None:
 def value_at(tree: FormulaTree, x: Any) -> Any:
     """Return the value of a formula at x, by arithmetic and functions of NumPy; numbers in it are rounded first."""
     constants = Expansion(tree, 1)
+    coordinates = {name: index for name, symbol in tree.symbols.items() for index in symbol.powers}
 
     def of(node: ast.expr) -> Any:
-        if not any(isinstance(part, ast.Name) and isinstance(tree.symbol(part), Coordinate) for part in ast.walk(node)):
+        if not any(isinstance(part, ast.Name) and part.id in coordinates for part in ast.walk(node)):
             constant = constants.of(node)
             return constant if isinstance(constant, int) else float(constant)
         match node:
             case ast.Name():
-                return x[tree.symbol(node).index]
+                return x[coordinates[node.id]]
             case ast.UnaryOp(op=ast.USub()):
                 return -of(node.operand)
             case ast.UnaryOp():
                 return of(node.operand)
-            case ast.Call(func=ast.Name() as function):
-                name = tree.symbol(function)
+            case ast.Call(func=ast.Name(id=name)):
                 if len(node.args) != 1:
                     raise tree.refused(f"has {name} of {len(node.args)} arguments; it takes one")
                 return getattr(np, FUNCTIONS[name][0])(of(node.args[0]))
@@ -144,7 +142,9 @@ class ParsedFunction:
         self.text, self.dim = text, dim
         self.names = None if names is None else tuple(names)
         self.parameters = read_parameters(parameters or {})
-        tree = parse_tree(text, coordinates_and_parameters(text, dim, self.names, self.parameters), FUNCTIONS, NOTATION)
+        tree = FormulaTree(
+            text, coordinates_and_parameters(text, dim, self.names, self.parameters), FUNCTIONS, NOTATION
+        )
         try:
             recorded = traced(lambda x: value_at(tree, x), dim, timed=False)
         except TracingError as reason:
