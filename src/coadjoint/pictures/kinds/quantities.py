@@ -13,7 +13,7 @@ from coadjoint.pictures.curves import draw_members, from_start
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, symbol, thickness, write_note
-from coadjoint.systems.bodies.body_states import FRAMES
+from coadjoint.systems.bodies.body_systems import FRAMES
 from coadjoint.validation import read_choice
 
 Floats = npt.NDArray[np.float64]

@@ -15,8 +15,8 @@ from coadjoint.systems.bodies.attitude_algebra import (
     momentum_in_space,
     with_carried,
 )
-from coadjoint.systems.bodies.body_inertia import energy_with_rotors, inverse_of_moving, read_body_inertia, read_rotors
 from coadjoint.systems.bodies.body_systems import BodySystem
+from coadjoint.systems.bodies.inertia import energy_with_rotors, inverse_of_moving, read_body_inertia, read_rotors
 from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution

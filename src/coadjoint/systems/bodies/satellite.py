@@ -15,9 +15,8 @@ from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.bodies.body_inertia import read_body_inertia
-from coadjoint.systems.bodies.classical_body import ClassicalBody
-from coadjoint.systems.bodies.inertia import principal, read_in_range
+from coadjoint.systems.bodies.inertia import principal, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.rigid_body import ClassicalBody
 from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
 from coadjoint.systems.closed_forms.spins import rotate_about
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
