@@ -10,14 +10,13 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.bodies.inertia import read_in_range, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import callable_from_compiled
-from coadjoint.validation import read_finite
 
 
 def _swinging() -> npt.NDArray[np.float64]:
@@ -106,10 +105,8 @@ def double_spherical_pendulum(
 
 
 def _pair(argument: Any, what: str) -> tuple[float, float]:
-    numbers = read_finite(argument, what)
-    if numbers.shape != (2,):
-        raise ValueError(f"{what} has shape {numbers.shape}; give two numbers, the first of the rod at the pivot")
-    first, second = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers.tolist()))
+    numbers = read_vector(argument, what, 2).tolist()
+    first, second = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers))
     return first, second
 
 

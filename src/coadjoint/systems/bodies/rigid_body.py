@@ -22,12 +22,7 @@ from coadjoint.systems.bodies.inertia import (
     read_vector,
     warn_unphysical_inertia,
 )
-from coadjoint.systems.closed_forms.closed_form import (
-    check_finite_states,
-    initial_group_element,
-    start_and_times,
-    with_group_element,
-)
+from coadjoint.systems.closed_forms.closed_form import move_state_and_element
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, fixed_axis
 from coadjoint.systems.energy_derivatives import gradients_at
 from coadjoint.systems.forces.body_torque import velocity_map
@@ -295,24 +290,18 @@ def gyrostat(inertia: npt.ArrayLike = (1.0, 2.0, 3.0), rotors: npt.ArrayLike = (
         sign=-1,
         name="gyrostat",
         parameters={"inertia": as_tuples(moments), "rotors": tuple(k.tolist())},
-        exact=None if axis is None or m is None else partial(_symmetric, m, k, axis),
+        exact=None
+        if axis is None or m is None
+        else partial(move_state_and_element, 3, 3, partial(_symmetric, m, k, axis)),
         integrals=momentum_along(axis, "x", 3),
     )
 
 
-def _symmetric(m: Floats, k: Floats, axis: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
-    """Return the closed form of a symmetric gyrostat."""
+def _symmetric(m: Floats, k: Floats, axis: Floats, start: Floats, times: Floats) -> tuple[Floats, Floats]:
+    """Return the momenta of a symmetric gyrostat, and its attitudes from the identity."""
     # ``Omega = n x + s axis`` with n the inverse moment across the axis and a constant s. So x rotates about the axis
     # by ``-s t``, and ``A(t) = A(0) exp(n t hat(x(0))) exp(s t hat(axis))``.
-    start, times = start_and_times(x0, t, 3)
-    first = initial_group_element(attitude, 3)
     n = float(m[np.argmin(np.abs(axis))])
-    with np.errstate(over="ignore", invalid="ignore"):
-        spin = float((axis * ((m - n) * start - m * k)).sum()) * axis
-        time_array = np.atleast_1d(times)
-        rotation = fixed_axis(spin, time_array)
-        x, A = start @ rotation, first @ fixed_axis(n * start, time_array) @ rotation
-    check_finite_states(np.concatenate([x.ravel(), A.ravel()]), start, times)
-    if times.ndim == 0:
-        x, A = x[0], A[0]
-    return with_group_element(x, A, attitude)
+    spin = float((axis * ((m - n) * start - m * k)).sum()) * axis
+    rotation = fixed_axis(spin, times)
+    return start @ rotation, fixed_axis(n * start, times) @ rotation

@@ -13,21 +13,15 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.invariants.invariant import COSH, HOLD, SINH, SINH_SQUARED, Forms
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
+from coadjoint.systems.bodies.inertia import read_vector
 from coadjoint.systems.bodies.rigid_body import so3_body
-from coadjoint.systems.closed_forms.closed_form import check_finite_states, initial_group_element, start_and_times
+from coadjoint.systems.closed_forms.closed_form import move_state_and_element
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import Separable
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import read_finite, read_number, read_positive
-
-
-def _three(masses: npt.ArrayLike) -> tuple[float, ...]:
-    values = read_finite(masses, "masses")
-    if values.shape != (3,):
-        raise ValueError(f"masses has shape {values.shape}; give three finite numbers, the diagonal of M")
-    return tuple(values.tolist())
 
 
 def _energy(masses: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
@@ -79,12 +73,12 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
     >>> paper_a37().vector_field([1.0, 1.0, 1.0])
     array([ 0.01,  0.03, -7.  ])
     """
-    values, parameter = _three(masses), read_number(a, "a")
+    values, parameter = read_vector(masses, "masses"), read_number(a, "a")
     return LiePoissonSystem(
         catalogue.get("A3,7", a=parameter),
-        Quadratic(*_energy(np.array(values))),
+        Quadratic(*_energy(values)),
         name="paper_a37",
-        parameters={"a": parameter, "masses": values},
+        parameters={"a": parameter, "masses": tuple(values.tolist())},
     )
 
 
@@ -141,10 +135,9 @@ def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoisso
     >>> paper_rigid_body((1.0, 0.5, 0.25)).vector_field([1.0, 2.0, 4.0])
     array([ 2., -3.,  1.])
     """
-    values = _three(masses)
-    return so3_body(
-        LiePoissonSystem, *_energy(np.array(values)), sign=+1, name="paper_rigid_body", parameters={"masses": values}
-    )
+    values = read_vector(masses, "masses")
+    parameters = {"masses": tuple(values.tolist())}
+    return so3_body(LiePoissonSystem, *_energy(values), sign=+1, name="paper_rigid_body", parameters=parameters)
 
 
 @ready_made(
@@ -332,25 +325,20 @@ def riccati(constant: float = 1.0, linear: float = 0.0, quadratic: float = 1.0) 
         casimirs={"discriminant": Polynomial({(1, 0, 1): 1, (0, 2, 0): 1})},
         name="riccati",
         parameters={"constant": q[0], "linear": q[1], "quadratic": q[2]},
-        exact=partial(_riccati_motion, u),
+        exact=partial(move_state_and_element, 3, 2, partial(_riccati_motion, u)),
     )
 
 
-def _riccati_motion(u: Floats, x0: Any, t: Any, attitude: Any = False) -> Any:
-    """Return ``exp(t D_u) x0`` and ``g exp(-t rho(u))``."""
+def _riccati_motion(u: Floats, start: Floats, times: Floats) -> tuple[Floats, Floats]:
+    """Return ``exp(t D_u) x0`` and ``exp(-t rho(u))``."""
     # D_u^3 = d D_u and rho(u)^2 = d/4, with the discriminant d, so that sines and cosines of t sqrt(d)/2 suffice.
-    start, times = start_and_times(x0, t, 3)
-    first = initial_group_element(attitude, 2)
     p, q, r = u.tolist()
     D = np.array([[q, -2.0 * r, 0.0], [-p, 0.0, r], [0.0, 2.0 * p, -q]])
     rho = np.array([[0.5 * q, r], [p, -0.5 * q]])
-    with np.errstate(all="ignore"):
-        rate = np.sqrt(complex(0.25 * q * q + p * r))
-        angle = rate * times
-        even = np.cosh(angle).real
-        odd = times + 0.0 if rate == 0 else (np.sinh(angle) / rate).real
-        Dx = D @ start
-        x = start + (even * odd)[..., None] * Dx + (0.5 * odd**2)[..., None] * (D @ Dx)
-        g = first @ (even[..., None, None] * np.eye(2) - odd[..., None, None] * rho)
-    check_finite_states(x, start, times)
-    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, check_finite_states(g, start, times))
+    rate = np.sqrt(complex(0.25 * q * q + p * r))
+    angle = rate * times
+    even = np.cosh(angle).real
+    odd = times + 0.0 if rate == 0 else (np.sinh(angle) / rate).real
+    Dx = D @ start
+    x = start + (even * odd)[:, None] * Dx + (0.5 * odd**2)[:, None] * (D @ Dx)
+    return x, even[:, None, None] * np.eye(2) - odd[:, None, None] * rho
