@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra import catalogue
 from coadjoint.memory import check_available_memory
-from coadjoint.systems.lattices.dipolar import DipolarFunction
+from coadjoint.systems.lattices.couplings import DipolarFunction
 from coadjoint.systems.system_checks import check_system
 
 Floats = NDArray[np.float64]

@@ -9,7 +9,7 @@ from coadjoint.program.generators import BasisMatrices
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.systems.hamiltonians import repeated_rows as rows
 from coadjoint.systems.hamiltonians.terms import RepeatedTerm
-from coadjoint.systems.lattices import coupling_matrix
+from coadjoint.systems.lattices import couplings
 
 SIDE = 12  # of a cubic lattice, with more rows than MIN_ROWS
 SITES = SIDE**3
@@ -44,7 +44,7 @@ def explicit(name, monkeypatch):
     """Return the same lattice without shapes of rows."""
     with monkeypatch.context() as patched:
         patched.setattr(rows, "MIN_ROWS", 2**40)
-        patched.setattr(coupling_matrix, "MIN_ROWS", 2**40)
+        patched.setattr(couplings, "MIN_ROWS", 2**40)
         return lattice(name)
 
 

@@ -18,7 +18,6 @@ from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.fluids.carried_fields import fluid_of
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 
 COMPLEX_PARTS = ("real", "imaginary")
@@ -271,7 +270,8 @@ def _labels(kind: str, series: Mapping[str, Any]) -> Iterable[tuple[str, tuple[s
 
 def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Variables]:
     """Return variables and coordinates of vorticity on a grid (None: if not large); empty without a fluid."""
-    fluid = None if solution.system.is_batch else fluid_of(solution.system.unforced)
+    system = solution.system
+    fluid = None if system.is_batch or not system.has_matrices else system.unforced.fluid
     if fluid is None:
         if grid is None or grid is False:
             return {}, {}

@@ -23,7 +23,7 @@ from coadjoint.pictures.style import (
     thickness,
     write_note,
 )
-from coadjoint.systems.bodies.body_states import FRAMES
+from coadjoint.systems.bodies.body_systems import FRAMES
 from coadjoint.validation import read_choice
 
 Floats = npt.NDArray[np.float64]

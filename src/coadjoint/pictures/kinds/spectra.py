@@ -11,7 +11,6 @@ from coadjoint.pictures.curves import draw_over_time
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.pictures.style import colour, legend, plain_axes, thickness
-from coadjoint.systems.fluids.carried_fields import fluid_of as fluid_of_system
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 
 Floats = npt.NDArray[np.float64]
@@ -28,9 +27,10 @@ LETTER = {"sphere": "l", "torus": "|n|"}
 
 def fluid_of(drawn: PlottedRun) -> FluidSystem:
     """Return the fluid system of a run (of two fields, that of the vorticity); raise CannotShow for other systems."""
-    found = fluid_of_system(drawn.unforced)
-    if found is None:
-        raise CannotShow(f"{drawn.unforced.name} has no vorticity to show; sphere_euler and torus_euler have")
+    system = drawn.unforced
+    if not system.has_matrices or system.fluid is None:
+        raise CannotShow(f"{system.name} has no vorticity to show; sphere_euler and torus_euler have")
+    found: FluidSystem = system.fluid
     return found
 
 

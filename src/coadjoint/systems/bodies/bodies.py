@@ -16,10 +16,16 @@ from coadjoint.systems.bodies.attitude_algebra import (
     central_coordinate,
     momentum_in_space,
 )
-from coadjoint.systems.bodies.body_inertia import BodyInertia, inverse_of_moving, read_inertias
-from coadjoint.systems.bodies.body_states import read_angular_velocities, read_attitudes, read_states, read_vectors
-from coadjoint.systems.bodies.body_systems import Bodies, joined, over_members
-from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.bodies.body_systems import (
+    Bodies,
+    joined,
+    over_members,
+    read_angular_velocities,
+    read_attitudes,
+    read_states,
+    read_vectors,
+)
+from coadjoint.systems.bodies.inertia import BodyInertia, inverse_of_moving, read_in_range, read_inertias
 from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.bodies.classical_body import ClassicalBody
-from coadjoint.systems.bodies.heavy_top import rigid_motions
+from coadjoint.systems.bodies.heavy_tops import rigid_motions
 from coadjoint.systems.bodies.inertia import inverse_of, positive_moments, principal, read_inertia, read_vector
+from coadjoint.systems.bodies.rigid_body import ClassicalBody
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,11 +16,11 @@ from coadjoint.systems.bodies.attitude_algebra import (
     momentum_in_space,
     with_carried,
 )
-from coadjoint.systems.bodies.body_inertia import energy_with_rotors, inverse_of_moving, read_body_inertia, read_rotors
 from coadjoint.systems.bodies.body_systems import BodySystem
+from coadjoint.systems.bodies.inertia import energy_with_rotors, inverse_of_moving, read_body_inertia, read_rotors
 from coadjoint.systems.bodies.rigid_body import rotations
-from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
-from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
+from coadjoint.systems.closed_forms.closed_form import move_state
+from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, free_motion
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made
@@ -150,7 +151,7 @@ def body(
         casimirs=axis_products(1, algebra.dim, alone=True) if attitude else None,
         integrals=momentum_in_space(1, algebra.dim, alone=True) if attitude else None,
         parameters=parameters,
-        exact=None if rotors.names else partial(_free_motion, found.inverse, algebra.dim, attitude),
+        exact=None if rotors.names else _closed_form(found.inverse, algebra.dim, attitude),
         rotors=rotors,
         held=held,
         sign=-1,
@@ -158,14 +159,17 @@ def body(
     )
 
 
-def _free_motion(M: Floats, dim: int, in_state: bool, x0: Any, t: Any, attitude: Any = False) -> Any:
-    """Return the state of the free body: its momentum in closed form, and the axes turned by its attitude."""
+def _closed_form(M: Floats, dim: int, in_state: bool) -> Callable[..., Any]:
+    """Return the closed form of the free body, with the attitude beside the state if that is the momentum alone."""
     if dim == 3:
-        return exact_solution(M, -1, x0, t, attitude)
-    reject_attitude(attitude, "body")
-    start, times = start_and_times(x0, t, dim)
-    turning, kept = np.split(start, [PER_BODY if in_state else 3])
-    L, turned = exact_solution(M, -1, turning[:3], times, attitude=True)
+        return partial(exact_solution, M, -1)
+    return partial(move_state, "body", dim, partial(_motion, M, PER_BODY if in_state else 3))
+
+
+def _motion(M: Floats, moving: int, start: Floats, times: Floats) -> Floats:
+    """Return the states of the free body, whose axes its attitude turns; the coordinates after the first are kept."""
+    turning, kept = np.split(start, [moving])
+    L, turned = free_motion(M, -1, turning[:3], times)
     axes = np.einsum("ai,...ij->...aj", turning[3:].reshape(-1, 3), turned)
-    parts = L, axes.reshape(*times.shape, -1), np.broadcast_to(kept, (*times.shape, len(kept)))
+    parts = L, axes.reshape(len(times), moving - 3), np.tile(kept, (len(times), 1))
     return np.concatenate(parts, axis=-1)

@@ -10,14 +10,13 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.bodies.inertia import read_in_range, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.user_functions import callable_from_compiled
-from coadjoint.validation import read_finite
 
 
 def _swinging() -> npt.NDArray[np.float64]:
@@ -70,7 +69,7 @@ def double_spherical_pendulum(
     LiePoissonSystem
         State: ``(q_1, q_2, p_1, p_2, 1)``, 13 numbers, q_1 = u_1, q_2 = u_2, and ``p_1 = a u_1' + c u_2'``, ``p_2 = b
         u_2' + c u_1'`` (angular momentum), up to components along q;
-        ``coadjoint.systems.canonical.canonical_state`` assembles it. Casimir: ``"z"``, which is 1. Integrals, all
+        ``coadjoint.systems.canonical_state`` assembles it. Casimir: ``"z"``, which is 1. Integrals, all
         quadratic: ``"|q1|^2"``, ``"q1.p1"``, the same of q2 and p2, and the vertical component ``"total L3"`` of the
         angular momentum, or all three components without gravity.
 
@@ -106,10 +105,8 @@ def double_spherical_pendulum(
 
 
 def _pair(argument: Any, what: str) -> tuple[float, float]:
-    numbers = read_finite(argument, what)
-    if numbers.shape != (2,):
-        raise ValueError(f"{what} has shape {numbers.shape}; give two numbers, the first of the rod at the pivot")
-    first, second = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers.tolist()))
+    numbers = read_vector(argument, what, 2).tolist()
+    first, second = (read_in_range(value, f"{what}[{k}]") for k, value in enumerate(numbers))
     return first, second
 
 

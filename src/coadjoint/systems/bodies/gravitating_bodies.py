@@ -17,8 +17,7 @@ from coadjoint.systems.bodies.bodies import (
     read_masses,
     system_of_bodies,
 )
-from coadjoint.systems.bodies.body_inertia import anisotropic_part, read_inertias
-from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.bodies.inertia import anisotropic_part, read_in_range, read_inertias
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity

@@ -1,11 +1,11 @@
-"""Moments of inertia and other parameters of bodies: validation, correctly rounded inverses, and warnings."""
+"""Inertia of bodies, wheels and gyros: validation, correctly rounded inverses, symmetry, and warnings."""
 
 from __future__ import annotations
 
 import sys
 import warnings
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,16 @@ import numpy.typing as npt
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.validation import check_finite, read_finite, read_number, read_numbers, read_positive
+from coadjoint.validation import (
+    as_tuples,
+    check_finite,
+    is_real,
+    read_finite,
+    read_list,
+    read_number,
+    read_numbers,
+    read_positive,
+)
 
 MIN_MOMENT = 2.0**-1022  # smallest normal number: below it the inverse overflows
 
@@ -176,3 +185,200 @@ def _warn(text: str) -> None:
     while frame.f_back is not None and frame.f_back.f_globals.get("__name__", "").partition(".")[0] == "coadjoint":
         level, frame = level + 1, frame.f_back
     warnings.warn(text, UserWarning, stacklevel=level + 1)
+
+
+Floats = npt.NDArray[np.float64]
+
+ROD_TOLERANCE = 64 * UNIT_ROUNDOFF
+"""Relative deviation below which a tensor counts as that of a rod: its square is a multiple of it."""
+
+
+class BodyInertia(NamedTuple):
+    """The inertia of a body as given, as a tensor, and its inverse, (3,) or (3, 3), on directions that rotate it."""
+
+    # `rotating` is the projection on these directions for a rod or a point, and None for other bodies.
+
+    given: Any
+    tensor: Floats
+    inverse: Floats
+    rotating: Floats | None = None
+
+    @property
+    def anisotropic(self) -> Floats:
+        """The tensor without its isotropic part: the trace is zero, and the moments of a ball vanish exactly."""
+        return np.asarray(anisotropic_part(self.tensor), dtype=np.float64)
+
+
+def anisotropic_part(tensor: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a tensor without its isotropic part, real or complex, from differences of its moments."""
+    result = tensor.copy()
+    for i in range(3):
+        a, b, c = (tensor[j, j] for j in (i, (i + 1) % 3, (i + 2) % 3))
+        result[i, i] = ((a - b) + (a - c)) / 3.0
+    return result
+
+
+def read_body_inertia(inertia: Any, what: str = "inertia") -> BodyInertia:
+    """Validate principal moments or a tensor; the moment along a rod, and all those of a point, may be zero."""
+    array = read_numbers(inertia, what)
+    if array.shape not in ((3,), (3, 3)):
+        raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
+    check_finite(array, what)
+    if not array.any():
+        return BodyInertia(as_tuples(array), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
+    inverse, rotating = (_inverse_moments if array.ndim == 1 else _inverse_tensor)(array, what)
+    warn_unphysical_inertia(array, None, what)
+    tensor = np.diag(array) if array.ndim == 1 else np.triu(array) + np.triu(array, 1).T
+    return BodyInertia(as_tuples(array), tensor, inverse, rotating)
+
+
+def read_inertias(inertias: Any) -> tuple[BodyInertia, ...]:
+    """Validate the inertia of each of several bodies, with the number of the one that is wrong."""
+    rule = "give one inertia for each body, such as [(1, 2, 2.5), (1, 1, 1)]"
+    listed = read_list(inertias, "inertias", rule)
+    if not listed or any(map(is_real, listed)):
+        raise ValueError(f"inertias is {short(inertias)}; {rule}")
+    return tuple(read_body_inertia(entry, f"inertias[{k}]") for k, entry in enumerate(listed))
+
+
+def inverse_of_moving(inertia: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the inverse of moments, zero where they are, or of a tensor, which is not that of a rod; also complex."""
+    if inertia.ndim == 2:
+        return inverse_of(inertia, "inertia")
+    inverse = np.zeros_like(inertia)
+    moving = inertia.real != 0.0
+    inverse[moving] = 1.0 / inertia[moving]
+    return inverse
+
+
+def _inverse_moments(moments: Floats, what: str) -> tuple[Floats, Floats | None]:
+    zero = np.flatnonzero(moments == 0.0)
+    if not len(zero):
+        return 1.0 / positive_moments(moments, what), None
+    others = np.delete(moments, zero)
+    # The mass of a body without a moment about an axis lies on that axis.
+    if len(zero) > 1 or others[0] != others[1]:
+        raise ValueError(
+            f"{what}[{zero[0]}] is 0, as that of a rod along this axis, but the other moments are "
+            f"{' and '.join(f'{m:g}' for m in np.delete(moments, zero[0]).tolist())}; those of a rod are equal"
+        )
+    positive_moments(others, what)
+    inverse = np.zeros(3)
+    inverse[moments != 0.0] = 1.0 / others
+    return inverse, np.diag((moments != 0.0).astype(np.float64))
+
+
+def _inverse_tensor(tensor: Floats, what: str) -> tuple[Floats, Floats | None]:
+    check_symmetric_matrix(tensor, what)
+    size = tensor.trace() / 2
+    with np.errstate(all="ignore"):
+        scaled = tensor / size if size else tensor
+        defect = np.abs(np.einsum("ij,jk->ik", scaled, scaled) - scaled).max()
+    # A rod with the direction n has the tensor I (1 - n n), whose square is I times itself.
+    if size > 0 and defect <= ROD_TOLERANCE:
+        positive_moments(np.array([size]), what)
+        return np.asarray(scaled / size), scaled
+    return inverse_of(tensor, what), None
+
+
+GYRO_TOLERANCE = 1e-9
+"""Largest relative difference of the two momenta of a gyro, and of their angle from a right one, that is rounding."""
+
+
+class Rotors(NamedTuple):
+    """Wheels, each its moment times its axis, (m, 3), and gyros, each two momenta, (g, 2, 3)."""
+
+    # A state carries the momentum of each wheel about its axis, then the cosine and the sine of each gimbal angle.
+
+    wheels: Floats
+    gyros: Floats
+
+    @property
+    def momenta(self) -> Floats:
+        """Momentum in the body frame for a unit of each number that the state carries, (m + 2 g, 3)."""
+        return _momenta(self.wheels, self.gyros)
+
+    @property
+    def moments(self) -> Floats:
+        """Moment of inertia of each wheel about its axis, (m,)."""
+        return _moments(self.wheels)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the numbers that the state carries."""
+        gimbals = tuple(f"{name}{k + 1}" for k in range(len(self.gyros)) for name in ("cos", "sin"))
+        return (*(f"k{i + 1}" for i in range(len(self.wheels))), *gimbals)
+
+    @property
+    def given(self) -> tuple[Any, Any]:
+        """Wheels and gyros as nested tuples."""
+        return as_tuples(self.wheels), as_tuples(self.gyros)
+
+
+NO_ROTORS = Rotors(np.zeros((0, 3)), np.zeros((0, 2, 3)))
+
+
+def read_rotors(wheels: Any, gyros: Any, inertia: BodyInertia) -> Rotors:
+    """Validate wheels and gyros of a body."""
+    turning, steering = read_finite(wheels, "wheels"), read_finite(gyros, "gyros")
+    turning = turning.reshape(0, 3) if turning.shape == (0,) else turning
+    steering = steering.reshape(0, 2, 3) if steering.shape == (0,) else steering
+    if turning.ndim != 2 or turning.shape[1] != 3:
+        raise ValueError(f"wheels has shape {turning.shape}; give (m, 3), of each wheel its moment times its axis")
+    if steering.ndim != 3 or steering.shape[1:] != (2, 3):
+        raise ValueError(
+            f"gyros has shape {steering.shape}; give (g, 2, 3), of each gyro its momentum at the gimbal angles 0 and "
+            "90 degrees"
+        )
+    for what, array in (("wheels", turning), ("gyros", steering)):
+        zero = np.argwhere(~array.any(axis=-1))
+        if len(zero):
+            raise ValueError(f"{what}[{zero[0, 0]}] has a vector that is zero; leave it out")
+    for k, (first, second) in enumerate(steering):
+        a, b = _moments(steering[k])
+        if abs(a - b) > GYRO_TOLERANCE * a or abs((first * second).sum()) > GYRO_TOLERANCE * a * b:
+            raise ValueError(
+                f"gyros[{k}] is {short(steering[k].tolist())}; its momenta at the gimbal angles 0 and 90 degrees must "
+                "be orthogonal and of equal length"
+            )
+    if len(turning) + len(steering) and inertia.rotating is not None:
+        raise ValueError("inertia is that of a rod, which carries no wheels or gyros; give three positive moments")
+    if len(turning):
+        without_wheels(inertia.tensor, turning)
+    return Rotors(turning, steering)
+
+
+def without_wheels(tensor: npt.NDArray[Any], wheels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the inverse of an inertia tensor without the moments of the wheels about their axes; real or complex."""
+    inner = tensor - np.einsum("mi,mj->ij", wheels / _moments(wheels)[:, None], wheels)
+    try:
+        return inverse_of(inner, "inertia")
+    except ValueError:
+        raise ValueError(
+            "the moments of wheels exceed inertia; it is that of the body with its wheels, locked"
+        ) from None
+
+
+def energy_with_rotors(
+    tensor: npt.NDArray[Any], wheels: npt.NDArray[Any], gyros: npt.NDArray[Any], first: int, dim: int
+) -> npt.NDArray[Any]:
+    """Return the matrix of the energy of body and rotors, whose numbers in the state begin at `first`."""
+    # With the momentum L of all and R y of the rotors, ``(L - R y) . M (L - R y) / 2`` and that of the wheels, y^2 over
+    # twice the moment, y the momentum about the axis in space.
+    M, R = without_wheels(tensor, wheels), _momenta(wheels, gyros)
+    matrix = np.zeros((dim, dim), dtype=np.result_type(M, R))
+    crossed = np.einsum("ij,qj->iq", M, R)
+    end, count = first + len(R), len(wheels)
+    matrix[:3, :3] = M
+    matrix[:3, first:end], matrix[first:end, :3] = -crossed, -crossed.T
+    matrix[first:end, first:end] = np.einsum("pi,iq->pq", R, crossed)
+    matrix[range(first, first + count), range(first, first + count)] += 1.0 / _moments(wheels)
+    return matrix
+
+
+def _moments(wheels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.asarray(np.sqrt((wheels * wheels).sum(axis=-1)))
+
+
+def _momenta(wheels: npt.NDArray[Any], gyros: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.concatenate([wheels / _moments(wheels)[:, None], gyros.reshape(-1, 3)])

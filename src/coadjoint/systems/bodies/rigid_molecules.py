@@ -13,8 +13,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body_inertia import BodyInertia, read_body_inertia
-from coadjoint.systems.bodies.inertia import read_in_range
+from coadjoint.systems.bodies.inertia import BodyInertia, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
 from coadjoint.systems.registry import ready_made

@@ -15,11 +15,9 @@ from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.bodies.body_inertia import read_body_inertia
-from coadjoint.systems.bodies.classical_body import ClassicalBody
-from coadjoint.systems.bodies.inertia import principal, read_in_range
-from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
-from coadjoint.systems.closed_forms.spins import rotate_about
+from coadjoint.systems.bodies.inertia import principal, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.rigid_body import ClassicalBody
+from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -143,7 +141,9 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
         casimirs={"z": Polynomial.variable(9, 10), "|total L|^2": _total_momentum_squared()},
         name="satellite",
         parameters={"inertia": found.given, "mass": mass, "gravity": gravity},
-        exact=partial(_spherical_motion, float(moments[0]), mass, gravity) if np.ptp(moments) == 0.0 else None,
+        exact=partial(move_state, "satellite", 10, partial(_spherical_motion, float(moments[0]), mass, gravity))
+        if np.ptp(moments) == 0.0
+        else None,
         integrals={f"L{k + 1}": Polynomial.variable(k, 10) for k in range(3) if moments[k - 1] == moments[(k + 1) % 3]},
     )
 
@@ -226,17 +226,13 @@ def _potential_of_tensor(inertia: tuple[tuple[float, ...], ...], mass: float, gr
     return Hamiltonian(value)
 
 
-def _spherical_motion(inertia: float, mass: float, gravity: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
+def _spherical_motion(inertia: float, mass: float, gravity: float, start: Floats, times: Floats) -> Floats:
     """Return the torque-free motion for equal moments: a Kepler orbit in a uniformly rotating body frame."""
     # At a value z of the central coordinate the orbit evolves in the time z t.
-    reject_attitude(attitude, "satellite")
-    start, times = start_and_times(x0, t, 10)
     L, p, r, z = start[:3], start[3:6], start[6:9], start[9]
-    with np.errstate(over="ignore", invalid="ignore"):
-        position, velocity = kepler(r, p / mass, gravity, np.atleast_1d(z * times))
-        in_body = [rotate_about(v.reshape(*times.shape, 3), L / inertia, times) for v in (mass * velocity, position)]
-    spin, central = np.broadcast_to(L, (*times.shape, 3)), np.broadcast_to(z, (*times.shape, 1))
-    return check_finite_states(np.concatenate([spin, *in_body, central], axis=-1), start, times)
+    position, velocity = kepler(r, p / mass, gravity, z * times)
+    in_body = [rotate_about(v, L / inertia, times) for v in (mass * velocity, position)]
+    return np.concatenate([np.tile(L, (len(times), 1)), *in_body, np.full((len(times), 1), z)], axis=-1)
 
 
 def kepler(r: Floats, v: Floats, gravity: float, times: Floats) -> tuple[Floats, Floats]:

@@ -10,9 +10,15 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.bodies.attitude_algebra import PER_BODY, attitude_algebra, axis_products
-from coadjoint.systems.bodies.body_inertia import anisotropic_part, inverse_of_moving, read_body_inertia
 from coadjoint.systems.bodies.body_systems import BodySystem
-from coadjoint.systems.bodies.inertia import axis_of_symmetry, momentum_along, read_in_range
+from coadjoint.systems.bodies.inertia import (
+    anisotropic_part,
+    axis_of_symmetry,
+    inverse_of_moving,
+    momentum_along,
+    read_body_inertia,
+    read_in_range,
+)
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

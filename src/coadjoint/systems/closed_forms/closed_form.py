@@ -1,4 +1,4 @@
-"""Helpers for closed-form solutions: arguments, group elements, checks of results."""
+"""Closed-form solutions: functions of (x0, t, attitude) made of motions, which take a valid state and times (k,)."""
 
 from __future__ import annotations
 
@@ -32,15 +32,38 @@ def start_and_times(x0: Any, t: Any, n: int) -> tuple[Floats, Floats]:
     return start, times
 
 
-def reject_attitude(attitude: Any, name: str) -> None:
-    """Raise TypeError if an attitude is requested from a closed form that has none."""
-    if not isinstance(attitude, bool | np.bool_) or attitude:
+def move_state(name: str, n: int, motion: Callable[..., Any], x0: Any, t: Any, attitude: Any = False) -> Floats:
+    """Return ``motion(start, times)``, (k, n), at one time or several: a closed form of the state alone."""
+    if _flag(attitude) is not False:
         raise TypeError(f"{name} has a closed form of the state alone; leave attitude out, or integrate")
+    start, times = start_and_times(x0, t, n)
+    with np.errstate(all="ignore"):
+        x = motion(start, np.atleast_1d(times))
+    return _checked(x, start, times)
+
+
+def move_state_and_element(
+    n: int, size: int, motion: Callable[..., Any], x0: Any, t: Any, attitude: Any = False
+) -> Any:
+    """Return the states of ``motion(start, times)``, (k, n), and if asked for the group elements, from the first."""
+    # The motion returns both, the elements, (k, size, size), from the identity.
+    start, times = start_and_times(x0, t, n)
+    first = initial_group_element(attitude, size)
+    with np.errstate(all="ignore"):
+        x, g = motion(start, np.atleast_1d(times))
+        g = first @ g
+    states, elements = _checked(x, start, times), _checked(g, start, times)
+    return states if _flag(attitude) is False else (states, elements)
+
+
+def _flag(attitude: Any) -> bool | None:
+    """Return whether group elements are asked for; None for the one at time zero."""
+    return bool(attitude) if isinstance(attitude, bool | np.bool_) else None
 
 
 def initial_group_element(attitude: Any, size: int) -> Floats:
     """Return the group element at time zero: the identity, or the one given as `attitude`."""
-    if isinstance(attitude, bool | np.bool_):
+    if _flag(attitude) is not None:
         return np.eye(size)
     block = 0 if size == 3 else None
     first = read_finite(group_elements(attitude, size, block), "attitude")
@@ -50,16 +73,21 @@ def initial_group_element(attitude: Any, size: int) -> Floats:
     return first
 
 
-def with_group_element(x: Floats, g: Floats, attitude: Any) -> Any:
-    """Return the states, or the pair (states, group elements) if `attitude` requests it."""
-    return x if isinstance(attitude, bool | np.bool_) and not attitude else (x, g)
-
-
-def check_finite_states(x: Floats, start: Floats, times: Floats) -> Floats:
-    """Return the states of a closed form; raise ValueError if they overflow."""
-    if not np.isfinite(x).all():
+def _checked(x: Any, start: Floats, times: Floats) -> Floats:
+    """Return results of a motion, (k, ...), in the shape of the times; raise ValueError if they overflow."""
+    results = np.asarray(x, dtype=np.float64)
+    if not np.isfinite(results).all():
         raise ValueError(
             f"the closed form overflows from x0 = {short(start.tolist())} to t = {short(times.tolist())}; "
             "take smaller ones"
         )
-    return x
+    return results if times.ndim else results[0]
+
+
+def rotate_about(spins: Floats, axis: Floats, t: Floats) -> Floats:
+    """Rotate spins about an axis: the solution of ``S' = S cross axis`` at time t."""
+    rate = np.sqrt(np.sum(axis**2, axis=-1))
+    direction = axis / np.where(rate > 0.0, rate, 1.0)[..., None]
+    angle = (rate * t)[..., None]
+    across = spins - direction * np.sum(direction * spins, axis=-1, keepdims=True)
+    return spins + np.sin(angle) * np.cross(spins, direction) - 2.0 * np.sin(angle / 2) ** 2 * across

@@ -20,13 +20,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.closed_forms.closed_form import (
-    check_finite_states,
-    initial_group_element,
-    reject_attitude,
-    start_and_times,
-    with_group_element,
-)
+from coadjoint.systems.closed_forms.closed_form import move_state, move_state_and_element
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
@@ -44,7 +38,7 @@ def fixed_axis(w: Sequence[Any] | Floats, t: Floats) -> Floats:
     """Return exp(t hat(w)), shape (k, 3, 3), by Rodrigues' formula, accurate for large angles."""
     from flint import arb, ctx
 
-    exact = [Fraction(float(v) if isinstance(v, np.floating) else v) for v in w]
+    exact = [Fraction(v) for v in w]
     square = sum((v * v for v in exact), Fraction(0))
     if square == 0:
         return np.broadcast_to(np.eye(3), (t.size, 3, 3)).copy()
@@ -186,8 +180,11 @@ def _phases(
 
 def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False) -> Any:
     """Return the closed form of ``x' = sign * J(x) M x`` on so(3), M (3,) or (3, 3), at one or several times."""
-    start, times = start_and_times(x0, t, 3)
-    first = initial_group_element(attitude, 3)
+    return move_state_and_element(3, 3, partial(free_motion, M, sign), x0, t, attitude)
+
+
+def free_motion(M: Floats, sign: int, start: Floats, times: Floats) -> tuple[Floats, Floats]:
+    """Return the momenta (k, 3) of such a body, and its attitudes (k, 3, 3) relative to that at time zero."""
     exact, rotation = [Fraction(v) for v in start.tolist()], np.eye(3)
     if M.ndim == 2 and not np.array_equal(M, np.diag(np.diag(M))):
         bits = PRINCIPAL_BITS + 2 * working_bits(times, float(np.abs(M).max()) * float(np.abs(start).max()), 1.0)
@@ -195,13 +192,8 @@ def exact_solution(M: Floats, sign: int, x0: Any, t: Any, attitude: Any = False)
         exact, rotation = components_along(axes, exact), np.array([[float(v) for v in row] for row in axes])
     else:
         moments = [Fraction(v) for v in (M if M.ndim == 1 else np.diag(M)).tolist()]
-    with np.errstate(over="ignore", invalid="ignore"):
-        x, A = _along_principal_axes(moments, exact, -sign * np.atleast_1d(times))
-        x, A = x @ rotation.T, first @ (rotation @ A @ rotation.T)
-    x, A = (check_finite_states(part, start, times) for part in (x, A))
-    if times.ndim == 0:
-        x, A = x[0], A[0]
-    return with_group_element(x, A, attitude)
+    x, A = _along_principal_axes(moments, exact, -sign * times)
+    return x @ rotation.T, rotation @ A @ rotation.T
 
 
 def rigid_body_equivalent(
@@ -221,19 +213,17 @@ def rigid_body_equivalent(
         casimirs=casimirs,
         name=name,
         parameters=parameters,
-        exact=partial(_exact, np.array(constants), np.array(masses), name),
+        exact=partial(move_state, name, 3, partial(_equivalent_motion, np.array(constants), np.array(masses))),
     )
 
 
-def _exact(constants: Floats, masses: Floats, name: str, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the closed form: y_i = x_i sqrt(c_i / c_1) is a rigid body with masses M_i c_1 / c_i in scaled time."""
-    reject_attitude(attitude, name)
-    start, times = start_and_times(x0, t, 3)
+def _equivalent_motion(constants: Floats, masses: Floats, start: Floats, times: Floats) -> Floats:
+    """Return the motion: y_i = x_i sqrt(c_i / c_1) is a rigid body with masses M_i c_1 / c_i in scaled time."""
     ratios = constants / constants[0]
     units = np.sqrt(ratios)
     rate = constants[0] * math.sqrt(ratios[1] * ratios[2])
-    x: Floats = exact_solution(masses / ratios, -1, start * units, rate * times) / units
-    return x
+    moved, _ = free_motion(masses / ratios, -1, start * units, rate * times)
+    return moved / units
 
 
 def amplitude(u: Floats, complement: float) -> Floats:

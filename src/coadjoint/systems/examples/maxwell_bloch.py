@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
+from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.closed_forms.free_rigid_body import amplitude, first_kind
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -107,17 +107,16 @@ def maxwell_bloch(coupling: float = 1.0) -> LiePoissonSystem:
         casimirs={"P^2 + D^2": Polynomial({(0, 2, 0): 1, (0, 0, 2): 1})},
         name="maxwell_bloch",
         parameters={"coupling": coupling},
-        exact=partial(_exact, coupling),
+        exact=partial(move_state, "maxwell_bloch", 3, partial(_motion, coupling)),
     )
 
 
-def _exact(coupling: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    reject_attitude(attitude, "maxwell_bloch")
-    start, times = start_and_times(x0, t, 3)
+def _motion(coupling: float, start: Floats, times: Floats) -> Floats:
+    """Return the states at times (k,) in terms of those of a pendulum."""
     field, polarization, inversion = start.tolist()
     radius = _length(polarization, inversion)
     if radius == 0:
-        return np.broadcast_to(start, (*times.shape, 3)).copy()
+        return np.tile(start, (len(times), 1))
     push = Fraction(coupling) * radius
     velocity = Fraction(field) ** 2 / (4 * push)
     small = Fraction(polarization) ** 2 / (2 * radius * (radius + abs(Fraction(inversion))))
@@ -129,11 +128,10 @@ def _exact(coupling: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
     gap = velocity - cosine2
     complement = float(gap / (velocity + 1 - cosine2) if gap >= 0 else -gap)
     s0, c0 = math.copysign(math.sqrt(1 - cosine2), -polarization), math.sqrt(cosine2)
-    with np.errstate(all="ignore"):
-        s, c, v = pendulum((s0, c0, 0.5 * field / pace), k, (gap >= 0, complement), pace * np.atleast_1d(times))
-        x = np.stack([2.0 * pace * v, -2.0 * float(radius) * s * c, float(radius) * (s - c) * (s + c)], axis=-1)
-    x[np.atleast_1d(times) == 0.0] = start
-    return check_finite_states(x[0] if times.ndim == 0 else x, start, times)
+    s, c, v = pendulum((s0, c0, 0.5 * field / pace), k, (gap >= 0, complement), pace * times)
+    x = np.stack([2.0 * pace * v, -2.0 * float(radius) * s * c, float(radius) * (s - c) * (s + c)], axis=-1)
+    x[times == 0.0] = start
+    return x
 
 
 def _length(p: float, d: float) -> Fraction:

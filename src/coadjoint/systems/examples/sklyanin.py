@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
-from coadjoint.systems.closed_forms.free_rigid_body import exact_solution
+from coadjoint.systems.bodies.inertia import read_vector
+from coadjoint.systems.closed_forms.closed_form import move_state
+from coadjoint.systems.closed_forms.free_rigid_body import free_motion
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_finite
 
 Floats = npt.NDArray[np.float64]
 
@@ -86,7 +86,7 @@ def sklyanin(
     >>> system.vector_field([1.0, 1.0, 1.0, 1.0])
     array([-3.5, -2.5,  2. ,  0.5])
     """
-    J, M = (_numbers(argument, name, n) for argument, name, n in ((anisotropy, "anisotropy", 3), (masses, "masses", 4)))
+    J, M = (tuple(read_vector(*one).tolist()) for one in ((anisotropy, "anisotropy"), (masses, "masses", 4)))
     differences = [Fraction(J[a - 2]) - Fraction(J[a - 1]) for a in range(3)]
     constant = sum(Fraction(m) * j for m, j in zip(M[1:], differences, strict=True)) == 0
     try:
@@ -122,19 +122,11 @@ def sklyanin(
         },
         name="sklyanin",
         parameters={"anisotropy": J, "masses": M},
-        exact=partial(_exact, np.array(body)) if constant else None,
+        exact=partial(move_state, "sklyanin", 4, partial(_motion, np.array(body))) if constant else None,
     )
 
 
-def _numbers(argument: npt.ArrayLike, name: str, n: int) -> tuple[float, ...]:
-    values = read_finite(argument, name)
-    if values.shape != (n,):
-        raise ValueError(f"{name} has shape {values.shape}; give {n} finite numbers")
-    return tuple(values.tolist())
-
-
-def _exact(body: Floats, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    reject_attitude(attitude, "sklyanin")
-    start, times = start_and_times(x0, t, 4)
-    moved = exact_solution(body, -1, start[1:], start[0] * times)
-    return np.concatenate([np.full((*times.shape, 1), start[0]), moved], axis=-1)
+def _motion(body: Floats, start: Floats, times: Floats) -> Floats:
+    """Return the states with x0 constant, a free body in the time x0 t."""
+    moved, _ = free_motion(body, -1, start[1:], start[0] * times)
+    return np.concatenate([np.full((len(times), 1), start[0]), moved], axis=-1)

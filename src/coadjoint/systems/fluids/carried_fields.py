@@ -77,20 +77,6 @@ def reduced_mhd(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
     return _with_second_field("reduced_mhd", N, surface, acts=True)
 
 
-def ideal_fluid(N: int, surface: str) -> FluidSystem:
-    """Return the fluid on a surface without a second field."""
-    return SURFACES[read_choice(surface, "surface", SURFACES)](N)
-
-
-def fluid_of(system: Any) -> FluidSystem | None:
-    """Return the fluid of a system, of two fields that of the vorticity; None for other systems."""
-    if isinstance(system, FluidSystem):
-        return system
-    surface = (system.parameters or {}).get("surface", "")
-    has_two_fields = len(system.shape) == 3 and surface in SURFACES
-    return ideal_fluid(system.algebra.N, surface) if has_two_fields else None
-
-
 def _latitude_as_dye() -> npt.NDArray[np.complex128]:
     """Return a random flow on the sphere with a dye equal to the sine of the latitude."""
     fluid = sphere_euler(N=33)
@@ -144,7 +130,7 @@ def passive_scalar(N: int = 17, surface: str = "sphere") -> TwoLayerSystem:
 
 def _with_second_field(name: str, N: int, surface: str, acts: bool) -> TwoLayerSystem:
     """Return an ideal fluid with a second field that it carries, and that acts on it by its current or not at all."""
-    ideal = ideal_fluid(N, surface)
+    ideal = SURFACES[read_choice(surface, "surface", SURFACES)](N)
     stream: Any = ideal.stream
     system = TwoLayerSystem(
         ideal.algebra,
@@ -154,5 +140,5 @@ def _with_second_field(name: str, N: int, surface: str, acts: bool) -> TwoLayerS
         name=name,
         parameters={"N": ideal.algebra.N, "surface": surface},
     )
-    system.energy_unit = ideal.energy_unit
+    system._fluid, system.energy_unit = ideal, ideal.energy_unit
     return system

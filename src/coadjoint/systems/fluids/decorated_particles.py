@@ -16,7 +16,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
+from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.coordinates import with_canonical_pairs
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
@@ -101,7 +101,7 @@ def decorated_particles(
     -------
     LiePoissonSystem
         State: ``(q_1, ..., q_n, p_1, ..., p_n, 1, x20_1, x11_1, x02_1, x20_2, ...)``, as
-        ``coadjoint.systems.canonical.canonical_state(q, p, x)`` makes it. The 1 is the central coordinate z. Casimirs:
+        ``coadjoint.systems.canonical_state(q, p, x)`` makes it. The 1 is the central coordinate z. Casimirs:
         z and the squared emittance x20 x02 - x11^2 of each particle. Integrals: the total momentum if there is no
         external potential, and the energy of the centre of mass if it is ``(0, 0, k)``. ``exact(x0, t)`` if both
         potentials are at most quadratic. Functions are not stored in ``parameters``.
@@ -153,7 +153,7 @@ def decorated_particles(
         else {"weights": tuple(w.tolist()), "external": tuple(W.tolist()), "pair": tuple(U.tolist())},
         exact=None
         if W is None or U is None or np.any(W[3:]) or np.any(U[3:])
-        else partial(_oscillators, w, _coefficient_at(W, 1), 2 * _coefficient_at(W, 2), 2 * _coefficient_at(U, 2)),
+        else partial(move_state, "decorated_particles", algebra.dim, partial(_oscillators, w, W, U)),
         integrals={} if W is None else _integrals(algebra.dim, w, W),
     )
 
@@ -199,35 +199,31 @@ def _integrals(dim: int, w: Floats, W: Floats) -> dict[str, Quadratic]:
     return {"energy of the centre": Quadratic(M)}
 
 
-def _oscillators(w: Floats, push: float, k: float, u: float, x0: Any, t: Any, attitude: Any = False) -> Floats:
+def _oscillators(w: Floats, W: Floats, U: Floats, start: Floats, times: Floats) -> Floats:
     """Return the motion for W = push q + k q^2/2 and U = u r^2/2, up to constants."""
     # The centre of mass follows W; relative positions and widths have the stiffness k + u sum(w). At a value z of the
     # central coordinate, positions and momenta evolve in the time z t.
-    reject_attitude(attitude, "decorated_particles")
-    n = len(w)
-    start, times = start_and_times(x0, t, 5 * n + 1)
+    n, push, k, u = len(w), _coefficient_at(W, 1), 2 * _coefficient_at(W, 2), 2 * _coefficient_at(U, 2)
     q, p, z, x = start[:n], start[n : 2 * n], start[2 * n], start[2 * n + 1 :].reshape(n, 3)
     total, stiff = w.sum(), k + u * w.sum()
-    with np.errstate(over="ignore", invalid="ignore"):
-        Q, V = (w @ q) / total, p.sum() / total
-        T = (z * times)[..., None]
-        c, s, fall = _oscillator_solutions(k, T)
-        centre, speed = c * Q + s * V - push * fall, c * V - s * (k * Q + push)
-        c, s, _ = _oscillator_solutions(stiff, T)
-        relative_q, relative_v = c * (q - Q) + s * (p / w - V), c * (p / w - V) - stiff * s * (q - Q)
-        c, s, _ = _oscillator_solutions(stiff, times[..., None])
-        x20, x11, x02 = x.T
-        widths = np.stack(
-            [
-                c * c * x20 + 2 * c * s * x11 + s * s * x02,
-                -stiff * c * s * x20 + (c * c - stiff * s * s) * x11 + c * s * x02,
-                (stiff * s) ** 2 * x20 - 2 * stiff * c * s * x11 + c * c * x02,
-            ],
-            axis=-1,
-        ).reshape(*times.shape, 3 * n)
-    constant = np.broadcast_to(z, (*times.shape, 1))
-    states = np.concatenate([centre + relative_q, w * (speed + relative_v), constant, widths], axis=-1)
-    return check_finite_states(states, start, times)
+    Q, V = (w @ q) / total, p.sum() / total
+    T = (z * times)[..., None]
+    c, s, fall = _oscillator_solutions(k, T)
+    centre, speed = c * Q + s * V - push * fall, c * V - s * (k * Q + push)
+    c, s, _ = _oscillator_solutions(stiff, T)
+    relative_q, relative_v = c * (q - Q) + s * (p / w - V), c * (p / w - V) - stiff * s * (q - Q)
+    c, s, _ = _oscillator_solutions(stiff, times[..., None])
+    x20, x11, x02 = x.T
+    widths = np.stack(
+        [
+            c * c * x20 + 2 * c * s * x11 + s * s * x02,
+            -stiff * c * s * x20 + (c * c - stiff * s * s) * x11 + c * s * x02,
+            (stiff * s) ** 2 * x20 - 2 * stiff * c * s * x11 + c * c * x02,
+        ],
+        axis=-1,
+    ).reshape(len(times), 3 * n)
+    constant = np.full((len(times), 1), z)
+    return np.concatenate([centre + relative_q, w * (speed + relative_v), constant, widths], axis=-1)
 
 
 def _oscillator_solutions(stiffness: float, t: Floats) -> tuple[Floats, Floats, Floats]:

@@ -12,11 +12,12 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
+from coadjoint.systems.bodies.inertia import read_vector
 from coadjoint.systems.closed_forms.free_rigid_body import rigid_body_equivalent
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_finite, read_positive
+from coadjoint.validation import read_positive
 
 
 def _waves(system: Any, X: Any, Y: Any) -> Any:
@@ -100,10 +101,7 @@ def fluid_triad(first: npt.ArrayLike = (1.0, 0.0), second: npt.ArrayLike = (0.5,
 
 
 def _wave(argument: npt.ArrayLike, name: str) -> tuple[Fraction, Fraction]:
-    values = read_finite(argument, name)
-    if values.shape != (2,):
-        raise ValueError(f"{name} has shape {values.shape}; give a wave vector, two finite numbers")
-    x, y = values.tolist()
+    x, y = read_vector(argument, name, 2).tolist()
     return Fraction(x), Fraction(y)
 
 

@@ -14,7 +14,7 @@ from coadjoint.algebra.families.phase_space import moments, powers_of
 from coadjoint.algebra.polynomials.formulas import parse_polynomial
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import check_finite_states, reject_attitude, start_and_times
+from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
@@ -88,7 +88,10 @@ def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> Lie
     algebra = moments(degree)
     powers = powers_of(degree)
     of_q = [powers.index((d, 0)) for d in range(2, degree + 1, 2)]
-    V = _parse_potential(potential, len(of_q)) if isinstance(potential, str) else potential
+    V: Any = potential
+    parameters = None
+    if isinstance(potential, str):
+        V, parameters = _parse_potential(potential, len(of_q)), {"degree": int(degree), "potential": potential}
     particle_energy: Phase | None = None
     kinetic = Polynomial.variable(2, algebra.dim) * 0.5
     if isinstance(V, Polynomial):
@@ -107,16 +110,17 @@ def vlasov_moments(degree: int = 4, potential: Any = "1/2*x20 + 1/4*x40") -> Lie
             particle_energy = _particle_energy(V)
     else:
         H = SplitHamiltonian([((2,), Quadratic(0.0, linear=[0.5])), (of_q, V)])
-    harmonic = particle_energy is not None and set(particle_energy) <= {(0, 2), (2, 0)}
+    exact = None
+    if particle_energy is not None and set(particle_energy) <= {(0, 2), (2, 0)}:
+        motion = partial(_linear_flow, 2 * float(particle_energy.get((2, 0), 0)), powers)
+        exact = partial(move_state, "vlasov_moments", algebra.dim, motion)
     return LiePoissonSystem(
         algebra,
         H,
         sign=+1,
         name="vlasov_moments",
-        parameters={"degree": int(degree), "potential": potential} if isinstance(potential, str) else None,
-        exact=partial(_linear_flow, 2 * float(particle_energy.get((2, 0), 0)), powers)
-        if harmonic and particle_energy
-        else None,
+        parameters=parameters,
+        exact=exact,
         integrals={} if particle_energy is None else _powers_of_energy(particle_energy, degree, powers),
     )
 
@@ -169,21 +173,18 @@ def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> d
     return integrals
 
 
-def _linear_flow(stiffness: float, powers: list[tuple[int, int]], x0: Any, t: Any, attitude: Any = False) -> Floats:
+def _linear_flow(stiffness: float, powers: list[tuple[int, int]], start: Floats, times: Floats) -> Floats:
     """Return the moments under q'' = -stiffness q, where every particle undergoes the same linear map."""
-    reject_attitude(attitude, "vlasov_moments")
-    start, times = start_and_times(x0, t, len(powers))
     index = {pair: k for k, pair in enumerate(powers)}
-    with np.errstate(over="ignore", invalid="ignore"):
-        rate = sqrt(abs(stiffness))
-        cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
-        c = cosine(rate * times)
-        s = sine(rate * times) / rate if rate else times
-        slope = -stiffness * s
-        moments_at = np.zeros((*times.shape, len(powers)))
-        for (i, j), k in index.items():
-            for a in range(i + 1):
-                for b in range(j + 1):  # (c q + s p)^i (slope q + c p)^j
-                    share = comb(i, a) * comb(j, b) * c ** (a + j - b) * s ** (i - a) * slope**b
-                    moments_at[..., k] += share * start[index[a + b, i + j - a - b]]
-    return check_finite_states(moments_at, start, times)
+    rate = sqrt(abs(stiffness))
+    cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
+    c = cosine(rate * times)
+    s = sine(rate * times) / rate if rate else times
+    slope = -stiffness * s
+    moments_at = np.zeros((len(times), len(powers)))
+    for (i, j), k in index.items():
+        for a in range(i + 1):
+            for b in range(j + 1):  # (c q + s p)^i (slope q + c p)^j
+                share = comb(i, a) * comb(j, b) * c ** (a + j - b) * s ** (i - a) * slope**b
+                moments_at[..., k] += share * start[index[a + b, i + j - a - b]]
+    return moments_at

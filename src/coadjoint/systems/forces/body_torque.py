@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.body_states import read_attitudes
+from coadjoint.systems.bodies.body_systems import read_attitudes
 from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
 from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments

@@ -113,6 +113,7 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
     `shape` counts cells along each axis, or sites if edges are given; `periodic` joins the last cell to the first.
     Cells are numbered with the last axis fastest, sites by cells; edges are ordered by bonds, then by their first cell.
     """
+    what, advice = "lattice", ""
     if not isinstance(lattice, str):
         count = read_integer(shape, "shape, the number of sites where edges are given,", 1, MAX_SITES)
         read_flags(periodic, 1)
@@ -132,7 +133,11 @@ def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
         edges = _edges_of_cells(cell, sizes, flags)
         if all(size >= 3 for size, flag in zip(sizes, flags, strict=True) if flag):
             return count, edges
-    _check_simple(edges, count, lattice, shape)
+        what, advice = (
+            f"a periodic {lattice} lattice of shape {short(shape)}",
+            "; take 3 or more cells along periodic axes",
+        )
+    _check_simple(edges, count, what, advice)
     return count, edges
 
 
@@ -185,11 +190,9 @@ def _read_edges(edges: Any, count: int) -> Integers:
     return array.astype(np.int64)
 
 
-def _check_simple(edges: Integers, count: int, lattice: Any, shape: Any) -> None:
+def _check_simple(edges: Integers, count: int, what: str, advice: str) -> None:
     """Raise ValueError for an edge from a site to itself, and for two edges between the same sites."""
     low, high = np.minimum(*edges.T), np.maximum(*edges.T)
-    what = f"a periodic {lattice} lattice of shape {short(shape)}" if isinstance(lattice, str) else "lattice"
-    advice = "; take 3 or more cells along periodic axes" if isinstance(lattice, str) else ""
     loops = np.flatnonzero(low == high)
     if loops.size:
         raise ValueError(f"{what} joins site {low[loops[0]]} to itself{advice or '; give pairs of different sites'}")

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import copy
-import inspect
 from collections.abc import Callable, Mapping
 from functools import cache, partial
-from typing import Any, Self
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -15,25 +13,19 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.memory import RELEASED_SIZE, check_available_memory, release_freed_memory
-from coadjoint.optional_packages import require_packages
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.spins import precession, total_spins
+from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
 from coadjoint.systems.coefficients import EnergyCoefficients
-from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
-from coadjoint.systems.lattices.coupling_matrix import coefficients_of_spins, coupled_spins
-from coadjoint.systems.lattices.dipolar import dipolar_energy
+from coadjoint.systems.lattices.couplings import coefficients_of_spins, coupled_spins, dipolar_energy, driving_field
 from coadjoint.systems.lattices.geometry import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.recorded_invariants import KnownInvariants
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import takes_time
-from coadjoint.validation import as_tuples, read_finite, to_array
+from coadjoint.validation import as_tuples, read_finite
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
@@ -185,6 +177,7 @@ def spin_lattice(
     ['total S3']
     """
     sites, edges = graph(lattice, shape, periodic)
+    layout = {"lattice": lattice, "shape": shape} if np.ndim(lattice) == 0 else {"lattice": "graph"}
     J = _numbers(exchange, "exchange", ((), (len(edges),)))
     T = _matrices(tensor, "tensor", len(edges))
     D = _numbers(dm, "dm", ((3,), (len(edges), 3)))
@@ -199,12 +192,14 @@ def spin_lattice(
     if not len(edges):
         D = np.zeros(3)
     H: Any = coupled_spins(sites, edges, *_couplings(J, T, D, B, K))
+    uniform = None
     if driven:
-        H = Driven(H, field, sites, 3, "field")
+        driving, uniform = driving_field(field, sites)
+        H = H + driving
     parameters = None if driven else _plain_parameters(lattice, shape, periodic, exchange, tensor, dm, field, on_site)
     strength = float(_numbers(dipolar, "dipolar", ((),)))
     if strength:
-        H = H + dipolar_energy(lattice, shape, periodic, strength)
+        H = H + dipolar_energy(layout["lattice"], shape, periodic, strength)
         parameters = None if parameters is None else {**parameters, "dipolar": strength}
     if 3 * sites > RELEASED_SIZE:
         release_freed_memory()
@@ -219,8 +214,8 @@ def spin_lattice(
         name="spin_lattice",
         parameters=parameters,
         exact=exact,
-        integrals={} if strength else _integrals(sites, T, D, K, B, H.uniform if driven else None),
-        layout={"lattice": lattice, "shape": shape} if isinstance(lattice, str) else {"lattice": "graph"},
+        integrals={} if strength else _integrals(sites, T, D, K, B, uniform),
+        layout=layout,
     )
 
 
@@ -270,121 +265,112 @@ def _matrices(argument: Any, what: str, count: int, symmetric: bool = False) -> 
     return matrices
 
 
-def _plain_parameters(lattice: Any, *arguments: Any) -> dict[str, Any] | None:
+def _plain_parameters(*arguments: Any) -> dict[str, Any] | None:
     """Return the parameters as plain numbers and tuples; None if they are too many."""
-    names = ("shape", "periodic", "exchange", "tensor", "dm", "field", "on_site")
-    edges = lattice if isinstance(lattice, str) else to_array(lattice, "lattice")
-    if sum(np.size(argument) for argument in (edges, *arguments)) > MAX_STORED_VALUES:
+    names = ("lattice", "shape", "periodic", "exchange", "tensor", "dm", "field", "on_site")
+    if sum(np.size(argument) for argument in arguments) > MAX_STORED_VALUES:
         return None
     return {
-        "lattice": lattice if isinstance(lattice, str) else as_tuples(np.asarray(edges)),
-        **{
-            name: as_tuples(np.asarray(argument, dtype=np.float64 if k > 1 else None))
-            for k, (name, argument) in enumerate(zip(names, arguments, strict=True))
-        },
+        name: as_tuples(np.asarray(argument, dtype=np.float64 if k > 2 else None))
+        for k, (name, argument) in enumerate(zip(names, arguments, strict=True))
     }
 
 
-class Driven(Summable):
-    """``H(x, t) = Q(x) - sum over sites s and axes a of f_sa(t) x_sa``, Q quadratic in ``sites * axes`` coordinates."""
+def precession(
+    sites: int, edges: npt.NDArray[np.int64], J: Floats, T: Floats, K: Floats, B: Floats
+) -> Callable[..., Any] | None:
+    """Return the closed form ``exact(x0, t, attitude)`` of spins without Dzyaloshinskii-Moriya coupling, or None.
 
-    # Numba compiles `force`, of the time alone: (axes,), common to all sites, or (sites, axes). Axes commute over
-    # sites.
-
-    timed = True
-
-    def __init__(self, quadratic: Quadratic, force: Callable[..., Any], sites: int, axes: int, what: str) -> None:
-        self.dim: int | None = quadratic.dim
-        self._quadratic, self._sites, self._axes = quadratic, sites, axes
-        if isinstance(force, type) or takes_time(force, what):
-            raise TypeError(f"{what} is {short(force)}; give a function of the time t alone")
-        try:
-            values = np.asarray(force(0.0), dtype=np.float64)
-        except Exception as reason:
-            raise TypeError(
-                f"{what}(0.0) fails ({type(reason).__name__}: {short(str(reason))}); give numbers"
-            ) from None
-        if values.shape not in ((axes,), (sites, axes)):
-            raise ValueError(f"{what}(t) has shape {values.shape}; it must return ({axes},) or ({sites}, {axes})")
-        if not np.isfinite(values).all():
-            raise ValueError(f"{what}(0.0) is not finite; give a function with finite values")
-        self.uniform = values.ndim == 1
-        self._force, self._factor = force, 1.0
-        self._terms: tuple[Term, ...] | None = None
-
-    def bind(self, n: int) -> Driven:
-        """Return this Hamiltonian; raise an error if n is not its dimension."""
-        self._quadratic.bind(n)
-        return self
-
-    def times(self, factor: Coefficient) -> Self:
-        """Return the Hamiltonian multiplied by a factor."""
-        result = copy.copy(self)
-        result._quadratic, result._factor, result._terms = factor * self._quadratic, factor * self._factor, None
-        return result
-
-    def _forces(self, t: float, like: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        values = np.asarray(self._force(t), dtype=None if like.dtype == object else np.float64)
-        return self._factor * np.broadcast_to(values, (self._sites, self._axes)).ravel()
-
-    def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
-        """Return H(x, t)."""
-        y = read_point(x, self.dim)
-        return self._quadratic.value(y, t) - self._forces(t, y) @ y
-
-    def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the gradient, shape (n,)."""
-        y = read_point(x, self.dim)
-        return self._quadratic.gradient(y, t) - self._forces(t, y)
-
-    def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the dense matrix of the quadratic part."""
-        return self._quadratic.hessian(x, t)
-
-    def terms(self) -> tuple[Term, ...]:
-        """Return the quadratic term and one function term for each axis."""
-        if self._terms is None:
-            require_packages("a time-dependent field", "numba")
-            import numba
-
-            compiled = numba.njit(self._force) if inspect.isfunction(self._force) else self._force
-            drive_terms = [
-                _term(compiled, -self._factor, np.arange(axis, self.dim or 0, self._axes), axis, self.uniform)
-                for axis in range(self._axes)
-            ]
-            self._terms = (*self._quadratic.terms(), *drive_terms)
-        return self._terms
-
-    def __repr__(self) -> str:
-        return f"Driven({self._quadratic!r}, in time)"
+    J is () or (edges,), B (3,) or (sites, 3); T, K (..., 3, 3) are tensors of exchange (zero if uncoupled) and sites.
+    """
+    if np.any(K != K[..., :1, :1] * np.eye(3)):
+        return None
+    if not np.any(T):
+        return partial(move_state, "spin_lattice", 3 * sites, partial(_precess, sites, 0.0, B))
+    complete = 2 * len(edges) == sites * (sites - 1)
+    if not complete:
+        return None
+    strengths = np.unique(J * T[..., 0, 0])
+    is_uniform = np.all(B == B.reshape(-1, 3)[0])
+    if np.any(T != T[..., :1, :1] * np.eye(3)) or len(strengths) > 1 or not is_uniform:
+        return None
+    return partial(move_state, "spin_lattice", 3 * sites, partial(_precess, sites, float(strengths[0]), B))
 
 
-def _term(
-    force: Callable[..., Any], factor: float, coordinates: npt.NDArray[np.int64], axis: int, uniform: bool
-) -> FunctionTerm:
-    if uniform:
+def _precess(sites: int, strength: float, B: Floats, start: Floats, times: Floats) -> Floats:
+    """Rotate all spins about their total, ``S_i' = strength S_i cross S``, and the total about the field."""
+    spins = start.reshape(sites, 3)
+    about_total = rotate_about(spins, strength * spins.sum(axis=0), times[:, None])
+    return rotate_about(about_total, B, times[:, None]).reshape(len(times), 3 * sites)
 
-        def value(y: Any, t: Any) -> Any:
-            return factor * force(t)[axis] * np.sum(y)
 
-        def gradient(y: Any, t: Any) -> Any:
-            return np.full(len(y), factor * force(t)[axis])
+MAX_DENSE_SQUARE = 64  # largest number of spins for which the dense |sum S|^2 is given
+# The total spin along n generates rotations of all spins about n; (turn_k)_ab = -eps_kab generates those about axis k.
+ROTATION_GENERATORS = np.array(
+    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
+)
 
-    else:
 
-        def value(y: Any, t: Any) -> Any:
-            forces, total = force(t), 0.0
-            for site in range(len(y)):
-                total += factor * forces[site][axis] * y[site]
-            return total
+def total_spins(
+    sites: int, T: Floats, D: Floats, K: Floats, B: Floats, uniform: bool | None
+) -> dict[str, Callable[[], Quadratic]]:
+    """Return the constant components of the total spin, or its square, by name as functions that make them."""
+    # T, K (..., 3, 3) are tensors of exchange and of sites, D, B (..., 3) Dzyaloshinskii-Moriya vectors and fields;
+    # `uniform` is whether a time-dependent field in place of B is equal at all sites, None without such a field.
+    constraints = np.concatenate([_tensor_constraints(T), _tensor_constraints(K), _vector_constraints(D)])
+    isotropic = not np.any(constraints)
+    is_uniform = bool(np.all(B == B.reshape(-1, 3)[0])) if uniform is None else uniform
+    integrals: dict[str, Callable[[], Quadratic]] = {}
+    if uniform is None:
+        for axis in _kernel(np.concatenate([constraints, _vector_constraints(B)])):
+            nonzero = np.flatnonzero(axis)
+            name = f"S{nonzero[0] + 1}" if len(nonzero) == 1 else f"S along ({', '.join(f'{a:.6g}' for a in axis)})"
+            integrals[f"total {name}"] = partial(_total_along, sites, axis)
+    if isotropic and is_uniform and len(integrals) < 3 and sites <= MAX_DENSE_SQUARE:
+        integrals["|total S|^2"] = partial(_total_squared, sites)
+    return integrals
 
-        def gradient(y: Any, t: Any) -> Any:
-            forces, result = force(t), np.zeros(len(y))
-            for site in range(len(y)):
-                result[site] = factor * forces[site][axis]
-            return result
 
-    def hessian(y: Any, t: Any) -> Any:
-        return np.zeros((len(y), len(y)))
+def _total_along(sites: int, axis: Floats) -> Quadratic:
+    return Quadratic(np.zeros(3 * sites), linear=np.tile(axis, sites))
 
-    return FunctionTerm(coordinates.astype(np.int64), value, gradient, hessian, timed=True)
+
+def _total_squared(sites: int) -> Quadratic:
+    return Quadratic(np.kron(np.full((sites, sites), 2.0), np.eye(3)))
+
+
+def _tensor_constraints(tensors: Floats) -> Floats:
+    """Return rows r with r . n = 0 if all tensors commute with the rotation about n."""
+    different = np.unique(tensors.reshape(-1, 9), axis=0).reshape(-1, 3, 3)
+    commutators = np.einsum("eab,kbc->eack", different, ROTATION_GENERATORS) - np.einsum(
+        "kab,ebc->eack", ROTATION_GENERATORS, different
+    )
+    return _unique_nonzero(commutators.reshape(-1, 3))
+
+
+def _vector_constraints(vectors: Floats) -> Floats:
+    """Return rows r with r . n = 0 if all vectors are parallel to n."""
+    return _unique_nonzero(
+        np.einsum("kab,eb->eak", ROTATION_GENERATORS, np.unique(vectors.reshape(-1, 3), axis=0)).reshape(-1, 3)
+    )
+
+
+def _unique_nonzero(rows: Floats) -> Floats:
+    return np.unique(rows[np.any(rows, axis=1)], axis=0)
+
+
+def _kernel(rows: Floats) -> Floats:
+    """Return the axes orthogonal to all rows: three, one (with largest entry 1), or none."""
+    # There are never two: rotations about two axes generate those about all.
+    if not len(rows):
+        return np.eye(3)
+    with np.errstate(over="ignore", under="ignore"):
+        units = rows / np.abs(rows).max(axis=1, keepdims=True)
+        crosses = np.cross(units[0], units)
+        axis = crosses[np.argmax(np.abs(crosses).max(axis=1))]
+        size = np.abs(axis).max()
+        if size == 0.0:
+            return np.zeros((0, 3))
+        axis = axis / axis[np.argmax(np.abs(axis))]
+        is_orthogonal = np.abs(units @ axis).max() <= 16 * UNIT_ROUNDOFF / min(size, 1.0)
+    return axis[None] + 0.0 if is_orthogonal else np.zeros((0, 3))

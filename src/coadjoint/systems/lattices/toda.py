@@ -15,7 +15,7 @@ from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import reject_attitude, start_and_times
+from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -199,7 +199,7 @@ def _lattice(n: int, ring: bool) -> LiePoissonSystem:
         casimirs=casimirs,
         name=name,
         parameters={"sites": n},
-        exact=None if ring else partial(open_lattice, n),
+        exact=None if ring else partial(move_state, name, 2 * n - 1, partial(open_lattice, n)),
         integrals=traces(n, ring),
     )
 
@@ -247,13 +247,10 @@ def traces(n: int, ring: bool) -> dict[str, Polynomial]:
     }
 
 
-def open_lattice(n: int, x0: Any, t: Any, attitude: Any = False) -> Floats:
-    """Return the state (2 n - 1,) or (k, 2 n - 1) of the open lattice at given times, correct to all digits."""
+def open_lattice(n: int, start: Floats, times: Floats) -> Floats:
+    """Return the states (k, 2 n - 1) of the open lattice at given times, correct to all digits."""
     # With ``exp(t L) = Q R``, ``exp(2 t L) = R^T R`` and ``L(t) = R L R^-1``: R by Cholesky in ball arithmetic.
-    reject_attitude(attitude, "toda")
-    start, times = start_and_times(x0, t, 2 * n - 1)
-    states = np.array([_state_at(n, start, time) for time in np.atleast_1d(times).tolist()]).reshape(-1, 2 * n - 1)
-    return states[0] if times.ndim == 0 else states
+    return np.array([_state_at(n, start, time) for time in times.tolist()]).reshape(-1, 2 * n - 1)
 
 
 def _state_at(n: int, start: Floats, time: float) -> Floats:

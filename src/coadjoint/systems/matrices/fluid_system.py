@@ -37,6 +37,10 @@ class FluidSystem(MatrixSystem):
     patches = initial_states.patches
     from_file = initial_states.from_file
 
+    @property
+    def fluid(self) -> FluidSystem:
+        return self
+
     @abstractmethod
     def mode_array(self, W: Any) -> Complexes:
         """Return the modes of matrices (..., N, N) as an array (..., N, N), which `from_modes` accepts."""

@@ -159,6 +159,11 @@ class MatrixSystem(System):
         return html_table(self.name, {**rows, **({"forces": forces_text(self.forces)} if self.forces else {})})
 
     @property
+    def fluid(self) -> Any:
+        """The ideal fluid on a surface whose vorticity is the state, or the second of two fields; None by default."""
+        return None
+
+    @property
     def energy_factor(self) -> float:
         """Factor of the energy before ``<P, W>/2``: its sign, in the unit of the energy."""
         return self.energy_sign * self.energy_unit

@@ -89,6 +89,12 @@ class TwoLayerSystem(MatrixSystem):
         self.dim = 2 * self.dim
         self.hamiltonian = MatrixEnergy(self)
 
+    _fluid: Any = None
+
+    @property
+    def fluid(self) -> Any:
+        return self._fluid
+
     @cached_property
     def casimirs(self) -> dict[str, Any]:
         """Name to function of states (..., 2, N, N)."""
