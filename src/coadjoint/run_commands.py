@@ -139,14 +139,14 @@ def check_file(file: str) -> None:
     The time is estimated from a trial run of the first steps. Exit status 2, with one line, if the file is invalid; 1
     if the trial run fails, as the run would.
     """
-    from coadjoint.files.configuration.dry_run import plan
+    from coadjoint.files.configuration.dry_run import describe_run
     from coadjoint.files.configuration.loading import load
 
     configuration = load(file)
     _output_paths(configuration.path, configuration.outputs, {})
-    dry_run = plan(configuration)
-    click.echo(str(dry_run))
-    if dry_run.failed:
+    text, failed = describe_run(configuration)
+    click.echo(text)
+    if failed:
         raise click.exceptions.Exit(1)
 
 

@@ -66,6 +66,8 @@ from coadjoint.runs.piecewise_run import PiecewiseRun, Sink
 from coadjoint.runs.results.solution import Solution
 
 GROUP_METADATA = {"zarr_format": 3, "node_type": "group"}
+REPLACED = errno.ESTALE
+"""Number of the errors that the folder of an archive, or its lock file, was replaced during a run."""
 
 
 class ArchiveUnwritten(OSError):
@@ -81,14 +83,10 @@ class ArchiveUnwritten(OSError):
     partial: Any = None
 
 
-class ArchiveReplaced(OSError):
-    """The folder of an archive, or its lock file, was replaced while the run was writing to it."""
-
-
 def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str, otherwise: str) -> ArchiveUnwritten:
     """Return the error for an archive that could not be written, ending with `replaced` or `otherwise`."""
     problem = getattr(reason, "strerror", None) or str(reason)
-    ending = replaced if isinstance(reason, ArchiveReplaced) else otherwise
+    ending = replaced if getattr(reason, "errno", None) == REPLACED else otherwise
     return ArchiveUnwritten(f"{path}: the archive could not be written ({problem}); {ending}")
 
 
@@ -181,20 +179,20 @@ class ArchiveStore(Archive):
         return self._lock is None or os.path.samestat(os.fstat(self._lock), status)
 
     def check_lock(self) -> None:
-        """Raise ArchiveReplaced if the lock file was replaced (another process may write); OSError if it is gone."""
+        """Raise OSError of `REPLACED` if the lock file was replaced (another process may write), or if it is gone."""
         try:
             status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
         except FileNotFoundError:
             raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
         if not self._is_own_lock(status):
-            raise ArchiveReplaced(errno.ESTALE, "its lock file was replaced, so that another process may write to it")
+            raise OSError(REPLACED, "its lock file was replaced, so that another process may write to it")
 
     def check_not_replaced(self) -> None:
-        """Raise ArchiveReplaced if the path of the archive no longer leads to the folder being written."""
+        """Raise OSError of `REPLACED` if the path of the archive no longer leads to the folder being written."""
         with suppress(OSError):
             if self._is_own_lock(os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)):
                 return
-        raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; the computed part is in the old one")
+        raise OSError(REPLACED, "its folder was moved or replaced; the computed part is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later."""
@@ -235,7 +233,7 @@ class ArchiveStore(Archive):
         self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState] = ()
     ) -> None:
         """Commit everything written so far, atomically; states not in `states` are removed."""
-        # ArchiveReplaced: nothing was committed (another lock file), or all in a folder that was moved.
+        # An error of `REPLACED`: nothing was committed (another lock file), or all in a folder that was moved.
         self.check_lock()
         arrays = {
             name: array._replace(shape=(lengths[array.dims[0]], *array.shape[1:])) if array.grows else array

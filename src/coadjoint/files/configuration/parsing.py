@@ -8,9 +8,8 @@ import tomllib
 import types
 import typing
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -20,6 +19,9 @@ from coadjoint.keyword_hints import KEYWORDS
 from coadjoint.methods import registry
 from coadjoint.short_repr import short
 from coadjoint.systems.registry import ready_made_systems
+
+if TYPE_CHECKING:
+    from coadjoint.files.configuration.construction import ErrorCollector
 
 MAX_BYTES = 2**28  # of a file; longer ensembles are given in Python
 MAX_NESTING = 64
@@ -269,26 +271,8 @@ PLACEHOLDERS: Mapping[str, Any] = {"run": {"t_span": [0.0, 1.0], "step": 1.0}, "
 SYSTEM_TABLES = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "casimirs", "forces"})
 
 
-@dataclass(frozen=True)
-class ValidTables:
-    """The valid part of a file, under corrected keys; the `messages` of the rest, and its `invalid` top-level keys."""
-
-    file: File | None
-    messages: tuple[str, ...] = ()
-    invalid: frozenset[str] = frozenset()
-
-    @property
-    def has_system(self) -> bool:
-        """Whether everything that defines the system is valid."""
-        return not self.invalid & SYSTEM_TABLES
-
-    def has(self, table: str) -> bool:
-        """Whether a table is valid."""
-        return table not in self.invalid
-
-
-def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
-    """Return the valid part of the tables of a file, and the errors of the rest."""
+def valid_tables(raw: Mapping[str, Any], errors: ErrorCollector) -> tuple[File | None, set[str]]:
+    """Return the valid part of a file, under corrected keys, and the invalid top-level keys; collect their errors."""
     messages: list[str] = []
     invalid: set[str] = set()
     parameters = _parameters(raw)
@@ -304,7 +288,9 @@ def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
             messages += all_errors(error, elsewhere)
             tables, invalid_names = _repair(tables, error, elsewhere)
             invalid |= invalid_names
-    return ValidTables(file, tuple(dict.fromkeys(messages)), frozenset(invalid))
+    for message in dict.fromkeys(messages):
+        errors.add(message)
+    return file, invalid
 
 
 def _parameters(raw: Mapping[str, Any]) -> dict[tuple[str, ...], list[str]]:
