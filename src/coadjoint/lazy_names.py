@@ -1,4 +1,4 @@
-"""Lazy public names of a package, listed in its stub file."""
+"""Public names of packages and modules: lazy ones, listed in a stub file, and the error for any other name."""
 
 from __future__ import annotations
 
@@ -28,3 +28,14 @@ def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], An
         return sorted(names)
 
     return __getattr__, __dir__, names
+
+
+def refuse_others(shown: str, names: list[str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return ``__getattr__`` and ``__dir__`` of a module with these public names; `shown` is its name in messages."""
+
+    def __getattr__(name: str) -> Any:
+        from coadjoint.errors import unknown_attribute
+
+        raise unknown_attribute(shown, name, names)
+
+    return __getattr__, lambda: names

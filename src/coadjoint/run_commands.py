@@ -181,8 +181,8 @@ def resume_archive(
     from coadjoint.files.archives.archive import read_archive_path
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
+    from coadjoint.files.archives.run_checks import requires_argument
     from coadjoint.files.configuration.loading import CONFIGURATION, outputs_of_text, system_of_text
-    from coadjoint.files.records.required_functions import requires_argument
 
     archive, system = read_archive_path(path), None
     attributes = open_archive(archive).attributes

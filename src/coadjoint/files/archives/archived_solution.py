@@ -29,7 +29,7 @@ from coadjoint.files.archives.archive import (
     read_root,
     total_progress,
 )
-from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive, check_reported
+from coadjoint.files.archives.run_checks import as_archive_errors, check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, stored_axes, unstacked

@@ -29,7 +29,7 @@ import os
 import secrets
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -137,19 +137,19 @@ class ArchiveStore(Archive):
     def open_existing(cls, path: Path) -> ArchiveStore:
         """Open an archive to resume it, and remove leftovers of a killed process; ArchiveError if it is locked."""
         store = cls(path, *read_root(path), open_folder(path))
-        try:
-            if not store.lock():
-                raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
-            # Read again: it may have changed before it was locked.
-            store.arrays, store.attributes = read_root(path, store.folder)
-            for name in ("", HIDDEN_FOLDER, *store.arrays):
-                store.folder.remove_unfinished(name)
-            store._write_arrays(store.arrays)
-        except BaseException as reason:
-            store.close()
-            if isinstance(reason, OSError):
+        with ExitStack() as after_failures:
+            after_failures.callback(store.close)
+            try:
+                if not store.lock():
+                    raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
+                # Read again: it may have changed before it was locked.
+                store.arrays, store.attributes = read_root(path, store.folder)
+                for name in ("", HIDDEN_FOLDER, *store.arrays):
+                    store.folder.remove_unfinished(name)
+                store._write_arrays(store.arrays)
+            except OSError as reason:
                 raise unwritable_error(path, reason) from None
-            raise
+            after_failures.pop_all()
         return store
 
     def moved(self, path: Path) -> None:
