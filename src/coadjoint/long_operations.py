@@ -5,9 +5,10 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from contextlib import ContextDecorator
-from contextvars import ContextVar, Token
-from types import FrameType
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from types import FrameType, SimpleNamespace
 
 DECORATOR_MODULES = ("contextlib", "functools")
 WARNING_SECONDS = 5.0
@@ -32,32 +33,23 @@ def warn_if_long(what: str, seconds: float, instead: str = "") -> None:
         warn_caller(f"{what} takes about {seconds:.2g} s" + (f"; {instead}" if instead else ""), LongWait)
 
 
-class long_operation(ContextDecorator):
+_current: ContextVar[SimpleNamespace | None] = ContextVar("long_operation", default=None)
+
+
+@contextmanager
+def long_operation(what: str) -> Iterator[None]:
     """Context or decorator of a possibly long operation: after `WARNING_SECONDS` the next `note_progress` warns, once.
 
     `what` is the name of the function called by the user. Only the outermost context warns.
     """
-
-    def __init__(self, what: str) -> None:
-        self.what = what
-        self._token: Token[long_operation | None] | None = None
-
-    def _recreate_cm(self) -> long_operation:
-        return long_operation(self.what)
-
-    def __enter__(self) -> long_operation:
-        if _current.get() is None:
-            self.started, self.warned = time.monotonic(), False
-            self._token = _current.set(self)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if self._token is not None:
-            _current.reset(self._token)
-            self._token = None
-
-
-_current: ContextVar[long_operation | None] = ContextVar("long_operation", default=None)
+    if _current.get() is not None:
+        yield
+        return
+    token = _current.set(SimpleNamespace(what=what, started=time.monotonic(), warned=False))
+    try:
+        yield
+    finally:
+        _current.reset(token)
 
 
 def note_progress(computing: str, part: float | None = None) -> None:

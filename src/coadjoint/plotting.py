@@ -6,7 +6,7 @@ registers a kind of your own; `gallery` draws the ready-made systems.
 
 from __future__ import annotations
 
-from coadjoint.lazy_names import refuse_others
+from coadjoint.errors import refuse_others
 from coadjoint.pictures.analysis_figures import draw_modified_energy
 from coadjoint.pictures.gallery import gallery
 from coadjoint.pictures.level_surface import level_surface

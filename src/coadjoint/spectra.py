@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from coadjoint.analysis.signals import Autocorrelation, autocorrelation
 from coadjoint.analysis.structure_factor import StructureFactor, structure_factor
-from coadjoint.lazy_names import refuse_others
+from coadjoint.errors import refuse_others
 
 __all__ = ["Autocorrelation", "StructureFactor", "autocorrelation", "structure_factor"]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.lazy_names import refuse_others
+from coadjoint.errors import refuse_others
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun

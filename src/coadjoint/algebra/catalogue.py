@@ -12,9 +12,8 @@ from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.families.subspaces import change_of_basis, quotient, subalgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.errors import unknown_name
+from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.lazy_names import refuse_others
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from coadjoint.errors import unknown_name
-from coadjoint.lazy_names import refuse_others
+from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
