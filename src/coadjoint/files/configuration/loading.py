@@ -214,7 +214,7 @@ def _parse_tables(
             table = _checked(name, SweepTable, raw_with_sweep["sweep"], "sweep")
             parsed_sweep = read_sweep(name, raw_with_sweep, table)
             sweep, raw = parsed_sweep, parsed_sweep.member_tables(0)
-    file, invalid = valid_tables(raw, errors)
+    file, invalid = valid_tables(raw, errors.add)
     for message in _unknown_system(raw) if "system" in invalid else ():
         errors.add(message)
     return file, invalid, sweep

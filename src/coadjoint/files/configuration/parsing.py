@@ -7,9 +7,9 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
@@ -19,9 +19,6 @@ from coadjoint.keyword_hints import KEYWORDS
 from coadjoint.methods import registry
 from coadjoint.short_repr import short
 from coadjoint.systems.registry import ready_made_systems
-
-if TYPE_CHECKING:
-    from coadjoint.files.configuration.construction import ErrorCollector
 
 MAX_BYTES = 2**28  # of a file; longer ensembles are given in Python
 MAX_NESTING = 64
@@ -271,8 +268,8 @@ PLACEHOLDERS: Mapping[str, Any] = {"run": {"t_span": [0.0, 1.0], "step": 1.0}, "
 SYSTEM_TABLES = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "casimirs", "forces"})
 
 
-def valid_tables(raw: Mapping[str, Any], errors: ErrorCollector) -> tuple[File | None, set[str]]:
-    """Return the valid part of a file, under corrected keys, and the invalid top-level keys; collect their errors."""
+def valid_tables(raw: Mapping[str, Any], report: Callable[[str], None]) -> tuple[File | None, set[str]]:
+    """Return the valid part of a file, under corrected keys, and the invalid top-level keys; report their errors."""
     messages: list[str] = []
     invalid: set[str] = set()
     parameters = _parameters(raw)
@@ -289,7 +286,7 @@ def valid_tables(raw: Mapping[str, Any], errors: ErrorCollector) -> tuple[File |
             tables, invalid_names = _repair(tables, error, elsewhere)
             invalid |= invalid_names
     for message in dict.fromkeys(messages):
-        errors.add(message)
+        report(message)
     return file, invalid
 
 
