@@ -23,7 +23,7 @@ Names are loaded lazily: importing this package loads NumPy and nothing heavier.
 from __future__ import annotations
 
 from coadjoint.interruption import complete_imports
-from coadjoint.lazy_names import attach
+from coadjoint.shortcuts import attach
 
 __version__ = "1.0.0"
 

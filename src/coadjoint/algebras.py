@@ -4,9 +4,8 @@ from coadjoint.algebra import catalogue
 from coadjoint.algebra.catalogue import *  # noqa: F403
 
 __all__ = catalogue.__all__
-__dir__ = catalogue.__dir__
 
 TYPE_CHECKING = False
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-    __getattr__ = catalogue.__getattr__
+    __getattr__, __dir__ = catalogue.__getattr__, catalogue.__dir__

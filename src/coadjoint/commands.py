@@ -164,10 +164,10 @@ def reproduce(out: str) -> None:
     """Repeat the experiments of Reich (1993), print a table of them and draw their figures."""
     experiments = importlib.import_module("coadjoint.experiments.reich1993")
     experiments.check_packages()
-    result = experiments.reproduce(_folder(out), click.echo)
-    for row in result.table:
+    table, figures = experiments.reproduce(_folder(out), click.echo)
+    for row in table:
         click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
-    for figure in result.figures:
+    for figure in figures:
         click.echo(f"written: {figure}")
 
 
@@ -307,18 +307,18 @@ def commands(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-def _one_line_message(error: click.ClickException) -> str:
-    """Return the error message in one line."""
-    if isinstance(error, click.NoSuchOption) and error.ctx is not None:
-        known = [
-            name for parameter in error.ctx.command.get_params(error.ctx) for name in parameter.opts if name[0] == "-"
-        ]
-        return f"coadjoint: {unknown_name('option', error.option_name, known)}"
+def _unknown_option(error: click.NoSuchOption) -> str:
+    """Return the message about an unknown option, with the nearest one."""
+    parameters = [] if error.ctx is None else error.ctx.command.get_params(error.ctx)
+    known = [name for parameter in parameters for name in parameter.opts if name[0] == "-"]
+    return f"coadjoint: {unknown_name('option', error.option_name, known)}"
+
+
+def _wrong_usage(error: click.UsageError) -> str:
+    """Return the message about wrong usage, with where to read about it if it does not say what to do."""
     message = in_one_line(error.format_message())
-    if isinstance(error, click.UsageError):
-        usage = f" (see '{error.ctx.command_path} --help')" if error.ctx is not None and "; " not in message else ""
-        return f"coadjoint: {message[:1].lower()}{message[1:].rstrip('.')}{usage}"
-    return message
+    usage = f" (see '{error.ctx.command_path} --help')" if error.ctx is not None and "; " not in message else ""
+    return f"coadjoint: {message[:1].lower()}{message[1:].rstrip('.')}{usage}"
 
 
 def perform(arguments: Sequence[str] | None, began: float | None = None) -> tuple[int, str]:
@@ -364,8 +364,12 @@ def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
             commands.invoke(context)
     except click.exceptions.Exit as done:
         return done.exit_code, ""
+    except click.NoSuchOption as error:
+        return error.exit_code, in_one_line(_unknown_option(error))
+    except click.UsageError as error:
+        return error.exit_code, in_one_line(_wrong_usage(error))
     except click.ClickException as error:
-        return error.exit_code, in_one_line(_one_line_message(error))
+        return error.exit_code, in_one_line(error.format_message())
     except (ArchiveError, ConfigurationError, OutputError) as error:
         return 2, "\n".join(map(in_one_line, getattr(error, "error_lines", ()) or (str(error),)))
     except ImportError as error:

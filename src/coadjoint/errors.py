@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from coadjoint.short_repr import short
@@ -149,6 +149,15 @@ def unknown_attribute(module: str, name: str, known: Iterable[str]) -> Attribute
     near = nearest(name, names)
     listing = f"It has: {', '.join(names)}" if len(names) <= MAX_LISTED_NAMES else f"dir({module}) lists what it has"
     return AttributeError(text + (f"; did you mean {near!r}? {listing}" if near else f". {listing}"))
+
+
+def refuse_others(module: str, names: list[str]) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """Return ``__getattr__`` and ``__dir__`` of a module that has these public names, for its `unknown_attribute`."""
+
+    def __getattr__(name: str) -> Any:
+        raise unknown_attribute(module, name, names)
+
+    return __getattr__, lambda: names
 
 
 def in_one_line(message: str, limit: int = 400) -> str:

@@ -6,9 +6,9 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import ContextDecorator, contextmanager, suppress
-from contextvars import ContextVar, Token
-from types import FrameType
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from types import FrameType, SimpleNamespace
 from typing import Any
 
 from coadjoint.optional_packages import require_packages
@@ -39,32 +39,23 @@ def warn_if_long(what: str, seconds: float, instead: str = "") -> None:
         warn_caller(f"{what} takes about {seconds:.2g} s" + (f"; {instead}" if instead else ""), LongWait)
 
 
-class long_operation(ContextDecorator):
+_current: ContextVar[SimpleNamespace | None] = ContextVar("long_operation", default=None)
+
+
+@contextmanager
+def long_operation(what: str) -> Iterator[None]:
     """Context or decorator of a possibly long operation: after `WARNING_SECONDS` the next `note_progress` warns, once.
 
     `what` is the name of the function called by the user. Only the outermost context warns.
     """
-
-    def __init__(self, what: str) -> None:
-        self.what = what
-        self._token: Token[long_operation | None] | None = None
-
-    def _recreate_cm(self) -> long_operation:
-        return long_operation(self.what)
-
-    def __enter__(self) -> long_operation:
-        if _current.get() is None:
-            self.started, self.warned = time.monotonic(), False
-            self._token = _current.set(self)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        if self._token is not None:
-            _current.reset(self._token)
-            self._token = None
-
-
-_current: ContextVar[long_operation | None] = ContextVar("long_operation", default=None)
+    if _current.get() is not None:
+        yield
+        return
+    token = _current.set(SimpleNamespace(what=what, started=time.monotonic(), warned=False))
+    try:
+        yield
+    finally:
+        _current.reset(token)
 
 
 def note_progress(computing: str, part: float | None = None) -> None:

@@ -94,12 +94,9 @@ def _free() -> int:
 def _free_on_windows() -> int:
     import ctypes
 
-    class Status(ctypes.Structure):
-        _fields_ = (("length", ctypes.c_uint32), ("load", ctypes.c_uint32), ("bytes", ctypes.c_uint64 * 7))
-
-    status = Status(length=ctypes.sizeof(Status))
+    status = (ctypes.c_uint64 * 8)(64)  # the length of the structure and the load; then the total and the free bytes
     success = getattr(ctypes, "windll").kernel32.GlobalMemoryStatusEx(ctypes.byref(status))  # noqa: B009
-    return int(status.bytes[1]) if success else NO_LIMIT
+    return int(status[2]) if success else NO_LIMIT
 
 
 def _available_in_cgroups(root: str = "/sys/fs/cgroup", membership: str = "/proc/self/cgroup") -> int:

@@ -6,7 +6,7 @@ registers a kind of your own; `gallery` draws the ready-made systems.
 
 from __future__ import annotations
 
-from coadjoint.errors import unknown_attribute
+from coadjoint.errors import refuse_others
 from coadjoint.pictures.analysis_figures import draw_modified_energy
 from coadjoint.pictures.gallery import gallery
 from coadjoint.pictures.level_surface import level_surface
@@ -27,10 +27,4 @@ __all__ = [
 TYPE_CHECKING = False
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-
-    def __getattr__(name: str) -> None:
-        raise unknown_attribute("co.plotting", name, __all__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__ = refuse_others("co.plotting", __all__)

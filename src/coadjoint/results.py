@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coadjoint.errors import unknown_attribute
+from coadjoint.errors import refuse_others
 from coadjoint.files.datasets.export import dataset_of, mark_failed, rebuild, solution_inputs
 from coadjoint.files.datasets.loaded_solution import load
 
@@ -11,10 +11,4 @@ __all__ = ["dataset_of", "load", "mark_failed", "rebuild", "solution_inputs"]
 TYPE_CHECKING = False
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-
-    def __getattr__(name: str) -> None:
-        raise unknown_attribute("co.results", name, __all__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__ = refuse_others("co.results", __all__)

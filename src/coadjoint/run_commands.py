@@ -139,14 +139,14 @@ def check_file(file: str) -> None:
     The time is estimated from a trial run of the first steps. Exit status 2, with one line, if the file is invalid; 1
     if the trial run fails, as the run would.
     """
-    from coadjoint.files.configuration.dry_run import plan
+    from coadjoint.files.configuration.dry_run import describe_run
     from coadjoint.files.configuration.loading import load
 
     configuration = load(file)
     _output_paths(configuration.path, configuration.outputs, {})
-    dry_run = plan(configuration)
-    click.echo(str(dry_run))
-    if dry_run.failed:
+    text, failed = describe_run(configuration)
+    click.echo(text)
+    if failed:
         raise click.exceptions.Exit(1)
 
 
@@ -181,8 +181,8 @@ def resume_archive(
     from coadjoint.files.archives.archive import read_archive_path
     from coadjoint.files.archives.archived_solution import open_archive
     from coadjoint.files.archives.resume import resume
+    from coadjoint.files.archives.run_checks import requires_argument
     from coadjoint.files.configuration.loading import CONFIGURATION, outputs_of_text, system_of_text
-    from coadjoint.files.records.required_functions import requires_argument
 
     archive, system = read_archive_path(path), None
     attributes = open_archive(archive).attributes

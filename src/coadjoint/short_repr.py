@@ -134,29 +134,29 @@ _BRACKETS: dict[Any, tuple[str, str]] = {
 
 
 def _container(value: Any, limit: int, depth: int) -> Iterator[str]:
-    opening, closing = _BRACKETS[type(value).__repr__]
-    contents = value.values() if isinstance(value, dict) else value
+    repr_method: Any = type(value).__repr__
+    opening, closing = _BRACKETS[repr_method]
+    is_table = repr_method is dict.__repr__
+    contents = value.values() if is_table else value
     if len(value) > MAX_NAMED_FUNCTIONS and all(_is_of_functions(entry) for entry in contents):
         yield f"{len(value)} functions"
         return
-    if not value and opening.endswith("{") and not isinstance(value, dict):
+    if not value and opening.endswith("{") and not is_table:
         yield f"{type(value).__name__}()"
         return
     yield opening
     if depth == 0 and value:
         yield "..."
     else:
-        entries: Iterable[Any] = value.items() if isinstance(value, dict) else value
-        for number, entry in enumerate(entries):
+        entries: Iterable[Any] = value.items() if is_table else ((None, entry) for entry in value)
+        for number, (key, entry) in enumerate(entries):
             if number:
                 yield ", "
-            if isinstance(value, dict):
-                yield from _pieces(entry[0], limit, depth - 1)
+            if is_table:
+                yield from _pieces(key, limit, depth - 1)
                 yield ": "
-                yield from _pieces(entry[1], limit, depth - 1)
-            else:
-                yield from _pieces(entry, limit, depth - 1)
-    if isinstance(value, tuple) and len(value) == 1:
+            yield from _pieces(entry, limit, depth - 1)
+    if opening == "(" and len(value) == 1:
         yield ","
     yield closing
 

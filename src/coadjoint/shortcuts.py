@@ -1,10 +1,17 @@
-"""Shortcuts: attributes of a field, and functions of what is made of runs, such as ``sol.plot()``, by name."""
+"""Names found on first use: public names of packages, functions of later layers, and attributes of a field."""
 
 from __future__ import annotations
 
 import importlib
 from operator import attrgetter
-from typing import Any
+
+import lazy_loader
+
+TYPE_CHECKING = False
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from typing import Any
 
 SHORTCUTS = {
     "archive_run": "coadjoint.files.archives.resume:archive_run",
@@ -43,3 +50,22 @@ def shortcut(name: str) -> Any:
     """Return the function of a later layer that is registered under a name; it is imported on first use."""
     module, _, function = SHORTCUTS[name].partition(":")
     return getattr(importlib.import_module(module), function)
+
+
+def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package; `shown` is its name in error messages."""
+    resolve, _, names = lazy_loader.attach_stub(package, file)
+
+    def __getattr__(name: str) -> Any:
+        if name not in names:
+            from coadjoint.errors import unknown_attribute
+            from coadjoint.keyword_hints import unknown_function
+
+            elsewhere = unknown_function(name) if package == "coadjoint" else None
+            raise elsewhere or unknown_attribute(shown or package, name, names)
+        return resolve(name)
+
+    def __dir__() -> list[str]:
+        return sorted(names)
+
+    return __getattr__, __dir__, names

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from coadjoint.analysis.signals import Autocorrelation, autocorrelation
 from coadjoint.analysis.structure_factor import StructureFactor, structure_factor
-from coadjoint.errors import unknown_attribute
+from coadjoint.errors import refuse_others
 
 __all__ = ["Autocorrelation", "StructureFactor", "autocorrelation", "structure_factor"]
 
 TYPE_CHECKING = False
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-
-    def __getattr__(name: str) -> None:
-        raise unknown_attribute("co.spectra", name, __all__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__ = refuse_others("co.spectra", __all__)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.errors import unknown_attribute
+from coadjoint.errors import refuse_others
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -173,10 +173,4 @@ def _run_function() -> Any:
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-
-    def __getattr__(name: str) -> None:
-        raise unknown_attribute("co.torch", name, __all__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__ = refuse_others("co.torch", __all__)

@@ -12,7 +12,7 @@ from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.families.subspaces import change_of_basis, quotient, subalgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.errors import unknown_attribute, unknown_name
+from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
@@ -41,13 +41,7 @@ __all__ = [
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-
-    def __getattr__(name: str) -> Any:
-        raise unknown_attribute("co.algebras", name, __all__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__ = refuse_others("co.algebras", __all__)
 
 
 def _sp_by_half(n: int) -> LieAlgebra:

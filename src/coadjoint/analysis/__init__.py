@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from coadjoint.lazy_names import attach
+from coadjoint.shortcuts import attach
 
 # The names are listed in __init__.pyi.
 __getattr__, __dir__, __all__ = attach("coadjoint.analysis", __file__, "co.analysis")

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from coadjoint.errors import unknown_attribute, unknown_name
+from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -181,10 +181,4 @@ def solution(
 
 
 if not TYPE_CHECKING:  # type checkers know the names above and must report any other
-
-    def __getattr__(name: str) -> None:
-        raise unknown_attribute("co.jax", name, __all__)
-
-
-def __dir__() -> list[str]:
-    return __all__
+    __getattr__, __dir__ = refuse_others("co.jax", __all__)

@@ -5,7 +5,7 @@ Each scheme is a frozen dataclass with its parameters and a declaration of what 
 
 from __future__ import annotations
 
-from coadjoint.lazy_names import attach
+from coadjoint.shortcuts import attach
 
 # The names are listed in __init__.pyi.
 __getattr__, __dir__, __all__ = attach("coadjoint.methods", __file__, "co.methods")

@@ -39,25 +39,25 @@ def test_reproduction_has_all_verdicts_and_figures(tmp_path):
             warnings.warn("a warning of another kind", UserWarning, stacklevel=1)
 
     with pytest.warns(UserWarning) as caught:
-        reproduction = reproduce(tmp_path / "new" / "folder", echo, phase_end=100.0, steps=10_000)
+        rows, figures = reproduce(tmp_path / "new" / "folder", echo, phase_end=100.0, steps=10_000)
     # Warnings of large steps are lines of the table; any others are passed on.
     assert [str(warning.message) for warning in caught] == ["a warning of another kind"]
     assert len(lines) == 10
-    keys = [row.key for row in reproduction.table]
+    keys = [row.key for row in rows]
     assert len(keys) == len(set(keys)) >= 45
     assert set(EXPECTED) <= set(keys)
-    assert {row.key: row.verdict for row in reproduction.table} == {key: EXPECTED.get(key, paper.HOLDS) for key in keys}
-    for row in reproduction.table:
+    assert {row.key: row.verdict for row in rows} == {key: EXPECTED.get(key, paper.HOLDS) for key in keys}
+    for row in rows:
         assert all(cell.strip() for cell in row) and "nan" not in row.measured
         assert any(character.isdigit() for character in row.measured), row.key
     order = ["flow_poisson", "lemma_3_1_order", "lemma_4_1_poisson", "figure_1", "figure_2", "runge_unacceptable"]
     assert sorted(order, key=keys.index) == order, "as in the paper"
-    names = [path.name for path in reproduction.figures]
+    names = [path.name for path in figures]
     assert names == [*(f"figure{i}.png" for i in range(1, 6)), "modified_energies.png", "long_time.png"]
-    for path in reproduction.figures:
+    for path in figures:
         assert path.read_bytes().startswith(b"\x89PNG") and path.stat().st_size > 20_000
-    table = reproduction.files[0].read_text(encoding="utf-8")
-    assert table.count("\n| ") == len(reproduction.table) + 1
+    table = (tmp_path / "new" / "folder" / "table.md").read_text(encoding="utf-8")
+    assert table.count("\n| ") == len(rows) + 1
     assert "3 does not hold" in table
     large = [line for line in table.splitlines() if line.startswith("- the step ")]
     assert len(large) == len(set(large)) >= 5

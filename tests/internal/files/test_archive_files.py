@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import xarray
 
-from coadjoint.files.archives.archive import FORMAT, ROOT_FILE, Archive, ArchiveError, ArchiveMoved, read_root
+from coadjoint.files.archives.archive import FORMAT, ROOT_FILE, Archive, ArchiveError, read_root
 from coadjoint.files.archives.folder import ArchiveFolder
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
@@ -116,7 +116,7 @@ def test_only_committed_states_remain(store):
     assert files == {stored[1].file, stored[3].file}
     assert store.read_state(stored[3])["k"] == 3
     for one in (stored[0], stored[2]):
-        with refused(ArchiveMoved, one.file):
+        with refused(ArchiveError, one.file, "missing"):
             store.read_state(one)
 
 

@@ -1,11 +1,13 @@
 """Archives with small chunks, commits between two reads, and large arrays."""
 
+import json
+
 import numpy as np
 import pytest
 
 import coadjoint as co
 from coadjoint.files.archives import archived_solution, stored_arrays
-from coadjoint.files.archives.archive import Archive, ArchiveMoved
+from coadjoint.files.archives.archive import ROOT_FILE, Archive, ArchiveError
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from refusals import refused
 from same_runs import check_same
@@ -70,7 +72,10 @@ def test_opening_during_commits(tmp_path, monkeypatch, commits):
     def gone(self, stored):
         moved.append(stored)
         if len(moved) <= commits:
-            raise ArchiveMoved(f"{self.path}: the state {stored.file} is missing")
+            root = json.loads((self.path / ROOT_FILE).read_text())
+            root["attributes"]["elapsed"] += 1.0
+            (self.path / ROOT_FILE).write_text(json.dumps(root))
+            raise ArchiveError(f"{self.path}: the state {stored.file} is missing")
         return read(self, stored)
 
     monkeypatch.setattr(Archive, "read_state", gone)

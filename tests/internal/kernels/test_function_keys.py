@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.files.records.required_functions import fingerprint_of, same_fingerprint
+from coadjoint.files.archives.run_checks import fingerprint_of, same_fingerprint
 from coadjoint.kernels.functions.contents import compilation_key, contents_of
 
 SLOPE = 2.0

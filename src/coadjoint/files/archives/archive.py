@@ -66,10 +66,6 @@ class ArchiveError(OneLineError):
     """An archive is missing, damaged, in use, or cannot be created; raised before anything runs."""
 
 
-class ArchiveMoved(ArchiveError):
-    """A file named by the root is missing: another process has committed since it was read, or the file was removed."""
-
-
 class StoredState(NamedTuple):
     """Entry of a stored state: its file in the hidden folder, the SHA-256 of the file, and further plain numbers."""
 
@@ -229,7 +225,7 @@ class Archive:
             with self.opened() as folder:
                 raw = folder.read(HIDDEN_FOLDER, file)
         except FileNotFoundError:
-            raise ArchiveMoved(f"{path}: the state {file} is missing") from None
+            raise ArchiveError(f"{path}: the state {file} is missing") from None
         except OSError as reason:
             raise ArchiveError(f"{path}: the state {file} cannot be read ({reason.strerror})") from None
         if hashlib.sha256(raw).hexdigest() != state.digest:

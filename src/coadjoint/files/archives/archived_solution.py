@@ -23,14 +23,13 @@ from coadjoint.files.archives.archive import (
     STEPS,
     Archive,
     ArchiveError,
-    ArchiveMoved,
     Location,
     MemberBlock,
     read_location,
     read_root,
     total_progress,
 )
-from coadjoint.files.archives.metadata_checks import as_archive_errors, check_archive, check_reported
+from coadjoint.files.archives.run_checks import as_archive_errors, check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, stored_axes, unstacked
@@ -172,16 +171,15 @@ class ArchivedSolution(StoredSolution):
         return f"{int(np.count_nonzero(self.status != PENDING))} of {len(self.status)} members"
 
 
-def _opened(path: Location, system: Any) -> Solution:
-    """Return the solution in an archive as currently committed."""
-    archive = Archive(path, *read_root(path))
+def _opened(archive: Archive, system: Any) -> Solution:
+    """Return the solution in an archive as committed when its root was read."""
     check_archive(archive)
-    fields: dict[str, Any] = {"path": getattr(path, "url", path), "_archive": archive}
+    fields: dict[str, Any] = {"path": getattr(archive.path, "url", archive.path), "_archive": archive}
     fields |= {"attributes": archive.attributes, "_arrays": archive.arrays, "_given_system": system}
     state = None
     if not archive.has_blocks:
         stored = archive.read_state(archive.states[-1])
-        with as_archive_errors(path):
+        with as_archive_errors(archive.path):
             check_reported(stored, archive)
         state = {name: stored[name] for name in REPORTED_ARRAYS}
     return ArchivedSolution(fields | {"_state": state})
@@ -190,13 +188,15 @@ def _opened(path: Location, system: Any) -> Solution:
 def solution_at(location: Location, system: Any = None) -> Solution:
     """Return the solution in an archive as currently committed; see `open_archive`."""
     require_packages("an archive of a run", "xarray", "zarr")
-    for attempt in range(ATTEMPTS):
+    archive = Archive(location, *read_root(location))
+    for _ in range(ATTEMPTS - 1):
         try:
-            return _opened(location, system)
-        except ArchiveMoved as reason:  # a commit happened in between
-            if attempt == ATTEMPTS - 1:
-                raise ArchiveError(str(reason)) from None
-    raise AssertionError
+            return _opened(archive, system)
+        except ArchiveError:
+            before, archive = archive, Archive(location, *read_root(location))
+            if archive.attributes == before.attributes:  # otherwise a commit removed the state in between
+                raise
+    return _opened(archive, system)
 
 
 @suggest_keywords

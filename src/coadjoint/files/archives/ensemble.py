@@ -32,11 +32,11 @@ from coadjoint.files.archives.archive import (
     total_progress,
 )
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
-from coadjoint.files.archives.metadata_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
+from coadjoint.files.archives.run_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
 from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
-from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables
+from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables, joined_complex
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import progress_bar, read_progress
 from coadjoint.methods.protocol.method import Method
@@ -363,7 +363,7 @@ def _start_of(store: ArchiveStore, name: str, block: MemberBlock) -> Any:
         return None
     array = store.arrays[name]
     values = store.read(name, [range(block.first, block.last), *map(range, array.shape[1:])])
-    return values[..., 0] + 1j * values[..., 1] if array.dims[-1] == "part" else values
+    return joined_complex(values, array.dims)
 
 
 def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:

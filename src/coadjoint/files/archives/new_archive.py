@@ -30,6 +30,12 @@ from coadjoint.files.archives.archive import (
     is_computed,
     read_archive_path,
 )
+from coadjoint.files.archives.run_checks import (
+    FUNCTIONS_ATTRIBUTE,
+    OBSERVED_ATTRIBUTE,
+    function_attributes,
+    same_fingerprint,
+)
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray, chunk_of, rows_of_chunk
 from coadjoint.files.datasets.export import attributes_of
@@ -45,12 +51,6 @@ from coadjoint.files.datasets.variables import (
     time_variables,
 )
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
-from coadjoint.files.records.required_functions import (
-    FUNCTIONS_ATTRIBUTE,
-    OBSERVED_ATTRIBUTE,
-    function_attributes,
-    same_fingerprint,
-)
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution

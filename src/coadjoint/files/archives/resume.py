@@ -26,11 +26,10 @@ from coadjoint.files.archives.archive import (
 )
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
-from coadjoint.files.archives.metadata_checks import as_archive_errors
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
+from coadjoint.files.archives.run_checks import as_archive_errors, observed_again
 from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, unwritable_error
 from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata
-from coadjoint.files.records.required_functions import observed_again
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
@@ -93,7 +92,7 @@ def resume(
         a sixth, are recomputed to find the drifts in each tenth of the new run.
     system, observe : optional
         Those of the run, if they contain Python functions, which are not stored. They are compared with those with
-        which the run began, as far as `coadjoint.files.records.required_functions` can, and rejected if they differ.
+        which the run began, as far as `coadjoint.files.archives.run_checks` can, and rejected if they differ.
     events : optional
         Runs in archives have no events; any are rejected.
     threads : int, optional

@@ -29,7 +29,7 @@ import os
 import secrets
 import time
 from collections.abc import Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -66,6 +66,8 @@ from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.results.solution import Solution
 
 GROUP_METADATA = {"zarr_format": 3, "node_type": "group"}
+REPLACED = errno.ESTALE
+"""Number of the errors that the folder of an archive, or its lock file, was replaced during a run."""
 
 
 class ArchiveUnwritten(OSError):
@@ -81,14 +83,10 @@ class ArchiveUnwritten(OSError):
     partial: Any = None
 
 
-class ArchiveReplaced(OSError):
-    """The folder of an archive, or its lock file, was replaced while the run was writing to it."""
-
-
 def unwritten_archive(path: Path, reason: OSError | ArchiveError, replaced: str, otherwise: str) -> ArchiveUnwritten:
     """Return the error for an archive that could not be written, ending with `replaced` or `otherwise`."""
     problem = getattr(reason, "strerror", None) or str(reason)
-    ending = replaced if isinstance(reason, ArchiveReplaced) else otherwise
+    ending = replaced if getattr(reason, "errno", None) == REPLACED else otherwise
     return ArchiveUnwritten(f"{path}: the archive could not be written ({problem}); {ending}")
 
 
@@ -139,19 +137,19 @@ class ArchiveStore(Archive):
     def open_existing(cls, path: Path) -> ArchiveStore:
         """Open an archive to resume it, and remove leftovers of a killed process; ArchiveError if it is locked."""
         store = cls(path, *read_root(path), open_folder(path))
-        try:
-            if not store.lock():
-                raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
-            # Read again: it may have changed before it was locked.
-            store.arrays, store.attributes = read_root(path, store.folder)
-            for name in ("", HIDDEN_FOLDER, *store.arrays):
-                store.folder.remove_unfinished(name)
-            store._write_arrays(store.arrays)
-        except BaseException as reason:
-            store.close()
-            if isinstance(reason, OSError):
+        with ExitStack() as after_failures:
+            after_failures.callback(store.close)
+            try:
+                if not store.lock():
+                    raise ArchiveError(f"{path}: another process is writing to this archive; wait until it has ended")
+                # Read again: it may have changed before it was locked.
+                store.arrays, store.attributes = read_root(path, store.folder)
+                for name in ("", HIDDEN_FOLDER, *store.arrays):
+                    store.folder.remove_unfinished(name)
+                store._write_arrays(store.arrays)
+            except OSError as reason:
                 raise unwritable_error(path, reason) from None
-            raise
+            after_failures.pop_all()
         return store
 
     def moved(self, path: Path) -> None:
@@ -181,20 +179,20 @@ class ArchiveStore(Archive):
         return self._lock is None or os.path.samestat(os.fstat(self._lock), status)
 
     def check_lock(self) -> None:
-        """Raise ArchiveReplaced if the lock file was replaced (another process may write); OSError if it is gone."""
+        """Raise OSError of `REPLACED` if the lock file was replaced (another process may write), or if it is gone."""
         try:
             status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
         except FileNotFoundError:
             raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
         if not self._is_own_lock(status):
-            raise ArchiveReplaced(errno.ESTALE, "its lock file was replaced, so that another process may write to it")
+            raise OSError(REPLACED, "its lock file was replaced, so that another process may write to it")
 
     def check_not_replaced(self) -> None:
-        """Raise ArchiveReplaced if the path of the archive no longer leads to the folder being written."""
+        """Raise OSError of `REPLACED` if the path of the archive no longer leads to the folder being written."""
         with suppress(OSError):
             if self._is_own_lock(os.stat(self.folder.path / HIDDEN_FOLDER / self._lock_file, follow_symlinks=False)):
                 return
-        raise ArchiveReplaced(errno.ESTALE, "its folder was moved or replaced; the computed part is in the old one")
+        raise OSError(REPLACED, "its folder was moved or replaced; the computed part is in the old one")
 
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later."""
@@ -235,7 +233,7 @@ class ArchiveStore(Archive):
         self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState] = ()
     ) -> None:
         """Commit everything written so far, atomically; states not in `states` are removed."""
-        # ArchiveReplaced: nothing was committed (another lock file), or all in a folder that was moved.
+        # An error of `REPLACED`: nothing was committed (another lock file), or all in a folder that was moved.
         self.check_lock()
         arrays = {
             name: array._replace(shape=(lengths[array.dims[0]], *array.shape[1:])) if array.grows else array

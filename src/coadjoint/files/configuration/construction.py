@@ -248,11 +248,6 @@ class ErrorCollector:
         """Add an error: key and reason."""
         self._errors.append(ConfigurationError(f"{self._name}: {message}"))
 
-    @property
-    def none(self) -> bool:
-        """Whether there are no errors."""
-        return not self._errors
-
     def raise_collected(self) -> None:
         """Raise the collected errors: a single one unchanged, several joined in one line, with `error_lines`."""
         if not self._errors:

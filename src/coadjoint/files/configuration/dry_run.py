@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from coadjoint.errors import IntegrationError, in_one_line
@@ -19,6 +17,7 @@ from coadjoint.runs.events import read_events
 from coadjoint.runs.plan_and_state import bytes_of_run
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
 
@@ -27,68 +26,6 @@ TRIAL_SECONDS = 0.2
 TRIAL_POINTS = 2, 12
 """Saved points of two short runs, from which the size of the whole dataset is extrapolated."""
 LABEL_WIDTH = 14  # characters of the first column
-
-
-@dataclass(frozen=True)
-class DryRun:
-    """Description and cost of the run of a configuration file: sizes in bytes; seconds from `tried` steps."""
-
-    configuration: Configuration
-    dim: int
-    members: int
-    properties: Properties
-    steps: int
-    points: int
-    memory: int
-    written: int | None
-    preparation_seconds: float
-    seconds: float | None
-    tried: int
-    failed: str = ""
-
-    def __str__(self) -> str:
-        return "\n".join(f"{name:{LABEL_WIDTH}}{text}" for name, text in self._lines())
-
-    def _lines(self) -> Iterator[tuple[str, str]]:
-        run = self.configuration
-        system = run.system.of_member(0)
-        batch_text = f"; {len(run.system)} systems, one for each member" if run.system.is_batch else ""
-        yield "system", f"{system.name}, dimension {self.dim}{batch_text}"
-        yield "members", f"{self.members}"
-        if run.swept:
-            yield "swept", in_one_line(", ".join(run.swept), 200)
-        choice_text = "" if run.choice is None else f"; chosen, expected error {run.choice.error:.1e}"
-        order = effective_scheme(run.system, run.method).order
-        yield "scheme", f"{in_one_line(str(run.method), 100)}, of order {order}{choice_text}"
-        yield "keeps", conserved_quantities(self.properties)
-        start, end = run.t_span
-        size = abs(end - start) / self.steps if self.steps else run.step
-        first, last = distinct(start, end)
-        yield "steps", f"{self.steps} of {size:g}, from t = {first} to {last}"
-        yield "saved", f"{self.points} points" + ("" if self.members == 1 else f" of {self.members} members")
-        yield "memory", f"{format_size(self.memory)}, {format_bytes(available())} are free"
-        if self.written is None:
-            no_package = "xarray is not installed, so that nothing can be written"
-            yield "output", "not known: the trial failed" if self.failed else no_package
-        else:
-            yield "output", f"{format_size(self.written)} before compression{self._output_lines()}"
-        if self.seconds is None:
-            yield "time", f"not known: the trial failed ({in_one_line(self.failed, 200)})"
-        else:
-            trial_text = "all its" if self.tried == self.steps else f"{self.tried} of its"
-            workers_text = "" if run.workers is None else f", in one process; {run.workers} workers share it"
-            total, preparation = self.preparation_seconds + self.seconds, format_duration(self.preparation_seconds)
-            yield (
-                "time",
-                f"about {format_duration(total)}{workers_text}; estimated from a trial of {trial_text} steps, "
-                f"{preparation} of it for preparation",
-            )
-
-    def _output_lines(self) -> str:
-        run = self.configuration
-        keys = ("archive", "file", "figure", "movie")
-        paths = [path for path in map(run.outputs.get, keys) if path is not None]
-        return f"; to {', '.join(paths)}" if paths else "; the file names no output"
 
 
 def conserved_quantities(properties: Properties) -> str:
@@ -129,8 +66,8 @@ def format_duration(seconds: float) -> str:
     return f"{seconds:.2g} s"
 
 
-def plan(configuration: Configuration) -> DryRun:
-    """Describe the run of a configuration, and estimate its cost from a trial of the first steps."""
+def describe_run(configuration: Configuration) -> tuple[str, bool]:
+    """Describe the run of a configuration and its cost by a trial of the first steps; also whether the trial failed."""
     if configuration.outputs.get("archive") is None and configuration.workers is None:
         configuration.check_memory()
     began = time.perf_counter()
@@ -146,27 +83,34 @@ def plan(configuration: Configuration) -> DryRun:
         # Output times are filled in while the steps from which they are reached are still in memory.
         points = len(output_times.t)
         memory += bytes_of_run(Layout(layout.extent._replace(points=points)), times._replace(marks=output_times.ends))
-    system = configuration.system.of_member(0)
-    seconds, tried, failed, written = None, 0, "", None
+    lines = _run_lines(configuration, start, times)
+    lines["saved"] = f"{points} points" + ("" if len(start.momenta) == 1 else f" of {len(start.momenta)} members")
+    lines["memory"] = f"{format_size(memory)}, {format_bytes(available())} are free"
+    lines["output"], lines["time"], failed = "not known: the trial failed", "", False
     try:
-        seconds, tried = _seconds(configuration, prepared, times)
-        written = _written(configuration, prepared, times)
+        lines["time"] = _time_text(configuration, prepared, times, preparation_seconds)
+        lines["output"] = _output_text(configuration, prepared, times)
     except IntegrationError as error:
-        failed = str(error)
-    return DryRun(
-        configuration,
-        start.momenta.shape[1],
-        len(start.momenta),
-        declared_properties(effective_scheme(system, configuration.method), system),
-        times.steps,
-        points,
-        memory,
-        written,
-        preparation_seconds,
-        seconds,
-        tried,
-        failed,
-    )
+        failed = True
+        lines["time"] = lines["time"] or f"not known: the trial failed ({in_one_line(str(error), 200)})"
+    return "\n".join(f"{name:{LABEL_WIDTH}}{text}" for name, text in lines.items()), failed
+
+
+def _run_lines(run: Configuration, start: Start, times: Times) -> dict[str, str]:
+    """Return the lines about system, scheme and steps, by their labels."""
+    system = run.system.of_member(0)
+    members, dim = start.momenta.shape[:2]
+    batch_text = f"; {len(run.system)} systems, one for each member" if run.system.is_batch else ""
+    lines = {"system": f"{system.name}, dimension {dim}{batch_text}", "members": f"{members}"}
+    if run.swept:
+        lines["swept"] = in_one_line(", ".join(run.swept), 200)
+    choice_text = "" if run.choice is None else f"; chosen, expected error {run.choice.error:.1e}"
+    scheme = effective_scheme(run.system, run.method)
+    lines["scheme"] = f"{in_one_line(str(run.method), 100)}, of order {scheme.order}{choice_text}"
+    lines["keeps"] = conserved_quantities(declared_properties(effective_scheme(system, run.method), system))
+    first, last = distinct(*run.t_span)
+    size = abs(run.t_span[1] - run.t_span[0]) / times.steps if times.steps else run.step
+    return {**lines, "steps": f"{times.steps} of {size:g}, from t = {first} to {last}"}
 
 
 def _trial_run(configuration: Configuration, prepared: PreparedRun, times: Times, steps: int, every: int) -> Solution:
@@ -174,6 +118,19 @@ def _trial_run(configuration: Configuration, prepared: PreparedRun, times: Times
     # Not `run`, whose step is the prepared one: output times may shorten that of a scheme with its own steps.
     first = times._replace(steps=steps, save_every=min(every, max(1, steps)))
     return prepared.follow(first, prepared.start(configuration.x0), events=read_events(configuration.events))
+
+
+def _time_text(configuration: Configuration, prepared: PreparedRun, times: Times, preparation_seconds: float) -> str:
+    """Estimate the time of all steps from a trial of the first ones."""
+    seconds, tried = _seconds(configuration, prepared, times)
+    trial_text = "all its" if tried == times.steps else f"{tried} of its"
+    workers_text = (
+        "" if configuration.workers is None else f", in one process; {configuration.workers} workers share it"
+    )
+    return (
+        f"about {format_duration(preparation_seconds + seconds)}{workers_text}; estimated from a trial of {trial_text} "
+        f"steps, {format_duration(preparation_seconds)} of it for preparation"
+    )
 
 
 def _seconds(configuration: Configuration, prepared: PreparedRun, times: Times) -> tuple[float, int]:
@@ -191,12 +148,15 @@ def _seconds(configuration: Configuration, prepared: PreparedRun, times: Times) 
         count *= 2 if seconds < TRIAL_SECONDS / 64 else max(2, min(64, int(TRIAL_SECONDS / seconds)))
 
 
-def _written(configuration: Configuration, prepared: PreparedRun, times: Times) -> int | None:
-    """Estimate the size of the dataset in bytes by linear extrapolation from two short runs."""
+def _output_text(configuration: Configuration, prepared: PreparedRun, times: Times) -> str:
+    """Estimate the size of the dataset by linear extrapolation from two short runs, and name the outputs."""
     if not installed("xarray"):
-        return None
+        return "xarray is not installed, so that nothing can be written"
     points = times.total_points if configuration.t_eval is None else len(configuration.t_eval)
     counts = [min(count, times.steps + 1) for count in TRIAL_POINTS]
     sizes = [configuration.dataset(_trial_run(configuration, prepared, times, n - 1, 1)).nbytes for n in counts]
     bytes_per_point = (sizes[1] - sizes[0]) / max(1, counts[1] - counts[0])
-    return round(sizes[0] + bytes_per_point * (points - counts[0]))
+    size = round(sizes[0] + bytes_per_point * (points - counts[0]))
+    paths = [path for key in ("archive", "file", "figure", "movie") if (path := configuration.outputs.get(key))]
+    ending = f"to {', '.join(paths)}" if paths else "the file names no output"
+    return f"{format_size(size)} before compression; {ending}"

@@ -26,7 +26,7 @@ from coadjoint.files.configuration.construction import (
 )
 from coadjoint.files.configuration.models import File, OutputTable, SweepTable
 from coadjoint.files.configuration.parsing import (
-    ValidTables,
+    SYSTEM_TABLES,
     all_errors,
     keys_by_table,
     named_in,
@@ -183,10 +183,10 @@ def system_of_text(text: str) -> Any:
     """Return the system of a configuration from the text of its file, as stored with a result."""
     name = "the configuration of this run"
     errors = ErrorCollector(name)
-    tables, sweep = _parse_tables(name, parse_toml(name, text), errors)
+    file, _, sweep = _parse_tables(name, parse_toml(name, text), errors)
     errors.raise_collected()
-    assert tables.file is not None
-    return _system(name, tables.file, sweep)
+    assert file is not None
+    return _system(name, file, sweep)
 
 
 def outputs_of_text(text: str) -> dict[str, str | None]:
@@ -205,8 +205,8 @@ def load(path: str | Path) -> Configuration:
 
 def _parse_tables(
     name: str, raw: Mapping[str, Any], errors: ErrorCollector
-) -> tuple[ValidTables, SettingsSweep | None]:
-    """Parse the tables of a file as far as they are valid; for a sweep, those of its first member."""
+) -> tuple[File | None, set[str], SettingsSweep | None]:
+    """Parse a file as far as it is valid (of a sweep, that of the first member); return also its invalid tables."""
     sweep: SettingsSweep | None = None
     if "sweep" in raw:
         raw_with_sweep, raw = raw, {key: table for key, table in raw.items() if key != "sweep"}
@@ -214,10 +214,10 @@ def _parse_tables(
             table = _checked(name, SweepTable, raw_with_sweep["sweep"], "sweep")
             parsed_sweep = read_sweep(name, raw_with_sweep, table)
             sweep, raw = parsed_sweep, parsed_sweep.member_tables(0)
-    tables = valid_tables(raw)
-    for messages in (*tables.messages, *([] if tables.has("system") else _unknown_system(raw))):
-        errors.add(messages)
-    return tables, sweep
+    file, invalid = valid_tables(raw, errors.add)
+    for message in _unknown_system(raw) if "system" in invalid else ():
+        errors.add(message)
+    return file, invalid, sweep
 
 
 def _system(name: str, file: File, sweep: SettingsSweep | None) -> Any:
@@ -265,9 +265,8 @@ def _check_workers(name: str, file: File, system: Any, x0: Any) -> None:
 
 
 def _configuration(
-    name: str, text: str, tables: ValidTables, sweep: SettingsSweep | None, errors: ErrorCollector
+    name: str, text: str, file: File | None, invalid: set[str], sweep: SettingsSweep | None, errors: ErrorCollector
 ) -> Configuration:
-    file = tables.file
     if file is None:
         errors.raise_collected()
     assert file is not None
@@ -275,9 +274,9 @@ def _configuration(
     method: Any = None
     x0: Any = None
     step, choice, check_tables = file.run.step, None, partial(_checked, name, File)
-    if tables.has_system:
+    if not invalid & SYSTEM_TABLES:
         with errors.collect():
-            if tables.has("initial"):
+            if "initial" not in invalid:
                 check_named(name, file)
             system = _system(name, file, sweep)
     if file.output.archive is not None:
@@ -292,10 +291,10 @@ def _configuration(
         if system is not None:
             with section(name, "method"):
                 check_supports(system.of_member(0), method)
-    if step is not None and tables.has("run"):
+    if step is not None and "run" not in invalid:
         with errors.collect():
             _check_times(name, file, system, step)
-    if system is not None and tables.has("initial"):
+    if system is not None and "initial" not in invalid:
         with errors.collect():
             x0 = (
                 state_by_name(name, file.initial, system)

@@ -7,8 +7,7 @@ import re
 import tomllib
 import types
 import typing
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -269,26 +268,8 @@ PLACEHOLDERS: Mapping[str, Any] = {"run": {"t_span": [0.0, 1.0], "step": 1.0}, "
 SYSTEM_TABLES = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "casimirs", "forces"})
 
 
-@dataclass(frozen=True)
-class ValidTables:
-    """The valid part of a file, under corrected keys; the `messages` of the rest, and its `invalid` top-level keys."""
-
-    file: File | None
-    messages: tuple[str, ...] = ()
-    invalid: frozenset[str] = frozenset()
-
-    @property
-    def has_system(self) -> bool:
-        """Whether everything that defines the system is valid."""
-        return not self.invalid & SYSTEM_TABLES
-
-    def has(self, table: str) -> bool:
-        """Whether a table is valid."""
-        return table not in self.invalid
-
-
-def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
-    """Return the valid part of the tables of a file, and the errors of the rest."""
+def valid_tables(raw: Mapping[str, Any], report: Callable[[str], None]) -> tuple[File | None, set[str]]:
+    """Return the valid part of a file, under corrected keys, and the invalid top-level keys; report their errors."""
     messages: list[str] = []
     invalid: set[str] = set()
     parameters = _parameters(raw)
@@ -304,7 +285,9 @@ def valid_tables(raw: Mapping[str, Any]) -> ValidTables:
             messages += all_errors(error, elsewhere)
             tables, invalid_names = _repair(tables, error, elsewhere)
             invalid |= invalid_names
-    return ValidTables(file, tuple(dict.fromkeys(messages)), frozenset(invalid))
+    for message in dict.fromkeys(messages):
+        report(message)
+    return file, invalid
 
 
 def _parameters(raw: Mapping[str, Any]) -> dict[tuple[str, ...], list[str]]:

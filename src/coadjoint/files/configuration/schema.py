@@ -108,14 +108,13 @@ def _one_of(table: Schema, options: Iterator[Schema]) -> Schema:
 
 
 def _named_table(
-    name: str | Schema, description: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()
+    name: Schema, description: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()
 ) -> Schema:
     """Return the schema of a table with a name and no other keys than these."""
-    name_schema = {"const": name} if isinstance(name, str) else name
     return {
         "type": "object",
         "description": description,
-        "properties": {"name": {**name_schema, "description": description}, **properties},
+        "properties": {"name": {**name, "description": description}, **properties},
         "required": ["name", *required],
         "additionalProperties": False,
     }
@@ -155,7 +154,7 @@ def _type(annotation: str, kind: str) -> Schema:
 def _systems() -> Iterator[Schema]:
     for name, builder in sorted(ready_made_systems().items()):
         properties, required = _parameters(builder)
-        yield _named_table(name, _summary(builder), {"parameters": _table(properties, required)})
+        yield _named_table({"const": name}, _summary(builder), {"parameters": _table(properties, required)})
 
 
 def _table(properties: Mapping[str, Schema], required: list[str]) -> Schema:
@@ -174,7 +173,7 @@ def _table_of_callable(name: str, function: Callable[..., Any]) -> Schema:
     properties, required = _parameters(function)
     subtable = _table(properties, [])
     inline = {key: value for key, value in properties.items() if key != "name"}
-    schema_of_table = _named_table(name, _summary(function), {**inline, "parameters": subtable})
+    schema_of_table = _named_table({"const": name}, _summary(function), {**inline, "parameters": subtable})
     return (
         {**schema_of_table, "anyOf": [{"required": required}, {"required": ["parameters"]}]}
         if required

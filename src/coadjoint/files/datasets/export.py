@@ -36,7 +36,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
@@ -91,8 +91,7 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     require_packages("a dataset of a solution", "xarray")
     import xarray
 
-    if not isinstance(solution, Solution):
-        raise TypeError(f"solution is {short(solution)}; it must be a Solution, such as co.integrate returns")
+    check_solution(solution)
     variables = {**time_variables(solution), **summary_variables(solution), **start_variables(solution)}
     if solution.events is not None:
         variables |= event_variables(solution.events)

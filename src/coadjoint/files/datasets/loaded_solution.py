@@ -210,9 +210,9 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
         if (source / HIDDEN_FOLDER).is_dir():
             return solution_at(source, system)
         engine, packages = _reader(source)
+    except OneLineError:
+        raise
     except (OSError, ValueError) as reason:
-        if isinstance(reason, OneLineError):
-            raise
         raise LoadError(f"{shown}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
     require_packages(f"{shown}: reading it", *packages)
     import xarray

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.datasets.variables import OBSERVED_NAMES
+from coadjoint.files.datasets.variables import OBSERVED_NAMES, joined_complex
 from coadjoint.files.records.entries import parsed
 from coadjoint.keyword_hints import NamedValues
 from coadjoint.methods.forced import effective_scheme
@@ -56,8 +56,7 @@ class StoredSolution(Solution):
 
     def _read(self, name: str) -> NDArray[Any]:
         """Read an entire array; combine real and imaginary parts."""
-        entries = self._read_entire(name)
-        return entries[..., 0] + 1j * entries[..., 1] if self._arrays[name].dims[-1] == "part" else entries
+        return joined_complex(self._read_entire(name), self._arrays[name].dims)
 
     def _read_if_stored(self, name: str) -> NDArray[Any] | None:
         return self._read(name) if name in self._arrays else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -41,6 +41,11 @@ def split_complex(states: NDArray[Any]) -> NDArray[np.float64]:
     return np.stack([states.real, states.imag], axis=-1) if np.iscomplexobj(states) else states
 
 
+def joined_complex(values: NDArray[Any], dims: Sequence[Any]) -> NDArray[Any]:
+    """Convert the parts of complex numbers along a last dimension ``part`` to these: the inverse of `split_complex`."""
+    return values[..., 0] + 1j * values[..., 1] if dims[-1:] == ("part",) else values
+
+
 def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...], ...]) -> NDArray[Any]:
     """Read an initial variable as float64 or complex128, optionally over members; ValueError unless valid."""
     if name not in dataset:
@@ -54,11 +59,9 @@ def state_of(dataset: xarray.Dataset, name: str, allowed: tuple[tuple[str, ...],
     if variable.dtype.kind not in "if" or not np.isfinite(variable.values).all():
         raise ValueError(f"{name} contains values that are not finite numbers")
     values = np.asarray(variable.values, dtype=np.float64)
-    if not is_complex:
-        return values
-    if values.shape[-1] != len(COMPLEX_PARTS):
+    if is_complex and values.shape[-1] != len(COMPLEX_PARTS):
         raise ValueError(f"{name} has {values.shape[-1]} parts; complex numbers have {len(COMPLEX_PARTS)}")
-    return np.asarray(values[..., 0] + 1j * values[..., 1])
+    return joined_complex(values, variable.dims)
 
 
 if TYPE_CHECKING:

@@ -62,7 +62,7 @@ def _to_json(value: Any) -> Any:
     array = np.asarray(value)
     if array.dtype.kind not in "iubf":
         return list(map(_text, array.reshape(-1).tolist()))
-    numbers = [int(number) if isinstance(number, bool) else number for number in array.reshape(-1).tolist()]
+    numbers = (array.astype(np.int64) if array.dtype.kind == "b" else array).reshape(-1).tolist()
     return numbers[0] if len(numbers) == 1 else numbers
 
 

@@ -74,10 +74,6 @@ LOCK_FILE = "lock"
 REPLACED_FOLDER = "replaced"
 
 
-class OutputAbandoned(Exception):
-    """A write was attempted after the output was abandoned."""
-
-
 class PendingOutput:
     """A result being written in a hidden folder, until `finish` renames it; the folder is removed in any case."""
 
@@ -122,10 +118,10 @@ class PendingOutput:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Context for one write, which is not interrupted by `abandon`; raise `OutputAbandoned` after it."""
+        """Context for one write, which is not interrupted by `abandon`; RuntimeError after it."""
         with self._mutex:
             if self._stopped:
-                raise OutputAbandoned
+                raise RuntimeError("the output was abandoned")
             yield
 
     def finish(self) -> None:

@@ -79,9 +79,9 @@ def check_target(path: str | Path, suffixes: Iterable[str] = DATASETS) -> Path:
         remove_leftovers(target)
         _check_replaceable(target)
         _try_target(target)
+    except OutputError:
+        raise
     except (OSError, ValueError) as reason:
-        if isinstance(reason, OutputError):
-            raise
         advice = "a shorter name" if getattr(reason, "errno", None) == errno.ENAMETOOLONG else "another folder"
         reason_text = getattr(reason, "strerror", None) or reason
         raise OutputError(f"{path}: cannot be written ({reason_text}); give {advice}") from None

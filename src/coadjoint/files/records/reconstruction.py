@@ -14,7 +14,7 @@ from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, SUM, Matr
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
-from coadjoint.files.configuration.construction import parse_polynomial
+from coadjoint.files.configuration.construction import BYTES_PER_COORDINATE, parse_polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors, parsed
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.events import Event
@@ -37,13 +37,11 @@ Axes = dict[str, Axis]
 
 MATRIX_KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "energy_sign", "powers", "not_stored")
 
-BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 BYTES_PER_MEMBER = 100  # of a batch; a reference and its start
 
 
-def system_of(record: Mapping[str, Any] | Entry, dim: int | None = None) -> System | Batch:
+def system_of(entry: Entry, dim: int | None = None) -> System | Batch:
     """Rebuild the system of a record of `record_of`, of dimension `dim` if given, without non-polynomial invariants."""
-    entry = record if isinstance(record, Entry) else Entry(dict(record), "system")
     if "members" not in entry:
         return _system_of(entry, dim)
     entry.reject_unknown("name", "members", "repeated", "axes", "not_stored")
@@ -183,12 +181,12 @@ def invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
 
 
 def _form_of(record: Entry, dim: int) -> Quadratic:
-    form = _hamiltonian_of(record, dim)
+    kind = record["kind"]
+    if kind.text() not in ("quadratic", "polynomial"):
+        raise kind.invalid_error("'quadratic' or 'polynomial'")
+    form: Any = _hamiltonian_of(record, dim)
     with as_value_errors(record):
-        form = Quadratic.from_polynomial(form) if isinstance(form, Polynomial) else form
-    if not isinstance(form, Quadratic):
-        raise record["kind"].invalid_error("'quadratic' or 'polynomial'")
-    return form
+        return form if kind.value == "quadratic" else Quadratic.from_polynomial(form)
 
 
 def _polynomial_of(record: Entry, dim: int) -> Polynomial:
@@ -336,11 +334,9 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
         raise ValueError(f"an event of a file needs coordinates; the states of {system.unforced.name} are matrices")
     options = dict(table)
     g = options.pop("g")
-    if isinstance(g, str) and g not in names:
-        g = parse_polynomial(g, system.dim, names)
-    elif isinstance(g, list):
-        g = parse_polynomial(g, system.dim)
-    elif not isinstance(g, str):
+    if isinstance(g, str | list):
+        g = g if g in names else parse_polynomial(g, system.dim, names)
+    else:
         g = read_integer(g, "g", 0, system.dim - 1)
     return Event(g, name=name, **options)
 

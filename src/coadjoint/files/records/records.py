@@ -288,15 +288,22 @@ def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, li
     """Return events as JSON, and the names of events whose g is a function; these have a null g."""
     tables, missing = {}, []
     for event, name in zip(events, names, strict=True):
-        g: Any = event.g
-        if isinstance(g, Polynomial):
-            text = text_of(g.monomials, default_names(g.dim))
-            # A coordinate alone would be read as a name, which may be that of another coordinate of the system.
-            g = invariants_record({name: g})[name] if text in default_names(g.dim) else text
-        if isinstance(g, Quadratic):
-            g = invariants_record({name: g})[name]
-        if not isinstance(g, int | str | dict | list):
+        g = _crossed_record(event.g)
+        if g is None:
             missing.append(name)
-            g = None
         tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}
     return json.dumps(tables), missing
+
+
+def _crossed_record(g: Any) -> Any:
+    """Return the function of an event as a coordinate, text, monomials or a quadratic form; None for other ones."""
+    match g:
+        case Polynomial():
+            text, names = text_of(g.monomials, default_names(g.dim)), default_names(g.dim)
+            # A coordinate alone would be read as a name, which may be that of another coordinate of the system.
+            return _monomials(g) if text in names else text
+        case Quadratic():
+            return _form_record(g)
+        case int() | str():
+            return g
+    return None

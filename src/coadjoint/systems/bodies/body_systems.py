@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.group_elements import ORTHOGONALITY, is_rotation, matrices_of_quaternions
+from coadjoint.algebra.representation import ORTHOGONALITY, is_rotation, matrices_of_quaternions
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short

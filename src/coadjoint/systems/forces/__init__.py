@@ -6,7 +6,7 @@ system.
 
 from __future__ import annotations
 
-from coadjoint.lazy_names import attach
+from coadjoint.shortcuts import attach
 
 # The names are listed in __init__.pyi.
 __getattr__, __dir__, __all__ = attach("coadjoint.systems.forces", __file__, "co.forces")
