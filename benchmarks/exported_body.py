@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from c_programs import build, run
-from coadjoint.files.exports.c_runtime import FREE_BODY
+from coadjoint.files.exports.c_statements import FREE_BODY
 
 import coadjoint as co
 
