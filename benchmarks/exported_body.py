@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 from c_programs import build, run
-from coadjoint.files.exports.c_statements import FREE_BODY
 
 import coadjoint as co
+from coadjoint.files.exports.c_statements import FREE_BODY
 
 METHODS = {
     "exact": 0,

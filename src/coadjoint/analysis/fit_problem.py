@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.runs.results.quantities import Observed
+from coadjoint.runs.results.quantities import observed_quantities
 from coadjoint.runs.start import is_attitude_kind, read_attitude
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import CoordinateGroups
@@ -47,7 +47,7 @@ class Quantities:
         self._system, self._t, wanted = ready.system, t, [*names]
         observed = {name: ready.observe[name] for name in wanted if name in ready.observe}
         state = np.atleast_2d(x0)[0]
-        self._observed = Observed(ready.system.of_member(0), observed, state) if observed else None
+        self._observed = observed_quantities(ready.system.of_member(0), observed, state) if observed else None
         self._functions = {
             name: with_time(observe[name], f"observe[{short(name)}]") for name in wanted if name in observe
         }
@@ -67,7 +67,7 @@ class Quantities:
         """Return the values at states (points, n) or (points, members, n), by name."""
         found: dict[str, Floats] = {}
         if self._observed is not None:
-            along = self._observed.along(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
+            along = self._observed(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
             found = {name: value.reshape(x.shape[:-1]) for name, value in along.items()}
         for name, function in self._functions.items():
             rows = zip(self._t.tolist(), x.reshape(len(x), -1, x.shape[-1]), strict=True)

@@ -25,13 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.choosing.candidates import (
-    Candidate,
-    sample_of,
-    sample_of_scheme,
-    supported_candidates,
-    with_measured_work,
-)
+from coadjoint.choosing.candidates import Candidate, sample_of, supported_candidates, unseen_sample, with_measured_work
 from coadjoint.choosing.fitting import (
     ROUNDING_SHARE,
     StepFit,
@@ -219,7 +213,7 @@ def _choose(
     best, *others = _fits_of_sample(pilot, candidates, required)
     choice = _choice_of_fit(best, required)
     if len(momenta) > len(pilot.momenta) and not choice.method.own_steps:
-        unseen = sample_of_scheme(system, momenta, pilot, choice.method, choice.step)
+        unseen = unseen_sample(system, momenta, pilot, choice.method, choice.step)
         if unseen is not None:
             second, *_ = _fits_of_sample(Pilot(*unseen, t0, t1 - t0, required), [best.candidate], required)
             choice = min(choice, _choice_of_fit(second, required), key=lambda each: each.step)

@@ -215,7 +215,7 @@ def sample_of(system: System | Batch, momenta: NDArray[np.float64], t0: float, s
     return _worst(screened, states, np.where(finite, np.max(errors, axis=0), np.inf))
 
 
-def sample_of_scheme(
+def unseen_sample(
     system: System | Batch, momenta: NDArray[np.float64], pilot: Pilot, method: Method, step: float
 ) -> Sample | None:
     """Return the members with the largest errors of a scheme at the end; None if those of the pilot stand for them."""

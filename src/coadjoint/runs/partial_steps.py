@@ -138,7 +138,7 @@ class PartialSteps:
         starts, steps = times[rows].astype(np.float64), np.where(filled, lengths[rows], 0.0)
         schedule = partial_step_schedule(starts, steps)
         with limited_blas_threads(loops.rows, workers):
-            run_in_threads(member_batches, (layout, schedule, saved, state, 0, 1), loops, workers)
+            run_in_threads(member_batches, (layout, schedule, saved, state, 0, 1), loops.raised, workers)
         slots = np.empty(len(momenta), dtype=np.int64)
         slots[rows[filled]] = np.flatnonzero(filled)
         arrays = (saved["x"][0], saved["group"][0], saved["values"][0], state["first"])
@@ -148,7 +148,7 @@ class PartialSteps:
 
     def _failure(self, result: StepResult, row: int, owner: int, start: float, length: float) -> IntegrationError:
         residual = float(result.residual[row])
-        reason = failure_text(status_name(result.status[row]), self.method, self.loops, residual)
+        reason = failure_text(status_name(result.status[row]), self.method, residual, bool(self.loops.accounts))
         return IntegrationError(
             f"in a part of a step, of length {length:g} from t = {start:g}, {reason} for member {owner}; "
             "take a smaller step",

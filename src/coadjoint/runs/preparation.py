@@ -21,7 +21,7 @@ from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.plan_and_state import Plan, State, bytes_of_run
-from coadjoint.runs.results.quantities import Observed, check_observe
+from coadjoint.runs.results.quantities import Observed, check_observe, observed_quantities
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
@@ -309,7 +309,7 @@ class Preparation:
             return None
         with self.cache.lock:
             if self.cache.observed is None:
-                self.cache.observed = Observed(self.system.of_member(0), self.observe, start.momenta[0])
+                self.cache.observed = observed_quantities(self.system.of_member(0), self.observe, start.momenta[0])
         return self.cache.observed
 
     def warn_of_large_step(self, solution: Solution) -> None:

@@ -157,7 +157,9 @@ class Run:
         arrays = plan.layout, plan.schedule, self.saved, self.state.arrays
         if not progress:
             for member_batches in plan.rounds:
-                self.failed_count += run_in_threads(member_batches, (*arrays, first, last), self.loops, plan.workers)
+                self.failed_count += run_in_threads(
+                    member_batches, (*arrays, first, last), self.loops.raised, plan.workers
+                )
         else:
             with progress_bar((last - first) * len(plan.rounds), progress) as bar:
                 for member_batches in plan.rounds:
@@ -176,7 +178,7 @@ class Run:
         while True:
             target = min(last, done + chunk)
             before = time.perf_counter()
-            failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops, self.plan.workers)
+            failed_count = run_in_threads(member_batches, (*arrays, done, target), self.loops.raised, self.plan.workers)
             chunk = paced(target - done, time.perf_counter() - before, SECONDS_BETWEEN_UPDATES, 1000 * chunk)
             bar(target - done)
             done = target
@@ -272,7 +274,7 @@ class Run:
         if member in self.failure_reasons:
             message = f"in step {step}, {self.failure_reasons[member]}{members}"
         else:
-            reason = failure_text(status, self.plan.method, self.loops, residual)
+            reason = failure_text(status, self.plan.method, residual, bool(self.loops.accounts))
             advice = self._advice(member, step, status)
             message = f"in step {step}, at t = {self._shown(when)}, {reason}{members}; {advice}"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)

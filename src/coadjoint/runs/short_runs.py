@@ -78,7 +78,7 @@ class FinalStateRun:
             if failed_count < 0:
                 raise_outcome(failed_count)
         except BaseException as error:
-            raise_reason(self._loops, error)
+            raise_reason(self._loops.raised, error)
         if failed_count:
             # The full run fails too; it reports the step, and raises the exceptions of user functions.
             self._loops.raised()

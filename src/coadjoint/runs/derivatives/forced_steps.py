@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from operator import methodcaller
 from typing import Any, NamedTuple
 
@@ -38,93 +39,112 @@ class FlowEntry(NamedTuple):
     energy: EnergyDerivative | None = None  # the derivative of the energy, if known
 
 
-class Half(NamedTuple):
-    """The flows of forces in one half of a step: the time at which they begin, their length, and their positions."""
-
-    t: float
-    h: float
-    order: Sequence[int]
+# A system with the noise of one member, and the entries with those of it.
+Member = tuple[System, list[FlowEntry]]
 
 
-class ForceFlows:
-    """Half flows of the forces on one member: those of a system with the noise of its number, and of nearby ones."""
+class HalfFlows:
+    """Flows of the forces on some members in one half of a step: from t, of length h, in the order of positions."""
 
-    def __init__(self, system: System, entries: Sequence[FlowEntry], member: int, scheme_order: int) -> None:
-        numbered = methodcaller("among", member, member + 1)
-        self._system: System = numbered(system)
-        self._entries = [one._replace(nearby=one.nearby.with_systems(numbered)) for one in entries]
-        self._order = scheme_order
+    def __init__(self, members: Sequence[Member], t: float, h: float, order: Sequence[int], scheme_order: int) -> None:
+        self._members, self._t, self._h, self._order, self._scheme_order = members, t, h, order, scheme_order
 
-    def apply(self, x: Floats, half: Half) -> Floats:
-        """Return the state (n,) after a half flow of the forces."""
-        for j in half.order:
-            steps = self._orbit_steps(j, x, half)
-            x = steps[-1].end if steps else self._flow(self._system, j, x, half)
+    def apply(self, x: Floats) -> Floats:
+        """Return the states (members, n) after the flows."""
+        return np.array([self._apply(member, state) for member, state in zip(self._members, x, strict=True)])
+
+    def push(self, x: Floats, dx: Floats, directions: Floats) -> tuple[Floats, Floats]:
+        """Return the states, and their tangents (members, k, n), along directions (k, entries) of the entries."""
+        each = zip(self._members, x, dx, strict=True)
+        states, tangents = zip(
+            *(self._push(member, state, rows, directions) for member, state, rows in each), strict=True
+        )
+        return np.array(states), np.array(tangents)
+
+    def pull(self, x: Floats, of_x: Floats, by_entries: Floats) -> Floats:
+        """Return the cotangents (members, n) before the flows; derivatives by the entries are added to `by_entries`."""
+        each = zip(self._members, x, of_x, by_entries, strict=True)
+        return np.array([self._pull(member, state, row, total) for member, state, row, total in each])
+
+    def _apply(self, member: Member, x: Floats) -> Floats:
+        for j in self._order:
+            steps = self._orbit_steps(member, j, x)
+            x = steps[-1].end if steps else self._flow(member[0], j, x)
         return np.asarray(x, dtype=np.float64)
 
-    def push(self, x: Floats, dx: Floats, half: Half, directions: Floats) -> tuple[Floats, Floats]:
-        """Return the state, and its tangents (k, n), along directions (k, entries) of the entries."""
+    def _push(self, member: Member, x: Floats, dx: Floats, directions: Floats) -> tuple[Floats, Floats]:
         directed = np.asarray(directions.any(axis=0))
-        for j in half.order:
-            flow = self._flow_with_derivative(j, x, half)
+        for j in self._order:
+            flow = self._flow_with_derivative(member[0], j, x)
             dx = flow.tangents(dx)
-            for number, change in self._changes(directed, j, x, half):
+            for number, change in self._changes(member, directed, j, x):
                 dx = dx + directions[:, number, None] * change
             x = flow.end
         return x, dx
 
-    def pull(self, x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
-        """Return the cotangent (n,) before the flows; derivatives by the entries are added to `by_entries`."""
-        flows: list[tuple[int, Floats, Sequence[Any], LinearizedStep | None]] = []
-        for j in half.order:
-            steps = self._orbit_steps(j, x, half)
-            flow = None if steps else self._flow_with_derivative(j, x, half)
-            flows.append((j, x, steps, flow))
-            x = steps[-1].end if flow is None else flow.end
-        every = np.ones(len(by_entries), dtype=bool)
-        for j, start, steps, flow in reversed(flows):
-            if flow is None:
-                fields, energies = self._parameters(j)
-                of_x, found = pull_through(steps, self._system.forces[j].scalings(), of_x, fields, energies)
-                for number, entry in enumerate(self._entries):
-                    if j in entry.forces:
-                        by_entries[number] += found[entry.name][entry.entry]
-                continue
-            for number, change in self._changes(every, j, start, half):
-                by_entries[number] += change @ of_x
-            of_x = flow.cotangent(of_x)
+    def _pull(self, member: Member, x: Floats, of_x: Floats, by_entries: Floats) -> Floats:
+        pulls: list[Callable[[Floats, Floats], Floats]] = []
+        for j in self._order:
+            steps = self._orbit_steps(member, j, x)
+            if steps:
+                pulls.append(partial(self._pull_orbit_steps, member, j, steps))
+                x = steps[-1].end
+            else:
+                step = self._flow_with_derivative(member[0], j, x)
+                pulls.append(partial(self._pull_step, member, j, x, step))
+                x = step.end
+        for pull in reversed(pulls):
+            of_x = pull(of_x, by_entries)
         return of_x
 
-    def _flow(self, system: System, j: int, x: Floats, half: Half) -> Floats:
+    def _pull_step(
+        self, member: Member, j: int, x: Floats, step: LinearizedStep, of_x: Floats, by_entries: Floats
+    ) -> Floats:
+        for number, change in self._changes(member, np.ones(len(by_entries), dtype=bool), j, x):
+            by_entries[number] += change @ of_x
+        return step.cotangent(of_x)
+
+    def _pull_orbit_steps(
+        self, member: Member, j: int, steps: Sequence[Any], of_x: Floats, by_entries: Floats
+    ) -> Floats:
+        of_x, found = pull_through(steps, member[0].forces[j].scalings(), of_x, *_parameters(member, j))
+        for number, entry in enumerate(member[1]):
+            if j in entry.forces:
+                by_entries[number] += found[entry.name][entry.entry]
+        return of_x
+
+    def _flow(self, system: System, j: int, x: Floats) -> Floats:
         """Return the flow of force j of a system."""
-        end = system.forces[j].flow_of_order(system.unforced, x, half.t, half.h, self._order)
+        end = system.forces[j].flow_of_order(system.unforced, x, self._t, self._h, self._scheme_order)
         return np.asarray(end, dtype=np.float64)
 
-    def _flow_with_derivative(self, j: int, x: Floats, half: Half) -> LinearizedStep:
-        return flow_of_force(self._system.forces[j], self._system.unforced, x, half.t, half.h, self._order)
+    def _flow_with_derivative(self, system: System, j: int, x: Floats) -> LinearizedStep:
+        return flow_of_force(system.forces[j], system.unforced, x, self._t, self._h, self._scheme_order)
 
-    def _parameters(self, j: int) -> tuple[dict[str, str], dict[str, EnergyDerivative]]:
-        """Return the fields and the derivatives of the energy on which the flow of force j depends."""
-        entries = [entry for entry in self._entries if j in entry.forces]
-        energies = {entry.name: entry.energy for entry in entries if entry.energy is not None}
-        return {entry.name: entry.field for entry in entries if entry.energy is None}, energies
-
-    def _orbit_steps(self, j: int, x: Floats, half: Half) -> Sequence[Any]:
+    def _orbit_steps(self, member: Member, j: int, x: Floats) -> Sequence[Any]:
         """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
-        force = self._system.forces[j]
+        force = member[0].forces[j]
         known = force.scalings()
-        if not all(field in known for field in self._parameters(j)[0].values()):
+        if not all(field in known for field in _parameters(member, j)[0].values()):
             return ()
-        return force.orbit_steps(self._system.unforced, x, half.t, half.h)
+        return force.orbit_steps(member[0].unforced, x, self._t, self._h)
 
-    def _changes(self, wanted: NDArray[np.bool_], j: int, x: Floats, half: Half) -> list[tuple[int, Floats]]:
+    def _changes(self, member: Member, wanted: NDArray[np.bool_], j: int, x: Floats) -> list[tuple[int, Floats]]:
         """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
+        entries = member[1]
 
         def after(system: System) -> Floats:
-            return self._flow(system, j, x, half)
+            return self._flow(system, j, x)
 
-        numbers = [n for n, entry in enumerate(self._entries) if wanted[n] and j in entry.forces]
-        return list(zip(numbers, differences([self._entries[n].nearby for n in numbers], after), strict=True))
+        numbers = [n for n, entry in enumerate(entries) if wanted[n] and j in entry.forces]
+        return list(zip(numbers, differences([entries[n].nearby for n in numbers], after), strict=True))
+
+
+def _parameters(member: Member, j: int) -> tuple[dict[str, str], dict[str, EnergyDerivative]]:
+    """Return the fields and the derivatives of the energy on which the flow of force j depends."""
+    entries = [entry for entry in member[1] if j in entry.forces]
+    energies = {entry.name: entry.energy for entry in entries if entry.energy is not None}
+    return {entry.name: entry.field for entry in entries if entry.energy is None}, energies
 
 
 class _Base(NamedTuple):
@@ -165,18 +185,18 @@ class ForcedSteps:
     @np.errstate(over="ignore", invalid="ignore")
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
         """Carry tangent vectors of members, as the compiled kernels do."""
-        some, members, mark = slice(first, last), self._flows_of(first, last), 0
+        some, members, mark = slice(first, last), self._members(first, last), 0
         x, dx, dg = run.momenta[some], run.tangents[some], run.group_tangents[some]
         groups, directions = run.groups[some].reshape(len(x), *dg.shape[2:]), run.coefficients[:, self._flows]
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
             for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
-                before, after = self._halves(t, h)
-                x, dx = self._pushed(members, x, dx, before, directions)
+                before, after = self._halves(members, t, h)
+                x, dx = before.push(x, dx, directions)
                 base = self._step(x, groups, t, h)
                 dx, dg = self._base_forward(base, dx, dg, run.coefficients)
                 groups = self._groups_after(base)
-                x, dx = self._pushed(members, base.end, dx, after, directions)
+                x, dx = after.push(base.end, dx, directions)
             if mark < run.marked and run.marks[mark] == k:
                 run.at_points[mark, some], run.at_groups[mark, some] = dx, dg
                 mark += 1
@@ -185,17 +205,17 @@ class ForcedSteps:
     @np.errstate(over="ignore", invalid="ignore")
     def backward(self, run: BackwardRun, first: int, last: int) -> None:
         """Carry cotangents of members, as the compiled kernels do."""
-        some, members, mark = slice(first, last), self._flows_of(first, last), run.marked
+        some, members, mark = slice(first, last), self._members(first, last), run.marked
         x, groups = run.momenta[some], run.groups[some].reshape(run.group_cotangents[some].shape)
         starts, steps = [], []
         for k in range(run.k0 + 1, run.k1 + 1):
             note_progress(f"the derivative of step {k} of {run.k1}")
             for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h):
-                before, after = self._halves(t, h)
+                before, after = self._halves(members, t, h)
                 starts.append(x)
-                steps.append(self._step(self._applied(members, x, before), groups, t, h))
+                steps.append(self._step(before.apply(x), groups, t, h))
                 groups = self._groups_after(steps[-1])
-                x = self._applied(members, steps[-1].end, after)
+                x = after.apply(steps[-1].end)
         of_x, of_groups = run.cotangents[some], run.group_cotangents[some]
         coefficients = np.zeros((last - first, run.coefficients.shape[1]))
         for k in range(run.k1, run.k0, -1):
@@ -204,38 +224,28 @@ class ForcedSteps:
                 of_x, of_groups = of_x + run.at_points[mark, some], of_groups + run.at_groups[mark, some]
             by_entries = coefficients[:, self._flows]
             for t, h in substeps_of(self._scheme.fractions, run.t0 + (k - 1) * run.h, run.h)[::-1]:
-                base, (before, after) = steps.pop(), self._halves(t, h)
-                of_x = self._pulled(members, base.end, of_x, after, by_entries)
+                base, (before, after) = steps.pop(), self._halves(members, t, h)
+                of_x = after.pull(base.end, of_x, by_entries)
                 of_x, of_groups = self._base_backward(base, of_x, of_groups, coefficients, run.deviations[some])
-                of_x = self._pulled(members, starts.pop(), of_x, before, by_entries)
+                of_x = before.pull(starts.pop(), of_x, by_entries)
         run.cotangents[some], run.group_cotangents[some] = of_x, of_groups
         run.coefficients[some] += coefficients
 
-    def _flows_of(self, first: int, last: int) -> list[ForceFlows]:
-        """Return the flows of forces of the members `first` to `last` - 1."""
-        return [ForceFlows(self._system, self._entries, m, self._scheme.order) for m in range(first, last)]
+    def _members(self, first: int, last: int) -> list[Member]:
+        """Return the systems of the members `first` to `last` - 1, and the entries of these."""
+        found = []
+        for m in range(first, last):
+            numbered = methodcaller("among", m, m + 1)
+            entries = [one._replace(nearby=one.nearby.with_systems(numbered)) for one in self._entries]
+            found.append((numbered(self._system), entries))
+        return found
 
-    def _halves(self, t: float, h: float) -> tuple[Half, Half]:
+    def _halves(self, members: Sequence[Member], t: float, h: float) -> tuple[HalfFlows, HalfFlows]:
         """Return the flows of forces before and after a step from t, of length h: these in reverse order."""
-        order = range(len(self._system.forces))
-        return Half(t, 0.5 * h, order), Half(t + 0.5 * h, 0.5 * h, order[::-1])
-
-    @staticmethod
-    def _applied(members: Sequence[ForceFlows], x: Floats, half: Half) -> Floats:
-        return np.array([one.apply(state, half) for one, state in zip(members, x, strict=True)])
-
-    @staticmethod
-    def _pushed(
-        members: Sequence[ForceFlows], x: Floats, dx: Floats, half: Half, directions: Floats
-    ) -> tuple[Floats, Floats]:
-        each = [one.push(state, rows, half, directions) for one, state, rows in zip(members, x, dx, strict=True)]
-        states, tangents = zip(*each, strict=True)
-        return np.array(states), np.array(tangents)
-
-    @staticmethod
-    def _pulled(members: Sequence[ForceFlows], x: Floats, of_x: Floats, half: Half, by_entries: Floats) -> Floats:
-        each = zip(members, x, of_x, by_entries, strict=True)
-        return np.array([one.pull(state, row, half, total) for one, state, row, total in each])
+        forward = range(len(self._system.forces))
+        halves = (t, 0.5 * h, forward), (t + 0.5 * h, 0.5 * h, forward[::-1])
+        before, after = (HalfFlows(members, *half, self._scheme.order) for half in halves)
+        return before, after
 
     def _step(self, x: Floats, groups: Floats, t: float, h: float) -> _Base:
         """Take a step of the Hamiltonian part."""

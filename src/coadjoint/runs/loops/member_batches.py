@@ -24,11 +24,12 @@ from coadjoint.methods.protocol.method import Method
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.program.sources import Sources
-    from coadjoint.runs.loops.loops import Loops
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 BatchT = TypeVar("BatchT")
+Raised = Callable[[], BaseException | None]
+"""Function that returns and clears the exception of a user function in the loops, or None."""
 Task = tuple[Callable[[], None], "SimpleQueue[None]"]
 
 POLLING_SECONDS = 0.01  # while threads stop
@@ -229,10 +230,10 @@ def _serve(tasks: SimpleQueue[Task]) -> None:
 def run_in_threads(
     member_batches: Sequence[MemberBatch],
     arguments: tuple[Layout, bytes, NamedArrays, NamedArrays, int, int],
-    loops: Loops,
+    raised: Raised,
     workers: int = 1,
 ) -> int:
-    """Advance member batches in threads; return the number of failed members. User exceptions in `loops` come first."""
+    """Advance member batches in threads; return the number of failed members. User exceptions come first."""
 
     def advance_all() -> int:
         if workers == 1:
@@ -245,16 +246,16 @@ def run_in_threads(
     try:
         failed_count = advance_all()
     except BaseException as error:
-        raise_reason(loops, error)
-    if failed_count and (raised := loops.raised()) is not None:
-        raise raised
+        raise_reason(raised, error)
+    if failed_count and (reason := raised()) is not None:
+        raise reason
     return failed_count
 
 
-def raise_reason(loops: Loops, error: BaseException) -> NoReturn:
+def raise_reason(raised: Raised, error: BaseException) -> NoReturn:
     """Raise what ended a call of the loops, which raised `error`: exceptions of user functions take precedence."""
-    raised = loops.raised()
-    raise error if raised is None else raised from None
+    reason = raised()
+    raise error if reason is None else reason from None
 
 
 def sum_in_threads(
@@ -308,12 +309,12 @@ def status_name(status: Any) -> str:
     return next(name for name, code in codes("Status").items() if code == status)
 
 
-def failure_text(status: str, method: Method, loops: Loops, residual: float) -> str:
+def failure_text(status: str, method: Method, residual: float, with_forces: bool) -> str:
     """Describe the failure with this status name, for messages."""
     if status in method.failures:
         return method.failures[status]
     if status == "NOT_CONVERGED":
-        forces = ", or of a force," if loops.accounts else ""
+        forces = ", or of a force," if with_forces else ""
         return f"the iteration of {method}{forces} did not converge (last correction {residual:.3g})"
     if status == "TOO_LONG":
         return (

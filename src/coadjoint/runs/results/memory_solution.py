@@ -204,7 +204,7 @@ def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fi
     )
     if observed is not None:
         # Observed quantities do not use the accounts that may follow the coordinates.
-        series = observed.along(solution.t, solution._points("x"))
+        series = observed(solution.t, solution._points("x"))
         named = {name: solution._without_member_axis(values) for name, values in series.items()}
         vars(solution)["observed"] = NamedValues(named)
     return solution

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,9 +23,12 @@ from coadjoint.systems.user_functions import takes_time, with_time
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
+    from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 Floats = NDArray[np.float64]
+Observed = Callable[[Floats, Floats], dict[str, Floats]]
+"""Function of times (k,) and points (k, members, n) that returns the values (k, members) of quantities by name."""
 
 # A value below this fraction of the sum of its absolute terms is small by cancellation.
 CANCELLATION = 2.0**-10
@@ -40,50 +44,46 @@ def is_formula(quantity: Any) -> bool:
     return isinstance(quantity, Polynomial | Quadratic)
 
 
-class Observed:
-    """Quantities evaluated at saved points; each function is called once at x0 for validation."""
+def observed_quantities(system: System, observe: Mapping[str, Any], x0: Floats) -> Observed:
+    """Return the function for quantities at saved points; those of the user are called once at x0 for validation."""
+    from coadjoint.kernels.tables.invariants import watch_tables
 
-    def __init__(self, system: System, observe: Mapping[str, Any], x0: Floats) -> None:
-        from coadjoint.kernels.tables.invariants import watch_tables
+    matrices = system.unforced if system.has_matrices else None
+    if matrices is not None:
+        _check_matrix_functions(matrices, observe)
+    start: Any = x0 if matrices is None else matrices.states_of(x0)
+    for name, quantity in observe.items():
+        value = _value_at(quantity, name, start.copy())
+        if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
+            raise TypeError(
+                f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
+            )
+    if matrices is not None:
+        return partial(_of_matrices, matrices, dict(observe))
+    wrapped = {
+        name: quantity if is_formula(quantity) or isinstance(quantity, Invariant) else Invariant(quantity)
+        for name, quantity in observe.items()
+    }
+    return partial(_along, watch_tables(system, wrapped), list(observe))
 
-        self._names, self._matrices = list(observe), system.unforced if system.has_matrices else None
-        self._quantities = dict(observe)
-        start: Any = x0
-        if self._matrices is not None:
-            start = self._matrices.states_of(x0)
-            _check_matrix_functions(self._matrices, observe)
-        for name, quantity in observe.items():
-            value = _value_at(quantity, name, start.copy())
-            if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
-                raise TypeError(
-                    f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
-                )
-        if self._matrices is not None:
-            return
-        wrapped = {
-            name: quantity if is_formula(quantity) or isinstance(quantity, Invariant) else Invariant(quantity)
-            for name, quantity in observe.items()
-        }
-        self._compiled, self._values_along = watch_tables(system, wrapped), values_along
 
-    def along(self, t: Floats, points: Floats) -> dict[str, Floats]:
-        """Return the values (k, members) of every quantity at the times (k,) and points (k, members, n)."""
-        if self._matrices is not None:
-            return {name: self._of_matrices(name, t, points) for name in self._names}
-        # The first invariant of a watch is the energy.
-        out = np.empty((*points.shape[:2], len(self._names) + 1))
-        self._values_along(self._compiled.tables, points, t, out)
-        return {name: out[..., i + 1] for i, name in enumerate(self._names)}
+def _along(watch: CompiledTables, names: Sequence[str], t: Floats, points: Floats) -> dict[str, Floats]:
+    # The first invariant of a watch is the energy.
+    out = np.empty((*points.shape[:2], len(names) + 1))
+    values_along(watch.tables, points, t, out)
+    return {name: out[..., i + 1] for i, name in enumerate(names)}
 
-    def _of_matrices(self, name: str, t: Floats, points: Floats) -> Floats:
-        """Evaluate a Python function of a matrix at all points; NaN for failed members."""
-        assert self._matrices is not None
-        function, system = with_time(self._quantities[name], name), self._matrices
-        values = np.full(points.shape[:2], np.nan)
+
+def _of_matrices(system: MatrixSystem, observe: Mapping[str, Any], t: Floats, points: Floats) -> dict[str, Floats]:
+    """Evaluate Python functions of a matrix at all points; NaN for failed members."""
+    found = {}
+    for name, quantity in observe.items():
+        function, values = with_time(quantity, name), np.full(points.shape[:2], np.nan)
         for k, m in np.argwhere(np.isfinite(points).all(axis=-1)).tolist():
             W = system.states_of(points[k, m, : system.dim].copy())
             values[k, m] = read_number(function(W, float(t[k])), f"what observe[{short(name)}] returns at t = {t[k]:g}")
-        return values
+        found[name] = values
+    return found
 
 
 def invariants_of_matrices(
