@@ -13,15 +13,13 @@ from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.block_table import MIN_REPEATED, BlockTable, block_table, joined_tables, repeated_block_table
 from coadjoint.program.blocks import RULES, BlockKind, Rule
-from coadjoint.program.generators import BasisMatrices, check_products
+from coadjoint.program.generators import NOTHING_OMITTED, BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, is_exact, roundoff
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import Rows, SparseRows, layers, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-
-NOTHING_OMITTED = np.zeros((0, 3), dtype=np.int64)
 
 
 class Action(NamedTuple):

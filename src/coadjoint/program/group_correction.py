@@ -7,7 +7,6 @@ the representation alone determine its pattern and the closed form of each compo
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import IntEnum
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from coadjoint.algebra.exact.components import connected, parts
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.blocks import Turn
 from coadjoint.program.generators import BasisMatrices, Generators
 from coadjoint.program.parts.casimir_shifts import quadratic_entries
 from coadjoint.program.sparse_rows import Pattern, SparseRows, layers, order_by, run_starts, starts_of
@@ -32,19 +32,6 @@ SAMPLES = 3  # of these; an identity of polynomials that holds at random points 
 MIN_CHOLESKY_PIVOT = 2.0**-20
 # Largest representation (number of entries) for which tables are cached.
 MAX_CACHED_SIZE = 4096
-
-
-class Turn(IntEnum):
-    """Closed form of exp(t X) - 1 on a component: NILPOTENT a finite sum; PLANE at most 2 x 2; CUBIC X^3 = lam X; PAIR
-    a skew 4 x 4; SKEW another one that preserves a definite form; GENERAL scaling and squaring of the Taylor series.
-    """
-
-    NILPOTENT = 0
-    PLANE = 1
-    CUBIC = 2
-    PAIR = 3
-    SKEW = 4
-    GENERAL = 5
 
 
 class UnshiftTables(NamedTuple):

@@ -11,8 +11,8 @@ import numpy as np
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.actions import NOTHING_OMITTED
 from coadjoint.program.commutation import first_noncommuting
+from coadjoint.program.generators import NOTHING_OMITTED
 from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.sparse_rows import sparse_row, starts_of
 from coadjoint.systems.vanishing_products import (

@@ -12,7 +12,8 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from coadjoint.program.group_correction import Turn, _cholesky, unshift_tables
+from coadjoint.program.blocks import Turn
+from coadjoint.program.group_correction import _cholesky, unshift_tables
 from coadjoint.program.modified_energy.second_order import best_orders, part_derivatives
 from coadjoint.program.parts.casimir_shifts import (
     candidate_shifts,
