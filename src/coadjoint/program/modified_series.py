@@ -17,7 +17,7 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomi
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import warn_if_long
-from coadjoint.program.modified_energy.logarithms import (
+from coadjoint.program.logarithms import (
     BALL_BITS,
     SECONDS_PER_PRODUCT,
     Commutators,

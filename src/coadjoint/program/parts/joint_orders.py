@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.modified_energy.second_order import (
+from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
+from coadjoint.program.parts.second_order import (
     IMPROVEMENT_FACTOR,
     order_weights,
     part_derivatives,
 )
-from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
 from coadjoint.program.sources import Sources
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
