@@ -304,9 +304,9 @@ def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = F
 def _coupled(parts: Parts) -> NDArray[np.bool_]:
     """Test for each angle whether it depends on more than its own form."""
     coupled = ~_is_along_form(parts.forms, parts.weights)
-    for s, share in parts.nonlinear_shares.items():
-        angles = slice(int(parts.row[s]), int(parts.row[s + 1]))
-        if share.polynomial is not None:
+    for s in parts.nonlinear:
+        angles, share = slice(int(parts.row[s]), int(parts.row[s + 1])), parts.gradients.get(s)
+        if share is not None and share.polynomial is not None:
             mixed = [e for e in share.polynomial.monomials if sum(1 for power in e if power) > 1]
             coupled[angles] = [any(e[i] for e in mixed) for i in share.coordinates]
         else:

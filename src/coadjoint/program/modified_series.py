@@ -173,7 +173,7 @@ def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float
     to `highest`. Returns 0 without an estimate: for parts that are not quadratic forms, and very large systems.
     """
     n = algebra.dim
-    if highest < 2 or parts.nonlinear_shares or n > MAX_ESTIMATED_DIMENSION:
+    if highest < 2 or parts.nonlinear or n > MAX_ESTIMATED_DIMENSION:
         return 0.0
     i, j, k, _ = algebra.triples
     acting = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k])

@@ -134,7 +134,7 @@ def build_program(
 def term_table(parts: Parts) -> TermTable:
     """Collect the shares of all parts, in their order."""
     table = TermTable()
-    if isinstance(parts.weights, RepeatedRows) and not parts.nonlinear_shares and len(parts.row) > 1:
+    if isinstance(parts.weights, RepeatedRows) and not parts.nonlinear and len(parts.row) > 1:
         table.add_linear_terms(parts.row, parts.offset, parts.weights)
         return table
     weights_of_all = SparseRows(parts.weights.start, parts.weights.coordinate, parts.weights.value)
