@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 
 from coadjoint.algebra.invariants.invariant import ANGLE, COSH, HOLD, LOGARITHM, QUOTIENT, SINH, SINH_SQUARED
 from coadjoint.kernels.library import kernels
-from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, BlockKind
-from coadjoint.program.group_correction import Turn
+from coadjoint.program.blocks import CUBIC_HEADER, MOST_SUBSTEPS, BlockKind, Turn
 from coadjoint.program.term_table import FUNCTION, LINEAR, POLYNOMIAL
 
 Fields = tuple[tuple[str, str], ...]

@@ -13,15 +13,13 @@ from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.block_table import MIN_REPEATED, BlockTable, block_table, joined_tables, repeated_block_table
 from coadjoint.program.blocks import RULES, BlockKind, Rule
-from coadjoint.program.generators import BasisMatrices, check_products
+from coadjoint.program.generators import NOTHING_OMITTED, BasisMatrices, check_products
 from coadjoint.program.numbers import Number, array_of, is_exact, roundoff
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.sparse_rows import Rows, SparseRows, layers, order_by, run_starts, starts_of
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-
-NOTHING_OMITTED = np.zeros((0, 3), dtype=np.int64)
 
 
 class Action(NamedTuple):
@@ -306,9 +304,9 @@ def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = F
 def _coupled(parts: Parts) -> NDArray[np.bool_]:
     """Test for each angle whether it depends on more than its own form."""
     coupled = ~_is_along_form(parts.forms, parts.weights)
-    for s, share in parts.nonlinear_shares.items():
-        angles = slice(int(parts.row[s]), int(parts.row[s + 1]))
-        if share.polynomial is not None:
+    for s in parts.nonlinear:
+        angles, share = slice(int(parts.row[s]), int(parts.row[s + 1])), parts.gradients.get(s)
+        if share is not None and share.polynomial is not None:
             mixed = [e for e in share.polynomial.monomials if sum(1 for power in e if power) > 1]
             coupled[angles] = [any(e[i] for e in mixed) for i in share.coordinates]
         else:

@@ -28,6 +28,19 @@ class BlockKind(IntEnum):
     SERIES = 5
 
 
+class Turn(IntEnum):
+    """Closed form of exp(t X) - 1 on a component: NILPOTENT a finite sum; PLANE at most 2 x 2; CUBIC X^3 = lam X; PAIR
+    a skew 4 x 4; SKEW another one that preserves a definite form; GENERAL scaling and squaring of the Taylor series.
+    """
+
+    NILPOTENT = 0
+    PLANE = 1
+    CUBIC = 2
+    PAIR = 3
+    SKEW = 4
+    GENERAL = 5
+
+
 class Rule(NamedTuple):
     """What is stored of a block of one kind, and its flow.
 

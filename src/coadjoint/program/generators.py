@@ -25,6 +25,10 @@ SECONDS_PER_PRODUCT = 2e-6  # of building, measured
 SECONDS_PER_STEP = 4e-8
 
 
+NOTHING_OMITTED = np.zeros((0, 3), dtype=np.int64)
+"""Entries (angle, row, column) of generators that are left out: none."""
+
+
 class Generators(NamedTuple):
     """Nonzero entries of one matrix per angle, sorted by angle, row and column."""
 

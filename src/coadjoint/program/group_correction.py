@@ -6,8 +6,7 @@ the representation alone determine its pattern and the closed form of each compo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from enum import IntEnum
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from coadjoint.algebra.exact.components import connected, parts
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.program.blocks import Turn
 from coadjoint.program.generators import BasisMatrices, Generators
 from coadjoint.program.parts.casimir_shifts import quadratic_entries
 from coadjoint.program.sparse_rows import Pattern, SparseRows, layers, order_by, run_starts, starts_of
@@ -32,19 +32,6 @@ SAMPLES = 3  # of these; an identity of polynomials that holds at random points 
 MIN_CHOLESKY_PIVOT = 2.0**-20
 # Largest representation (number of entries) for which tables are cached.
 MAX_CACHED_SIZE = 4096
-
-
-class Turn(IntEnum):
-    """Closed form of exp(t X) - 1 on a component: NILPOTENT a finite sum; PLANE at most 2 x 2; CUBIC X^3 = lam X; PAIR
-    a skew 4 x 4; SKEW another one that preserves a definite form; GENERAL scaling and squaring of the Taylor series.
-    """
-
-    NILPOTENT = 0
-    PLANE = 1
-    CUBIC = 2
-    PAIR = 3
-    SKEW = 4
-    GENERAL = 5
 
 
 class UnshiftTables(NamedTuple):
@@ -71,38 +58,8 @@ class UnshiftTables(NamedTuple):
     metrics: NDArray[np.float64]
 
 
-class _Component(NamedTuple):
-    """Connected set of coordinates with its entries of X in local numbers, sorted by cell and momentum."""
-
-    coordinates: Integers
-    row: Integers
-    column: Integers
-    momentum: Integers
-    weight: NDArray[np.float64]
-
-    @property
-    def width(self) -> int:
-        return len(self.coordinates)
-
-    @property
-    def cell(self) -> Integers:
-        return self.column * self.width + self.row
-
-    @property
-    def skew(self) -> bool:
-        """Whether X^T = -X exactly, for every momentum."""
-        order = order_by(self.row, self.column, self.momentum)
-        return (
-            np.array_equal(self.row[order], self.column)
-            and np.array_equal(self.column[order], self.row)
-            and np.array_equal(self.momentum[order], self.momentum)
-            and np.array_equal(self.weight[order], -self.weight)
-        )
-
-    def at(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the component for a momentum."""
-        flat = np.bincount(self.cell, weights=self.weight * x[self.momentum], minlength=self.width**2)
-        return np.asarray(flat.reshape(self.width, self.width).T)
+Component = tuple[Integers, Generators]
+"""Connected set of coordinates, and its entries of X in local numbers for each unit momentum, by cell and momentum."""
 
 
 Kind = tuple[Turn, int, NDArray[np.float64] | None]
@@ -141,33 +98,36 @@ def _tables(
 ) -> UnshiftTables:
     matrices = BasisMatrices.on_group(algebra, representation)
     quadratic = [(quadratic_entries(casimir), factor) for casimir, factor in shift]
-    entries = [(found[0], found[1], factor * found[2]) for found, factor in quadratic if found is not None]
-    generators = _generators(matrices, algebra.dim, sign, entries)
+    casimir_entries = [(found[0], found[1], factor * found[2]) for found, factor in quadratic if found is not None]
+    generators = _generators(matrices, algebra.dim, sign, casimir_entries)
     samples = np.random.default_rng(SEED).integers(-8, 9, (SAMPLES, algebra.dim)).astype(np.float64) + 0.5
     components = list(_components(matrices.size, generators))
-    kinds = [_kind_of(component, samples, entries if representation is None else []) for component in components]
-    cells = [run_starts(component.cell) for component in components]
+    kinds = [
+        _kind_of(component, samples, casimir_entries if representation is None else []) for component in components
+    ]
+    cells = [_cells(component) for component in components]
+    begins = [run_starts(cell) for cell in cells]
     metrics = [metric for *_, metric in kinds]
     metric_start = starts_of([0 if metric is None else metric.size for metric in metrics])
 
     def joined(pieces: Sequence[NDArray[Any]], kind: type = np.uint32) -> NDArray[Any]:
         return np.concatenate([np.zeros(0, dtype=kind), *pieces]).astype(kind)
 
-    first = joined(cells, bool)
+    first = joined(begins, bool)
     return UnshiftTables(
         size=matrices.size,
         dim=algebra.dim,
         components=len(components),
         kind=np.array([turn for turn, *_ in kinds], dtype=np.uint8),
-        leaning=np.array([representation is None and not component.skew for component in components], dtype=np.uint8),
+        leaning=np.array([representation is None and not _is_skew(one) for _, one in components], dtype=np.uint8),
         order=np.array([order for _, order, _ in kinds], dtype=np.uint32),
-        begin=starts_of([component.width for component in components]).astype(np.uint32),
-        coordinate=joined([component.coordinates for component in components]),
-        form=starts_of([int(np.count_nonzero(begins)) for begins in cells]).astype(np.uint32),
-        cell=joined([component.cell for component in components])[first],
+        begin=starts_of([len(coordinates) for coordinates, _ in components]).astype(np.uint32),
+        coordinate=joined([coordinates for coordinates, _ in components]),
+        form=starts_of([int(np.count_nonzero(one)) for one in begins]).astype(np.uint32),
+        cell=joined(cells)[first],
         entry=np.append(np.flatnonzero(first), len(first)).astype(np.uint32),
-        column=joined([component.momentum for component in components]),
-        weight=joined([component.weight for component in components], np.float64),
+        column=joined([entries.angle for _, entries in components]),
+        weight=joined([entries.value for _, entries in components], np.float64),
         metric=np.array(
             [-1 if metric is None else metric_start[b] for b, metric in enumerate(metrics)], dtype=np.int64
         ),
@@ -187,7 +147,7 @@ def _generators(matrices: BasisMatrices, dim: int, sign: int, entries: Sequence[
     return Generators(momentum, row, column, sign * weight)
 
 
-def _components(size: int, generators: Generators) -> Any:
+def _components(size: int, generators: Generators) -> Iterator[Component]:
     """Yield the connected sets of coordinates, sorted by their first ones."""
     momentum, row, column, weight = generators
     label = connected(size, row, column)
@@ -200,20 +160,40 @@ def _components(size: int, generators: Generators) -> Any:
             continue
         selected = np.arange(len(row))[order][first:last]
         local[members] = np.arange(len(members))
-        yield _Component(members, local[row[selected]], local[column[selected]], momentum[selected], weight[selected])
+        rows, columns = local[row[selected]], local[column[selected]]
+        yield members, Generators(momentum[selected], rows, columns, weight[selected])
 
 
-def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> Kind:
+def _cells(component: Component) -> Integers:
+    """Return the cells of the entries, column-major."""
+    coordinates, entries = component
+    return entries.column * len(coordinates) + entries.row
+
+
+def _is_skew(entries: Generators) -> bool:
+    """Test whether X^T = -X exactly, for every momentum."""
+    order = order_by(entries.row, entries.column, entries.angle)
+    return (
+        np.array_equal(entries.row[order], entries.column)
+        and np.array_equal(entries.column[order], entries.row)
+        and np.array_equal(entries.angle[order], entries.angle)
+        and np.array_equal(entries.value[order], -entries.value)
+    )
+
+
+def _kind_of(component: Component, samples: NDArray[np.float64], casimirs: Sequence[Entries]) -> Kind:
     """Classify a component for all momenta by the properties it has at a few generic ones."""
-    m = component.width
-    layer = layers(m, component.column[run_starts(component.cell)], component.row[run_starts(component.cell)])
+    (coordinates, entries), cell = component, _cells(component)
+    m, is_skew, first = len(coordinates), _is_skew(entries), run_starts(cell)
+    layer = layers(m, entries.column[first], entries.row[first])
     if layer.min() >= 0:
         return Turn.NILPOTENT, int(layer.max()), None
     if m <= 2:
         return Turn.PLANE, 0, None
-    if component.skew and m > 4:
+    if is_skew and m > 4:
         return Turn.SKEW, 0, None
-    matrices = [component.at(x) for x in samples]
+    flat = (np.bincount(cell, weights=entries.value * x[entries.angle], minlength=m**2) for x in samples)
+    matrices: list[NDArray[np.float64]] = [np.asarray(one.reshape(m, m).T) for one in flat]
     powers = [(D, D @ D, D @ D @ D) for D in matrices]
     bounds = [(abs(D), abs(D) @ abs(D), abs(D) @ abs(D) @ abs(D)) for D in matrices]
     for order in (1, 2):
@@ -222,9 +202,9 @@ def _kind_of(component: _Component, samples: NDArray[np.float64], casimirs: Sequ
     ranks = [_rank_of_cubic(p, b) for p, b in zip(powers, bounds, strict=True)]
     if ranks[0] and ranks.count(ranks[0]) == len(ranks):
         return Turn.CUBIC, ranks[0], None
-    if component.skew:
+    if is_skew:
         return (Turn.PAIR if m == 4 else Turn.SKEW), 0, None
-    metrics = (_metric(component, entry) for entry in casimirs)
+    metrics = (_metric(coordinates, entry) for entry in casimirs)
     metric = next((form for form in metrics if form is not None), None)
     return (Turn.GENERAL if metric is None else Turn.SKEW), 0, metric
 
@@ -243,11 +223,11 @@ def _rank_of_cubic(powers: Sequence[NDArray[np.float64]], bounds: Sequence[NDArr
     return max(0, round(float(np.trace(square)) / lam))
 
 
-def _metric(component: _Component, casimir: Entries) -> NDArray[np.float64] | None:
+def _metric(coordinates: Integers, casimir: Entries) -> NDArray[np.float64] | None:
     """Return L^T and its inverse, column-major, for the form L L^T of a definite Casimir, which X preserves."""
     rows, columns, values = casimir
-    m, local = component.width, np.full(max(int(rows.max()), int(component.coordinates[-1])) + 1, -1)
-    local[component.coordinates] = np.arange(m)
+    m, local = len(coordinates), np.full(max(int(rows.max()), int(coordinates[-1])) + 1, -1)
+    local[coordinates] = np.arange(m)
     inside = (local[rows] >= 0) & (local[columns] >= 0)
     form = np.zeros((m, m))
     form[local[rows[inside]], local[columns[inside]]] = values[inside]

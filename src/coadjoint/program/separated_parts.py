@@ -11,8 +11,8 @@ import numpy as np
 
 from coadjoint.algebra.exact.sparse_sums import Integers, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.program.actions import NOTHING_OMITTED
 from coadjoint.program.commutation import first_noncommuting
+from coadjoint.program.generators import NOTHING_OMITTED
 from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.sparse_rows import sparse_row, starts_of
 from coadjoint.systems.vanishing_products import (
@@ -66,11 +66,12 @@ def _separated(algebra: LieAlgebra, parts: Parts, inputs: frozenset[int]) -> Sep
         parts.offset[angles],
         parts.weights.take(angles),
         row,
-        {**parts.nonlinear_shares, **separated},
+        {**parts.gradients, **separated},
         parts.share,
         parts.timed,
         parts.source,
         None if parts.pivots is None else parts.pivots[angles],
+        parts.bodies,
     )
     return result, np.array([(row[s] + a, i, k) for s, a, i, k in omitted], dtype=np.int64)
 
@@ -109,7 +110,7 @@ def _omitted_in_part(
     omitted: list[tuple[int, int, int, int]] = []
     shares = range(int(parts.share[p]), int(parts.share[p + 1]))
     for s in shares:
-        share = parts.nonlinear_shares.get(s)
+        share = parts.gradients.get(s)
         if share is None or share.term is None:
             continue
         index = {int(k): a for a, k in enumerate(share.term.coordinates)}
@@ -135,9 +136,9 @@ def _of_polynomials(
         by_column.setdefault(each.column, []).append(each)
     listed: list[tuple[int, int, Product, tuple[int, int, list[GradientTerm], Any]]] = []
     for s in shares:
-        share = parts.nonlinear_shares.get(s)
+        share = parts.gradients.get(s)
         polynomial = share.polynomial if share else None
-        if share and polynomial is None:
+        if s in parts.bodies or (share and polynomial is None):
             continue
         derivatives = derivatives_of(polynomial, range(polynomial.dim)) if polynomial else {}
         for a, angle in enumerate(range(int(parts.row[s]), int(parts.row[s + 1]))):

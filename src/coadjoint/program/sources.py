@@ -254,7 +254,7 @@ def sources_of_parts(table: Terms, parts: Parts, terms: Sequence[Term]) -> Sourc
     linear = np.zeros(1 + int(max(forms.coordinate.max(initial=0), energy.coordinate.max(initial=0))))
     np.add.at(linear, energy.coordinate, energy.value)
     plain = ~computed
-    plain[list(parts.nonlinear_shares)] = True
+    plain[parts.nonlinear] = True
     rest = np.repeat(~plain, np.diff(parts.row))
     rules = []
     for angles, rule in offsets_of_squares(parts):

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.actions import NOTHING_OMITTED, Action, build_action, copied_action, rational_frequencies
-from coadjoint.program.generators import BasisMatrices, NotSplittable, given_matrices
+from coadjoint.program.actions import Action, build_action, copied_action, rational_frequencies
+from coadjoint.program.generators import NOTHING_OMITTED, BasisMatrices, NotSplittable, given_matrices
 from coadjoint.program.numbers import Number, array_of
 from coadjoint.program.parts.casimir_shifts import quadratic_casimirs, shifted_terms
 from coadjoint.program.parts.decompose import ChosenParts, decompose
@@ -134,7 +134,7 @@ def build_program(
 def term_table(parts: Parts) -> TermTable:
     """Collect the shares of all parts, in their order."""
     table = TermTable()
-    if isinstance(parts.weights, RepeatedRows) and not parts.nonlinear_shares and len(parts.row) > 1:
+    if isinstance(parts.weights, RepeatedRows) and not parts.nonlinear and len(parts.row) > 1:
         table.add_linear_terms(parts.row, parts.offset, parts.weights)
         return table
     weights_of_all = SparseRows(parts.weights.start, parts.weights.coordinate, parts.weights.value)

@@ -128,7 +128,7 @@ def test_the_change_of_the_bracket_is_the_largest_of_all_entries(rates):
 
 def test_what_is_too_large_is_refused_before_it_is_made(monkeypatch):
     system = whole("so(4)")
-    monkeypatch.setattr("coadjoint.program.modified_energy.logarithms.MAX_PRODUCTS", 10**5)
+    monkeypatch.setattr("coadjoint.program.logarithms.MAX_PRODUCTS", 10**5)
     assert co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4).terms[2].monomials
     with refused(ValueError, "products of monomials or more,", "at most 1e+05"):
         co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 8)

@@ -9,14 +9,14 @@ import pytest
 import coadjoint as co
 from coadjoint.methods.numerics.short_orbit import rate_at, short_orbit
 from coadjoint.methods.numerics.tuned_parts import propagated_brackets
-from coadjoint.program.modified_energy.modified_series import leading_term
-from coadjoint.program.modified_energy.second_order import (
+from coadjoint.program.modified_series import leading_term
+from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.second_order import (
     bracket_gradients,
     nested_brackets,
     order_weights,
     part_derivatives,
 )
-from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.split import split
 from long import long_beyond
 from rounding import UNIT_ROUNDOFF as U

@@ -318,9 +318,9 @@ def test_functions_of_parts_become_polynomials_in_their_coordinates(coordinates)
     given = Parts(*range(4), {7: GradientShare(tuple(coordinates), term=term), 2: plain}, *range(4, 7))
     made, where = parts_at(given, x, 2), list(coordinates)
     assert [made.forms, made.offset, made.weights, made.row, made.share, made.timed] == list(range(6))
-    assert made.nonlinear_shares.keys() == {7, 2} and made.nonlinear_shares[2] is plain
-    assert made.nonlinear_shares[7].coordinates == coordinates
-    polynomial, other = made.nonlinear_shares[7].polynomial, rng.uniform(-2.0, 2.0, 5)
+    assert made.gradients.keys() == {7, 2} and made.gradients[2] is plain
+    assert made.gradients[7].coordinates == coordinates
+    polynomial, other = made.gradients[7].polynomial, rng.uniform(-2.0, 2.0, 5)
     change = float(polynomial(other)) - float(polynomial(x))
     assert change == pytest.approx(term.value(other[where]) - term.value(x[where]), abs=1e-12)
     gradient = np.zeros(5)

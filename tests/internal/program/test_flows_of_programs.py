@@ -11,9 +11,9 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from coadjoint.program.interpreter import Interpreter
-from coadjoint.program.modified_energy.second_order import part_derivatives
 from coadjoint.program.numbers import array_of, convert, roundoff
 from coadjoint.program.parts.decompose import decompose
+from coadjoint.program.parts.second_order import part_derivatives
 from coadjoint.program.table import build_program
 from drawn_matrices import constants_of
 from refusals import refused

@@ -12,8 +12,8 @@ from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from coadjoint.program.group_correction import Turn, _cholesky, unshift_tables
-from coadjoint.program.modified_energy.second_order import best_orders, part_derivatives
+from coadjoint.program.blocks import Turn
+from coadjoint.program.group_correction import _cholesky, unshift_tables
 from coadjoint.program.parts.casimir_shifts import (
     candidate_shifts,
     count_parts,
@@ -22,6 +22,7 @@ from coadjoint.program.parts.casimir_shifts import (
     singular_factors,
 )
 from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, decompose, sample_points
+from coadjoint.program.parts.second_order import best_orders, part_derivatives
 from coadjoint.program.parts.split import split
 from refusals import refused
 from second_order_terms import second_order_term

@@ -9,8 +9,8 @@ from coadjoint.long_operations import LongWait
 from coadjoint.program import blocks, commutation
 from coadjoint.program.added_part import Places
 from coadjoint.program.generators import NotSplittable, check_products
-from coadjoint.program.modified_energy.logarithms import Commutators
-from coadjoint.program.modified_energy.modified_series import estimated_products
+from coadjoint.program.logarithms import Commutators
+from coadjoint.program.modified_series import estimated_products
 from coadjoint.program.parts import decompose
 from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
 from coadjoint.program.parts.split import split
@@ -108,7 +108,7 @@ def test_lattices_are_not_too_wide():
 @pytest.mark.long
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
-    from coadjoint.program.modified_energy import logarithms, modified_series
+    from coadjoint.program import logarithms, modified_series
 
     monkeypatch.setattr(modified_series, "estimated_products", lambda *given: 0.0)
 

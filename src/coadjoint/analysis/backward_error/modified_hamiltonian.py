@@ -27,8 +27,8 @@ from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.optional_packages import require_packages
-from coadjoint.program.modified_energy.logarithms import Coordinates, exact_sweeps
-from coadjoint.program.modified_energy.modified_series import coordinates_of, modified_terms
+from coadjoint.program.logarithms import Coordinates, exact_sweeps
+from coadjoint.program.modified_series import coordinates_of, modified_terms
 from coadjoint.program.parts.part_polynomials import parts_at
 from coadjoint.program.table import Program
 from coadjoint.short_repr import short

@@ -13,8 +13,8 @@ from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials, Sy
 from coadjoint.algebra.polynomials.monomials import Exponents, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
-from coadjoint.program.modified_energy.logarithms import Coordinates
-from coadjoint.program.modified_energy.modified_series import coordinates_of, modified_terms
+from coadjoint.program.logarithms import Coordinates
+from coadjoint.program.modified_series import coordinates_of, modified_terms
 from coadjoint.program.sweeps import Sweep
 from coadjoint.program.table import Program
 from coadjoint.systems.coordinates import in_coordinates_of

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.numerics.short_orbit import ShortOrbit, short_orbit
 from coadjoint.methods.protocol.flow_method import FlowMethod
-from coadjoint.program.modified_energy.modified_series import leading_term
-from coadjoint.program.modified_energy.second_order import (
+from coadjoint.program.modified_series import leading_term
+from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, candidates, decompose
+from coadjoint.program.parts.part import Parts
+from coadjoint.program.parts.second_order import (
     IMPROVEMENT_FACTOR,
     MAX_ORDERED,
     bracket_gradients,
     order_weights,
     smallest_order,
 )
-from coadjoint.program.parts.decompose import ChosenParts, best_decomposition, candidates, decompose
-from coadjoint.program.parts.part import Parts
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 

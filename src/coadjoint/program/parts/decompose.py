@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import note_progress
 from coadjoint.program.generators import NotSplittable
-from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, best_orders
 from coadjoint.program.parts.casimir_shifts import (
     QuadraticCasimir,
     Shift,
@@ -25,6 +24,7 @@ from coadjoint.program.parts.casimir_shifts import (
 )
 from coadjoint.program.parts.free_bodies import bonds, free_bodies
 from coadjoint.program.parts.part import Parts
+from coadjoint.program.parts.second_order import IMPROVEMENT_FACTOR, best_orders
 from coadjoint.program.parts.split import check_splits, split
 from coadjoint.program.parts.squares import with_linear_offsets
 from coadjoint.program.sparse_rows import sparse_row

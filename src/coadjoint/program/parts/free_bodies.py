@@ -148,9 +148,10 @@ def _body(form: QuadraticTerm, triple: Triple) -> Parts:
         np.zeros(4),
         weights,
         np.array([0, 4]),
-        {0: BodyShare((i, j, k), matrix, triple.scale)},
+        {},
         np.array([0, 1]),
         np.array([False]),
+        bodies={0: BodyShare((i, j, k), matrix, triple.scale)},
     )
 
 
@@ -267,7 +268,7 @@ def _shares(
         pairs[:, 1:].reshape(-1).astype(np.uint32),
         values.reshape(-1),
     )
-    shares = {
+    bodies = {
         s: BodyShare(
             spins[first].coordinates,
             tuple(map(tuple, np.diag(diagonals[s]).tolist())),
@@ -282,9 +283,10 @@ def _shares(
         np.zeros(4 * count),
         weights,
         4 * np.arange(count + 1),
-        shares,
+        {},
         begins,
         np.zeros(len(begins) - 1, dtype=bool),
+        bodies=bodies,
     )
 
 

@@ -10,8 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.sparse_sums import Integers
-from coadjoint.program.modified_energy.joint_orders import joint_sizes, smallest
-from coadjoint.program.modified_energy.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
 from coadjoint.program.parts.casimir_shifts import (
     MAX_SINGULAR_DIMENSION,
     ROUNDING,
@@ -32,7 +30,9 @@ from coadjoint.program.parts.decompose import (
     remember,
     sample_points,
 )
+from coadjoint.program.parts.joint_orders import joint_sizes, smallest
 from coadjoint.program.parts.part import COMPUTED, Parts
+from coadjoint.program.parts.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
 from coadjoint.program.parts.split import split
 from coadjoint.program.sources import Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, overload
 
@@ -58,11 +58,7 @@ class BodyShare:
     scale: tuple[float, float, float]
     other: tuple[int, int, int] | None = None
 
-    polynomial = None
-    term = None
 
-
-NonlinearShare = GradientShare | BodyShare
 COMPUTED = -1
 """Source of shares that are no copies of a term of H: completed squares, bodies, and other choices of parts."""
 
@@ -74,7 +70,7 @@ Form = tuple[tuple[int, ...], tuple[Any, ...]]
 @dataclass(eq=False, repr=False)
 class Parts(Sequence[tuple[Form, ...]]):
     """Parts by columns: part p has the shares share[p] to share[p + 1], share s the angles row[s] to row[s + 1], each
-    with one row of `forms` and the angle offset + weights.x, unless a rule in `nonlinear_shares` gives it. `source` is
+    with one row of `forms` and the angle offset + weights.x, except for shares in `gradients` and `bodies`. `source` is
     the term of H that a share is a copy of, or COMPUTED; `pivots` (angles, 3) are those of `Squares` with forms in
     floats, else -1.
     """
@@ -83,11 +79,12 @@ class Parts(Sequence[tuple[Form, ...]]):
     offset: NDArray[Any]
     weights: Rows
     row: Integers
-    nonlinear_shares: Mapping[int, NonlinearShare]
+    gradients: Mapping[int, GradientShare]
     share: Integers
     timed: NDArray[np.bool_]
     source: Integers = None  # type: ignore[assignment]
     pivots: NDArray[np.int64] | None = None
+    bodies: Mapping[int, BodyShare] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.source is None:
@@ -127,25 +124,21 @@ class Parts(Sequence[tuple[Form, ...]]):
             SparseRows.concatenate([piece.weights for piece in pieces]),
             joined_starts([piece.row for piece in pieces]),
             {
-                first + s: share
+                first + s: one
                 for first, piece in zip(shares, pieces, strict=False)
-                for s, share in piece.nonlinear_shares.items()
+                for s, one in piece.gradients.items()
             },
             joined_starts([piece.share for piece in pieces]),
             np.concatenate([piece.timed for piece in pieces]),
             np.concatenate([piece.source for piece in pieces]),
             pivots,
+            {first + s: one for first, piece in zip(shares, pieces, strict=False) for s, one in piece.bodies.items()},
         )
 
     @property
-    def gradients(self) -> dict[int, GradientShare]:
-        """The shares that are gradients of polynomials and functions."""
-        return {s: share for s, share in self.nonlinear_shares.items() if not isinstance(share, BodyShare)}
-
-    @property
-    def bodies(self) -> dict[int, BodyShare]:
-        """The shares that are free bodies."""
-        return {s: share for s, share in self.nonlinear_shares.items() if isinstance(share, BodyShare)}
+    def nonlinear(self) -> list[int]:
+        """The shares that are gradients or bodies."""
+        return [*self.gradients, *self.bodies]
 
     def of_term(self, number: int) -> Parts:
         """Return parts of one term as those of the term of this number."""
@@ -179,7 +172,7 @@ class Parts(Sequence[tuple[Form, ...]]):
         _, shares = expand(first, last)
         begin, end = self.row[shares], self.row[shares + 1]
         _, angles = expand(begin, end)
-        new_index = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear_shares else {}
+        new_index = dict(zip(shares.tolist(), range(len(shares)), strict=True)) if self.nonlinear else {}
         forms, weights = self.forms.take(angles), self.weights.take(angles)
         if self.weights.target is self.forms.coordinate:
             weights = weights.with_target(forms.coordinate)
@@ -188,11 +181,12 @@ class Parts(Sequence[tuple[Form, ...]]):
             values_at(self.offset, angles),
             weights,
             starts_of(end - begin),
-            {new_index[s]: share for s, share in self.nonlinear_shares.items() if s in new_index},
+            {new_index[s]: share for s, share in self.gradients.items() if s in new_index},
             starts_of(last - first),
             self.timed[chosen],
             self.source[shares],
             None if self.pivots is None else self.pivots[angles],
+            {new_index[s]: body for s, body in self.bodies.items() if s in new_index},
         )
 
     def joined(self, label: NDArray[Any]) -> Parts:

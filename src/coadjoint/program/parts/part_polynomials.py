@@ -16,7 +16,7 @@ from coadjoint.algebra.exact.numbers import exact_number, fraction, rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomials.monomials import Exponents, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
+from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.sparse_rows import sparse_row
 from coadjoint.program.term_table import derivative_of
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
@@ -39,7 +39,7 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
     pieces = [ring.zero for _ in range(len(parts))]
     for angle, p in enumerate(parts.part_of_angle.tolist()):
         pieces[p] += _linear_angle(ring, parts, angle)
-    for s, share in parts.nonlinear_shares.items():
+    for s, share in parts.gradients.items():
         if share.term is not None:
             raise TypeError("a part of the Hamiltonian is a function of Python, not a polynomial")
         if share.polynomial is not None:
@@ -109,7 +109,7 @@ def rational_pieces(
     terms: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     share_of_angle = {
         int(parts.row[s]) + k: (share.polynomial, i)
-        for s, share in parts.nonlinear_shares.items()
+        for s, share in parts.gradients.items()
         if share.polynomial is not None
         for k, i in enumerate(share.coordinates)
     }
@@ -157,13 +157,13 @@ def _times(left: list[Any], right: list[Any]) -> list[Any]:
 
 def parts_at(parts: Parts, x: NDArray[np.float64], degree: int) -> Parts:
     """Replace functions in time-independent parts by Taylor polynomials of a degree at the point x (n,)."""
-    nonlinear_shares: dict[int, NonlinearShare] = {}
-    for s, share in parts.nonlinear_shares.items():
+    gradients: dict[int, GradientShare] = {}
+    for s, share in parts.gradients.items():
         if share.term is not None:
             local = taylor_polynomial(share.term, x[share.term.coordinates], degree)
             share = GradientShare(share.coordinates, _expanded(local, x, share.coordinates))
-        nonlinear_shares[s] = share
-    return replace(parts, nonlinear_shares=nonlinear_shares)
+        gradients[s] = share
+    return replace(parts, gradients=gradients)
 
 
 def _expanded(local: dict[tuple[int, ...], float], x: NDArray[np.float64], coordinates: Sequence[int]) -> Polynomial:

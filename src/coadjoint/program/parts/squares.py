@@ -17,7 +17,7 @@ from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
+from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.sparse_rows import SparseRows, sparse_row
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coefficients import PLACEHOLDER_COEFFICIENT
@@ -301,7 +301,7 @@ def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | Reduct
     """
     forms = parts.forms
     linear = np.ones(len(parts.offset), dtype=bool)
-    for s in parts.nonlinear_shares:
+    for s in parts.nonlinear:
         linear[parts.row[s] : parts.row[s + 1]] = False
     owner = forms.owner
     # The angle of a coordinate that depends on others is no square, but a derivative of products.
@@ -346,11 +346,11 @@ def with_linear_offsets(parts: Parts, linear: NDArray[np.float64]) -> Parts:
     for angles, sums in offsets_of_squares(parts):
         offset[angles] = sums.at(linear)
     offset[parts.offset == PLACEHOLDER_COEFFICIENT] = 0.0
-    nonlinear_shares = {s: _without_placeholders(share) for s, share in parts.nonlinear_shares.items()}
-    return replace(parts, offset=offset, nonlinear_shares=nonlinear_shares, pivots=None)
+    gradients = {s: _without_placeholders(share) for s, share in parts.gradients.items()}
+    return replace(parts, offset=offset, gradients=gradients, pivots=None)
 
 
-def _without_placeholders(share: NonlinearShare) -> NonlinearShare:
+def _without_placeholders(share: GradientShare) -> GradientShare:
     if share.polynomial is None:
         return share
     monomials = {e: c for e, c in share.polynomial.monomials.items() if c != PLACEHOLDER_COEFFICIENT}

@@ -116,11 +116,9 @@ def _size_if_zero(value: Any, least: float) -> float | None:
     """Return an upper bound of a number that counts as zero, and None for any other."""
     from flint import arb
 
-    size = float(
-        abs(value).upper() if isinstance(value, arb) else abs(Fraction(int(value.numer()), int(value.denom())))
-    )
-    zero = size <= least or (isinstance(value, arb) and value.contains(0))
-    return size if zero else None
+    ball = arb(value)
+    size = float(abs(ball).upper())
+    return size if size <= least or ball.contains(0) else None
 
 
 def _sweep_product(sweeps: Sequence[Sweep], highest: int, single_part: bool, rational: bool) -> Series:

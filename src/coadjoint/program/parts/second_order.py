@@ -42,7 +42,7 @@ def part_derivatives(parts: Parts, points: Floats) -> tuple[Floats, Floats]:
     index = (part[angle[entry]], 0, forms.coordinate[entry], weights.coordinate[weight_entry])
     np.add.at(quadratic, index, value[entry] * weights.value[weight_entry].astype(np.float64))
     gradient = constant + _matrix_vector(quadratic, points)
-    hessian = np.repeat(quadratic, count, axis=1) if parts.nonlinear_shares else quadratic
+    hessian = np.repeat(quadratic, count, axis=1) if parts.gradients else quadratic
     for s, share in parts.gradients.items():
         coordinates, p = np.array(share.coordinates), part[parts.row[s]]
         for k, x in enumerate(points):

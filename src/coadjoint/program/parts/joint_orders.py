@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.program.modified_energy.second_order import (
+from coadjoint.program.parts.part import GradientShare, Parts
+from coadjoint.program.parts.second_order import (
     IMPROVEMENT_FACTOR,
     order_weights,
     part_derivatives,
 )
-from coadjoint.program.parts.part import GradientShare, NonlinearShare, Parts
 from coadjoint.program.sources import Sources
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -117,8 +117,8 @@ def _derivatives(
     def filled(name: str, constants: NDArray[Any]) -> NDArray[Any]:
         return sources.multiples[name].at(constants if others else 0.0 * constants, coefficients)
 
-    shares: dict[int, NonlinearShare] = {}
-    given = sorted(parts.nonlinear_shares.items())
+    shares: dict[int, GradientShare] = {}
+    given = sorted(parts.gradients.items())
     own = [float(c) for _, share in given if share.polynomial is not None for c in share.polynomial.monomials.values()]
     values = iter(filled("coefficient", np.array(own)).tolist())
     for s, share in given:
@@ -129,7 +129,7 @@ def _derivatives(
             shares[s] = share
     weights = SparseRows(parts.weights.start, parts.weights.coordinate, filled("weight", parts.weights.value))
     offset = filled("offset", parts.offset)
-    return part_derivatives(replace(parts, offset=offset, weights=weights, nonlinear_shares=shares), points)
+    return part_derivatives(replace(parts, offset=offset, weights=weights, gradients=shares), points)
 
 
 def smallest(sizes: Floats, errors: Floats) -> tuple[Integers, Floats, Floats, NDArray[np.bool_]]:

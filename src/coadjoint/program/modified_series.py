@@ -17,7 +17,7 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomi
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import warn_if_long
-from coadjoint.program.modified_energy.logarithms import (
+from coadjoint.program.logarithms import (
     BALL_BITS,
     SECONDS_PER_PRODUCT,
     Commutators,
@@ -173,7 +173,7 @@ def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float
     to `highest`. Returns 0 without an estimate: for parts that are not quadratic forms, and very large systems.
     """
     n = algebra.dim
-    if highest < 2 or parts.nonlinear_shares or n > MAX_ESTIMATED_DIMENSION:
+    if highest < 2 or parts.nonlinear or n > MAX_ESTIMATED_DIMENSION:
         return 0.0
     i, j, k, _ = algebra.triples
     acting = np.concatenate([i, j]), np.concatenate([j, i]), np.concatenate([k, k])

@@ -1,1 +1,0 @@
-"""Terms of the modified Hamiltonian of splittings and compositions."""
