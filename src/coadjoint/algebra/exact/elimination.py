@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact.numbers import exact_number, fraction
+from coadjoint.algebra.exact.numbers import fraction, read_exact
 from coadjoint.short_repr import short
-from coadjoint.validation import read_number, reject_lossy_conversion
+from coadjoint.validation import reject_lossy_conversion
 
 Number = int | Fraction
 Vector = dict[int, Number]
@@ -26,8 +26,7 @@ def read_vector(argument: Any, dim: int, what: str) -> Vector:
         raise ValueError(f"{what} must have {dim} components, not {len(values)}")
     vector: Vector = {}
     for i, value in enumerate(values):
-        plain = type(value) in (int, Fraction)
-        number = exact_number(value if plain else read_number(value, f"component {i} of {what}"))
+        number = read_exact(value, f"component {i} of {what}")
         if number:
             vector[i] = number
     return vector

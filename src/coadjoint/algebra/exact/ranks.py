@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -50,22 +51,20 @@ def jacobi_exact(triples: Triples, integers: NDArray[Any], dim: int) -> bool:
     return True
 
 
-def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return integers in the ratios of the simple fractions that the constants round, or None if there are none."""
+def rational_constants(
+    triples: Triples, dim: int, exact: Callable[[float], Fraction | None] = as_fraction
+) -> NDArray[Any] | None:
+    """Return integers in the ratios of the fractions that `exact` makes of the constants, by default simple ones.
+
+    None if a constant is no such fraction, or if the integers do not fulfil the Jacobi identity exactly.
+    """
     # A common factor changes neither Casimirs nor ranks.
     distinct, inverse = np.unique(triples.c, return_inverse=True)
-    fractions = [as_fraction(value) for value in distinct.tolist()]
+    fractions = [exact(value) for value in distinct.tolist()]
     known = [value for value in fractions if value is not None]
     if len(known) < len(fractions):
         return None
     integers = clear_denominators(known)[inverse]
-    return integers if jacobi_exact(triples, integers, dim) else None
-
-
-def _dyadic_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return integers in the exact ratios of the floats if they fulfil the Jacobi identity exactly, else None."""
-    distinct, inverse = np.unique(triples.c, return_inverse=True)
-    integers = clear_denominators([Fraction(value) for value in distinct.tolist()])[inverse]
     return integers if jacobi_exact(triples, integers, dim) else None
 
 
@@ -77,7 +76,7 @@ def generic_rank(triples: Triples, dim: int) -> int:
     """
     integers = rational_constants(triples, dim)
     if integers is None:
-        integers = _dyadic_constants(triples, dim)
+        integers = rational_constants(triples, dim, Fraction)
     if integers is None:
         return numerical_structure_rank(triples, dim)
     return structure_rank(triples.i, triples.j, triples.k, integers, dim)

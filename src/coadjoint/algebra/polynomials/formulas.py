@@ -10,7 +10,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from coadjoint.algebra.exact.numbers import Constant, checked, is_finite, quotient, too_large
+from coadjoint.algebra.exact.numbers import Constant, checked, exact_number, is_finite, quotient, too_large
 from coadjoint.algebra.invariants.invariant import LogarithmicSum
 from coadjoint.algebra.polynomials.formula_tree import (
     FUNCTIONS,
@@ -124,15 +124,9 @@ class Expansion:
         """Return the value of the whole formula, a number as a constant polynomial."""
         return self._multiplied_out(self._sum(self.tree.terms))
 
-    def value(self) -> Any:
-        """Return the value of the whole formula."""
-        return self._number_or_polynomial(self._sum(self.tree.terms))
-
     def of(self, node: ast.expr) -> Any:
-        """Return the value of a part of the formula."""
-        return self._number_or_polynomial(self._node(node))
-
-    def _number_or_polynomial(self, value: Monomial | Polynomial) -> Any:
+        """Return the value of a part of the formula: a number, or a polynomial."""
+        value = self._node(node)
         number = number_of(value)
         return self._multiplied_out(value) if number is None else number
 
@@ -158,7 +152,7 @@ class Expansion:
             case ast.Call(func=ast.Name(id=name)):
                 return self.call(name, [self._node(argument) for argument in node.args])
             case ast.BinOp(op=ast.Pow()):
-                return self._power(self._node(node.left), self.of(node.right))
+                return self._power(self._node(node.left), self._node(node.right))
             case ast.BinOp(op=ast.Mult() | ast.Div()):
                 return self._product(node)
         return self._sum(summands(node))
@@ -214,16 +208,14 @@ class Expansion:
         if self._work > MAX_WORK:
             raise self.tree.refused(f"has more than {MAX_WORK // (self.dim + 8)} products when it is multiplied out")
 
-    def _power(self, base: Monomial | Polynomial, power: Any) -> Monomial | Polynomial:
-        if isinstance(power, float) and power.is_integer():
-            power = int(power)
-        number = number_of(base)
-        if number is not None and not isinstance(power, Polynomial):
+    def _power(self, base: Monomial | Polynomial, exponent: Monomial | Polynomial) -> Monomial | Polynomial:
+        number, given = number_of(base), number_of(exponent)
+        power = exact_number(given)
+        if number is not None and given is not None:
             return Monomial(self.power_of_number(number, power), {})
         if not isinstance(power, int) or power < 0:
-            raise self.not_polynomial(
-                f"has the power {in_one_line(str(power), MAX_QUOTED)}; powers are whole numbers from 0 up"
-            )
+            shown = in_one_line(str(self._multiplied_out(exponent) if given is None else given), MAX_QUOTED)
+            raise self.not_polynomial(f"has the power {shown}; powers are whole numbers from 0 up")
         self._check_size(base.degree * power)
         if isinstance(base, Monomial):
             number = self.power_of_number(base.number, power) if base.number != 1 else 1

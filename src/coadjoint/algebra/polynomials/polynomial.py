@@ -5,7 +5,6 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from numbers import Rational
 from types import MappingProxyType
 from typing import Any
 
@@ -35,7 +34,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import plain as plain_form
 from coadjoint.short_repr import short
-from coadjoint.validation import read_integer, to_array
+from coadjoint.validation import is_real, read_integer, to_array
 
 # Values beyond float64 become infinite without a warning.
 IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
@@ -225,7 +224,7 @@ class Polynomial:
             if other._dim != self._dim:
                 raise ValueError(f"polynomials in {self._dim} and in {other._dim} coordinates cannot be combined")
             return other
-        if isinstance(other, Rational | float) and not isinstance(other, bool | np.timedelta64):
+        if is_real(other):
             return Polynomial({(0,) * self._dim: read_coefficient(other, "constant")})
         return None
 
@@ -264,7 +263,7 @@ class Polynomial:
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: Coefficient) -> Polynomial:
-        if not isinstance(divisor, Rational | float) or isinstance(divisor, bool | np.timedelta64):
+        if not is_real(divisor):
             return NotImplemented
         number = read_coefficient(divisor, "the divisor of a Polynomial")
         if number == 0:
