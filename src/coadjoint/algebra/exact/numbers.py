@@ -45,8 +45,9 @@ def exact_number(value: Any) -> Any:
 
 def read_exact(value: Any, what: str) -> int | Fraction:
     """Validate a real number and return it exactly."""
-    number: int | Fraction = exact_number(value if type(value) in (int, Fraction) else read_number(value, what))
-    return number
+    number = read_number(value, what)
+    exact: int | Fraction = exact_number(value if isinstance(value, Rational) else number)
+    return exact
 
 
 def fraction(value: Any) -> int | Fraction:

@@ -30,7 +30,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 Number = int | Fraction
-Formula = Number | Polynomial | LogarithmicSum
+Formula = Polynomial | LogarithmicSum
 
 MAX_TERMS = 10_000
 """Terms of one product that is multiplied out."""
@@ -83,13 +83,15 @@ def condition_holds(text: str, parameters: Mapping[str, Number]) -> bool:
     ((_, node),) = tree.terms
 
     def holds(node: ast.expr) -> bool:
-        if isinstance(node, ast.BoolOp):
-            parts = [holds(part) for part in node.values]
-            return any(parts) if isinstance(node.op, ast.Or) else all(parts)
-        if not isinstance(node, ast.Compare):
-            raise tree.refused(f"is no condition; {notation}")
-        sides = [expansion.of(side) for side in (node.left, *node.comparators)]
-        return all(_COMPARISONS[type(sign)](*pair) for sign, pair in zip(node.ops, pairwise(sides), strict=True))
+        match node:
+            case ast.BoolOp(ast.Or(), parts):
+                return any([holds(part) for part in parts])
+            case ast.BoolOp(ast.And(), parts):
+                return all([holds(part) for part in parts])
+            case ast.Compare(left, signs, others):
+                sides = [expansion.of(side) for side in (left, *others)]
+                return all(_COMPARISONS[type(sign)](*pair) for sign, pair in zip(signs, pairwise(sides), strict=True))
+        raise tree.refused(f"is no condition; {notation}")
 
     return holds(node)
 
@@ -276,8 +278,6 @@ class ExactExpansion(Expansion):
     def value(self) -> Any:
         """Return the value of the whole formula."""
         value = self._sum(self.tree.terms)
-        if (number := number_of(value)) is not None:
-            return number
         total = LogarithmicSum(self._coordinates, ())
         rest: dict[Exponents, Constant] = {}
         for exponents, coefficient in self._multiplied_out(value).monomials.items():
