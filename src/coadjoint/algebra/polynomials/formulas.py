@@ -21,6 +21,7 @@ from coadjoint.algebra.polynomials.formula_tree import (
     coordinates_and_parameters,
     factors,
     names_and_parameters,
+    read_dimension,
     summands,
 )
 from coadjoint.algebra.polynomials.monomials import Exponents
@@ -63,6 +64,14 @@ def parse_polynomial(
     # Quotients of integers stay exact; products with floats are rounded in the order of the text.
     tree = FormulaTree(text, coordinates_and_parameters(text, dim, names, parameters), FUNCTIONS, NOTATION)
     return Expansion(tree, dim).polynomial()
+
+
+def read_polynomial(
+    text: str, dim: int | None, basis: Sequence[str] | None, parameters: Mapping[str, Any] | None
+) -> tuple[Mapping[Exponents, Constant], int]:
+    """Parse a polynomial in `dim` coordinates or in those named by `basis`: its monomials, and their dimension."""
+    count = read_dimension(text, dim, basis)
+    return parse_polynomial(text, count, None if basis is None else tuple(basis), parameters).monomials, count
 
 
 def parse_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: str = "x") -> Formula:
