@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from fractions import Fraction
+from numbers import Rational
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,11 +105,8 @@ def read_matrices(argument: Any) -> Matrices:
 
 def _parts(value: Any, what: str) -> tuple[Any, Any]:
     """Return the real and the imaginary part of a number, each an int, a Fraction or a float."""
-    exact = exact_number(value) if not isinstance(value, float | complex | np.number) else value
-    if isinstance(exact, int | Fraction):
-        parts: tuple[Any, Any] = exact, 0
-    elif isinstance(value, np.integer):
-        parts = int(value), 0
+    if isinstance(value, Rational):
+        parts: tuple[Any, Any] = exact_number(value), 0
     else:
         try:
             number = complex(value)

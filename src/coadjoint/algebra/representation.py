@@ -5,7 +5,7 @@ Group elements are read from matrices, SciPy rotations and quaternions, and test
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -50,6 +50,29 @@ def read_representation(representation: Any, dim: int | None = None) -> Floats:
     return rho
 
 
+def commutator_products(
+    matrices: Triples, count: int, further_cost: float | NDArray[Any] = 0.0
+) -> Iterator[tuple[slice, tuple[Integers, Integers], tuple[Integers, Integers]]]:
+    """Yield the pairs of entries (p, q) in X_a X_b and (r, s) in X_b X_a, a < b, of sparse matrices, in runs of a.
+
+    `matrices` has entries (a, row, column, value), matrix after matrix; p and r are those of X_a.
+    """
+    i, row, column, _ = matrices
+    by_row, _ = groups(row, i)
+    by_column, _ = groups(column, i)
+    joins: list[tuple[Integers, Integers]] = []
+    # Rows of X_b are joined with columns of X_a, then columns of X_b with rows of X_a.
+    for order, outer, middle in ((by_row, row, column), (by_column, column, row)):
+        key = (outer * count + i)[order]
+        start = np.searchsorted(key, middle * count + i, side="right")
+        joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * count), start)))
+    cost = np.bincount(i, weights=sum(stop - start for start, stop in joins), minlength=count) + further_cost
+    for part in chunks(np.arange(count), cost.astype(np.int64)):
+        entries = slice(*np.searchsorted(i, [part.start, part.stop]))
+        (p, q), (r, s) = (expand(start[entries], stop[entries]) for start, stop in joins)
+        yield part, (p + entries.start, by_row[q]), (r + entries.start, by_column[s])
+
+
 def check_representation(representation: Any, triples: Triples, dim: int, names: Sequence[str]) -> Floats:
     """Check [rho_i, rho_j] = sum_k c_ij^k rho_k for every pair; return a read-only float64 array (n, d, d)."""
     # Each entry must be below 64 u times the sum of the absolute values of its products (u = 2^-53).
@@ -58,26 +81,10 @@ def check_representation(representation: Any, triples: Triples, dim: int, names:
     i, a, b = (index.astype(np.int64) for index in np.nonzero(rho))
     v = rho[i, a, b]
     v_size, c_size = group_max_abs(i, v), group_max_abs(triples.i * dim + triples.j, triples.c)
-    by_row, _ = groups(a, i)
-    by_column, _ = groups(b, i)
-    row_key, column_key = (a * dim + i)[by_row], (b * dim + i)[by_column]
-    # For i < j: rho_i rho_j is joined on the columns of rho_i, rho_j rho_i on its rows, c_ij^k rho_k on k.
-    joins: list[tuple[Integers, Integers]] = []
-    for key, middle in ((row_key, b), (column_key, a)):
-        start = np.searchsorted(key, middle * dim + i, side="right")
-        joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * dim), start)))
-    structure = np.searchsorted(i, triples.k), np.searchsorted(i, triples.k, side="right")
-    cost = sum(stop - start for start, stop in joins)
-    per_element = np.bincount(i, weights=cost, minlength=dim).astype(np.float64)
-    per_element += np.bincount(triples.i, weights=structure[1] - structure[0], minlength=dim)
-    for part in chunks(np.arange(dim), per_element.astype(np.int64)):
-        entries = slice(*np.searchsorted(i, [part.start, part.stop]))
+    structure = np.searchsorted(i, triples.k), np.searchsorted(i, triples.k, side="right")  # c_ij^k rho_k, joined on k
+    cost = np.bincount(triples.i, weights=structure[1] - structure[0], minlength=dim)
+    for part, (p, q), (r, s) in commutator_products(Triples(i, a, b, v), dim, cost):
         constant_rows = slice(*np.searchsorted(triples.i, [part.start, part.stop]))
-        # p, q: entries of rho_i and rho_j in rho_i rho_j; r, s: in rho_j rho_i
-        p, q = expand(joins[0][0][entries], joins[0][1][entries])
-        p, q = p + entries.start, by_row[q]
-        r, s = expand(joins[1][0][entries], joins[1][1][entries])
-        r, s = r + entries.start, by_column[s]
         row, element = expand(structure[0][constant_rows], structure[1][constant_rows])
         row += constant_rows.start
         pair = [i[p] * dim + i[q], i[r] * dim + i[s], (triples.i * dim + triples.j)[row]]

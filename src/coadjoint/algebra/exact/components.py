@@ -89,6 +89,23 @@ def parts(label: Integers) -> Iterator[Integers]:
     yield from (order[start:stop] for start, stop in zip(starts, stops, strict=True))
 
 
+def positions(label: Integers) -> Integers:
+    """Return the position of each node among the sorted members of its component."""
+    order, starts = groups(label)
+    result = np.empty_like(order)
+    result[order] = np.arange(order.size) - np.repeat(starts, np.diff(np.append(starts, order.size)))
+    return result
+
+
+def parts_and_rows(label: Integers, nodes: Integers) -> Iterator[tuple[Integers, Integers]]:
+    """Yield the sorted members of each component, and the rows whose nodes are among them, in order."""
+    order, _ = groups(label[nodes])
+    owner, smallest = label[nodes][order], np.flatnonzero(label == np.arange(label.size))
+    begins, ends = np.searchsorted(owner, smallest), np.searchsorted(owner, smallest, side="right")
+    for members, begin, end in zip(parts(label), begins, ends, strict=True):
+        yield members, order[begin:end]
+
+
 def summands(triples: Triples, dim: int) -> Iterator[tuple[Integers, Triples]]:
     """Yield the direct summands visible in the basis: sorted coordinates, and their constants renumbered from 0.
 
@@ -103,11 +120,6 @@ def summands(triples: Triples, dim: int) -> Iterator[tuple[Integers, Triples]]:
     """
     i, j, k, _ = triples
     label = connected(dim, np.concatenate([i, i]), np.concatenate([j, k]))
-    local_index = np.zeros(dim, dtype=np.int64)
-    order, _ = groups(label[i])
-    owner = label[i][order]
-    for members in parts(label):
-        local_index[members] = np.arange(members.size)
-        rows = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
-        summand = triples.rows(np.sort(rows))
-        yield members, Triples(local_index[summand.i], local_index[summand.j], local_index[summand.k], summand.c)
+    position = positions(label)
+    for members, rows in parts_and_rows(label, i):
+        yield members, Triples(position[i[rows]], position[j[rows]], position[k[rows]], triples.c[rows])

@@ -6,11 +6,8 @@ from collections.abc import Iterable, Mapping
 from fractions import Fraction
 from typing import Any
 
-import numpy as np
-
-from coadjoint.algebra.exact.numbers import exact_number, fraction
-from coadjoint.short_repr import short
-from coadjoint.validation import read_number, reject_lossy_conversion
+from coadjoint.algebra.exact.numbers import fraction, read_exact
+from coadjoint.validation import read_list, reject_lossy_conversion
 
 Number = int | Fraction
 Vector = dict[int, Number]
@@ -19,15 +16,12 @@ Vector = dict[int, Number]
 def read_vector(argument: Any, dim: int, what: str) -> Vector:
     """Return the nonzero components of a vector as exact rational numbers; floats are converted exactly."""
     reject_lossy_conversion(argument, what)
-    if not isinstance(argument, Iterable):
-        raise TypeError(f"{what} is {short(argument)}; it must be a sequence of numbers")
-    values = argument.tolist() if isinstance(argument, np.ndarray) and argument.ndim else list(argument)
+    values = read_list(argument, what, "it must be a sequence of numbers")
     if len(values) != dim:
         raise ValueError(f"{what} must have {dim} components, not {len(values)}")
     vector: Vector = {}
     for i, value in enumerate(values):
-        plain = type(value) in (int, Fraction)
-        number = exact_number(value if plain else read_number(value, f"component {i} of {what}"))
+        number = read_exact(value, f"component {i} of {what}")
         if number:
             vector[i] = number
     return vector

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.validation import read_number
 
 Constant = int | float | Fraction
 
@@ -40,6 +41,13 @@ def exact_number(value: Any) -> Any:
     if isinstance(value, int | Fraction) or not isinstance(value, Rational):
         return value
     return fraction(value)
+
+
+def read_exact(value: Any, what: str) -> int | Fraction:
+    """Validate a real number and return it exactly."""
+    number = read_number(value, what)
+    exact: int | Fraction = exact_number(value if isinstance(value, Rational) else number)
+    return exact
 
 
 def fraction(value: Any) -> int | Fraction:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact.components import connected, parts
+from coadjoint.algebra.exact.components import connected, parts_and_rows, positions
 from coadjoint.algebra.exact.numbers import as_fraction, exact_numbers
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, Integers, groups
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -50,22 +51,20 @@ def jacobi_exact(triples: Triples, integers: NDArray[Any], dim: int) -> bool:
     return True
 
 
-def rational_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return integers in the ratios of the simple fractions that the constants round, or None if there are none."""
+def rational_constants(
+    triples: Triples, dim: int, exact: Callable[[float], Fraction | None] = as_fraction
+) -> NDArray[Any] | None:
+    """Return integers in the ratios of the fractions that `exact` makes of the constants, by default simple ones.
+
+    None if a constant is no such fraction, or if the integers do not fulfil the Jacobi identity exactly.
+    """
     # A common factor changes neither Casimirs nor ranks.
     distinct, inverse = np.unique(triples.c, return_inverse=True)
-    fractions = [as_fraction(value) for value in distinct.tolist()]
+    fractions = [exact(value) for value in distinct.tolist()]
     known = [value for value in fractions if value is not None]
     if len(known) < len(fractions):
         return None
     integers = clear_denominators(known)[inverse]
-    return integers if jacobi_exact(triples, integers, dim) else None
-
-
-def _dyadic_constants(triples: Triples, dim: int) -> NDArray[Any] | None:
-    """Return integers in the exact ratios of the floats if they fulfil the Jacobi identity exactly, else None."""
-    distinct, inverse = np.unique(triples.c, return_inverse=True)
-    integers = clear_denominators([Fraction(value) for value in distinct.tolist()])[inverse]
     return integers if jacobi_exact(triples, integers, dim) else None
 
 
@@ -77,7 +76,7 @@ def generic_rank(triples: Triples, dim: int) -> int:
     """
     integers = rational_constants(triples, dim)
     if integers is None:
-        integers = _dyadic_constants(triples, dim)
+        integers = rational_constants(triples, dim, Fraction)
     if integers is None:
         return numerical_structure_rank(triples, dim)
     return structure_rank(triples.i, triples.j, triples.k, integers, dim)
@@ -144,14 +143,9 @@ def structure_rank(
     rng = np.random.default_rng(seed)
     order, starts = groups(i, j)
     label = connected(dim, i, j)
-    members = [part for part in parts(label) if part.size > 1]
-    local_index = np.zeros(dim, dtype=np.int64)
-    for part in members:
-        local_index[part] = np.arange(part.size)
-    pairs = order[starts]
-    owner, by_block = label[i[pairs]], np.argsort(label[i[pairs]], kind="stable")
-    edges = np.searchsorted(owner[by_block], [part[0] for part in members] + [dim])
-    highest = sum(part.size - part.size % 2 for part in members)
+    position, pairs = positions(label), order[starts]
+    blocks = [(part, block) for part, block in parts_and_rows(label, i[pairs]) if part.size > 1]
+    highest = sum(part.size - part.size % 2 for part, _ in blocks)
     best = 0
     for _ in range(points):
         prime = random_prime(rng)
@@ -159,9 +153,8 @@ def structure_rank(
         products = residues(integers, prime)[order] * x[k[order]]
         entries = np.add.reduceat(products, starts) % prime if order.size else products
         rank = 0
-        for part, begin, end in zip(members, edges[:-1], edges[1:], strict=True):
-            block = by_block[begin:end]
-            first, second = local_index[i[pairs[block]]], local_index[j[pairs[block]]]
+        for part, block in blocks:
+            first, second = position[i[pairs[block]]], position[j[pairs[block]]]
             rank += skew_rank(first, second, entries[block].tolist(), part.size, prime)
         best = max(best, rank)
         if best == highest:
@@ -186,20 +179,16 @@ def numerical_structure_rank(triples: Triples, dim: int) -> int:
     i, j, k, c = triples
     rng = np.random.default_rng(0)
     points = rng.standard_normal((2, dim))
-    local_index = np.zeros(dim, dtype=np.int64)
     label = connected(dim, i, j)
-    order = np.argsort(label[i], kind="stable")
-    owner = label[i][order]
+    position = positions(label)
     total = 0
-    for part in parts(label):
+    for part, rows in parts_and_rows(label, i):
         if part.size == 1:
             continue
-        local_index[part] = np.arange(part.size)
-        rows = order[slice(*np.searchsorted(owner, [part[0], part[0] + 1]))]
         ranks = []
         for x in points:
             matrix = np.zeros((part.size, part.size))
-            np.add.at(matrix, (local_index[i[rows]], local_index[j[rows]]), c[rows] * x[k[rows]])
+            np.add.at(matrix, (position[i[rows]], position[j[rows]]), c[rows] * x[k[rows]])
             matrix -= matrix.T.copy()
             # Frobenius norm for an error of 64 u max |c| in every constant
             size = float(np.abs(c[rows]).max()) * math.sqrt(2.0) * float(np.linalg.norm(x[k[rows]]))

@@ -8,13 +8,12 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
-from numbers import Rational
 from typing import Any
 
 import numpy as np
 
 from coadjoint.algebra.exact.elimination import Span
-from coadjoint.algebra.exact.numbers import exact_number, rounded
+from coadjoint.algebra.exact.numbers import exact_number, read_exact, rounded
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.invariants.invariant import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.lie_algebra import LieAlgebra
@@ -23,7 +22,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import shared
 from coadjoint.short_repr import short
-from coadjoint.validation import read_choice, read_number
+from coadjoint.validation import read_choice
 
 Constants = dict[tuple[int, int], Polynomial]
 
@@ -55,11 +54,7 @@ def read_parameters(name: str, parameters: Mapping[str, Any]) -> dict[str, Numbe
     """Validate the parameters of an algebra and return them exactly; floats are converted exactly."""
     expected = parameters_of(name)
     check_names(name, expected, parameters)
-    values: dict[str, Number] = {}
-    for key in expected:
-        value = parameters[key]
-        number = read_number(value, f"{key} of {name}")
-        values[key] = exact_number(value if isinstance(value, Rational) else number)
+    values = {key: read_exact(parameters[key], f"{key} of {name}") for key in expected}
     condition = entries()[name].get("range")
     if condition is not None and not condition_holds(condition, values):
         shown = ", ".join(f"{key} = {_format_number(value)}" for key, value in values.items())
@@ -95,15 +90,17 @@ def formulas(name: str, parameters: Mapping[str, Number]) -> dict[str, Polynomia
         if "where" in invariant and not condition_holds(invariant["where"], parameters):
             continue
         formula = parse_formula(invariant["formula"], parameters, entry["dim"])
-        if isinstance(formula, int | Fraction):
-            raise ValueError(f"invariant {invariant['formula']!r} of {name} is a constant")
+        key = invariant.get("name")
         if isinstance(formula, LogarithmicSum):
             if formula.period is None:
                 continue
-            if "name" not in invariant and [term.kind for term in formula.terms] == [LOGARITHM]:
+            if key is None and [term.kind for term in formula.terms] == [LOGARITHM]:
                 formula = formula.terms[0].second
-        text = re.sub(r"log\(([^()]*)\)", r"log|\1|", invariant["formula"]).replace("**", "^")
-        result[invariant.get("name", repr(formula) if isinstance(formula, Polynomial) else text)] = formula
+            else:
+                key = key or re.sub(r"log\(([^()]*)\)", r"log|\1|", invariant["formula"]).replace("**", "^")
+        elif formula.degree == 0:
+            raise ValueError(f"invariant {invariant['formula']!r} of {name} is a constant")
+        result[key or repr(formula)] = formula
     return result
 
 

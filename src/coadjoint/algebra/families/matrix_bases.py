@@ -8,10 +8,11 @@ from fractions import Fraction
 import numpy as np
 
 from coadjoint.algebra.constants import Triples, read_basis
-from coadjoint.algebra.exact.sparse_sums import Floats, Integers, chunks, expand, groups
+from coadjoint.algebra.exact.sparse_sums import Floats, Integers, expand, groups
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.algebra.representation import commutator_products
 
 MAX_REPRESENTATION_NUMBERS = 2**24  # in a representation of the catalogue: 128 MB; so(60) has 1770 * 60^2
 MAX_STORED_EXPONENTS = 2**22  # exponents in all the known Casimirs of an algebra: 32 MB; so(60) has 1770^2
@@ -32,24 +33,11 @@ def commutator_constants(basis: Triples, coordinates: Triples, size: int) -> Tri
     """Return the constants of [X_a, X_b] = sum_k c_ab^k X_k for a < b, unique and nonzero, of a sparse `basis`."""
     # Coordinate k of a matrix M is the sum of w_k[r, c] M[r, c], with w_k from `coordinates`. Exact if entries and
     # weights are small multiples of a power of two.
-    by_row, _ = groups(basis.j, basis.i)
-    by_column, _ = groups(basis.k, basis.i)
-    dim = int(basis.i.max(initial=0)) + 1
-    joins: list[tuple[Integers, Integers]] = []
-    # X_a X_b and X_b X_a for b > a: rows of X_b are joined with columns of X_a, then columns of X_b with rows of X_a.
-    for order, outer, middle in ((by_row, basis.j, basis.k), (by_column, basis.k, basis.j)):
-        key = (outer * dim + basis.i)[order]
-        start = np.searchsorted(key, middle * dim + basis.i, side="right")
-        joins.append((start, np.maximum(np.searchsorted(key, (middle + 1) * dim), start)))
     position = coordinates.j * size + coordinates.k
     weights, _ = groups(position)
     position = position[weights]
-    cost = sum(stop - start for start, stop in joins)
     blocks: list[Triples] = []
-    for part in chunks(basis.i, np.asarray(cost, dtype=np.int64)):
-        # p, q: entries of X_a and X_b in X_a X_b; r, s: in X_b X_a
-        (p, q), (r, s) = (expand(start[part], stop[part]) for start, stop in joins)
-        p, r, q, s = p + part.start, r + part.start, by_row[q], by_column[s]
+    for _, (p, q), (r, s) in commutator_products(basis, int(basis.i.max(initial=0)) + 1):
         first = np.concatenate([basis.i[p], basis.i[r]])
         second = np.concatenate([basis.i[q], basis.i[s]])
         target = np.concatenate([basis.j[p] * size + basis.k[q], basis.j[s] * size + basis.k[r]])

@@ -13,7 +13,6 @@ from coadjoint.algebra.exact.sparse_sums import Floats, groups
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, casimirs_fit
 from coadjoint.algebra.invariants.casimirs import embedded
 from coadjoint.algebra.lie_algebra import LieAlgebra, read_algebra
-from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import MAX_CACHED_SIZE, check_available_memory
@@ -160,7 +159,7 @@ def _names_of_copies(g: LieAlgebra, count: int) -> tuple[str, ...]:
 def _casimirs_fit_memory(algebras: Sequence[LieAlgebra], count: int = 1) -> bool:
     """Return whether the Casimirs of all summands, `count` times, are small enough to be stored as polynomials."""
     known = [casimir for algebra in algebras for casimir in algebra.casimirs_known.values()]
-    monomials = sum(len(casimir.monomials) if isinstance(casimir, Polynomial) else 1 for casimir in known)
+    monomials = sum(casimir._term_count for casimir in known)
     return casimirs_fit(monomials * count, sum(algebra.dim for algebra in algebras) * count)
 
 

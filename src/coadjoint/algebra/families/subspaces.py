@@ -120,10 +120,9 @@ def _casimirs(g: LieAlgebra, rows: Sequence[Mapping[int, Number]], dim: int, exa
 
     result: dict[str, Any] = {}
     for name, casimir in g.casimirs_known.items():
-        if len(rows) == dim or isinstance(casimir, Polynomial):
-            form = casimir._transformed(changed)
-            if form is not None and getattr(form, "degree", True):
-                result[name] = form
+        form = casimir._transformed(changed, restricted=len(rows) != dim)
+        if form is not None and getattr(form, "degree", True):
+            result[name] = form
     return result
 
 

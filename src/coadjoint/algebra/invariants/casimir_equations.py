@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact.components import connected, parts
+from coadjoint.algebra.exact.components import connected, parts_and_rows, positions
 from coadjoint.algebra.exact.numbers import rational
 from coadjoint.algebra.exact.ranks import random_prime, rank_from_gap, residues
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, Integers, expand, group_max_abs, groups
@@ -145,18 +145,14 @@ def blocks(linear_equations: CasimirEquations) -> Iterator[tuple[Integers, Casim
     label = connected(linear_equations.unknowns + names.size, columns, linear_equations.unknowns + rows)[
         : linear_equations.unknowns
     ]
-    order = np.argsort(label[columns], kind="stable")
-    owner = label[columns][order]
-    local_index = np.zeros(linear_equations.unknowns, dtype=np.int64)
-    for members in parts(label):
+    position = positions(label)
+    for members, block_rows in parts_and_rows(label, columns):
         if unresolved[members[0]]:
-            local_index[members] = np.arange(members.size)
-            block_rows = order[slice(*np.searchsorted(owner, [members[0], members[0] + 1]))]
             along, target = np.divmod(names[rows[block_rows]], linear_equations.unknowns)
             target = np.unique(target, return_inverse=True)[1].astype(np.int64)
             yield (
                 members,
-                CasimirEquations(members.size, along, target, local_index[columns[block_rows]], values[block_rows]),
+                CasimirEquations(members.size, along, target, position[columns[block_rows]], values[block_rows]),
             )
 
 

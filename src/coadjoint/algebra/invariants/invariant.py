@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +71,9 @@ class Invariant:
             raise ValueError(f"period of an Invariant is {period!r}; it must not be negative")
         object.__setattr__(self, "period", period)
 
-    def _transformed(self, change: Callable[[Polynomial], Polynomial]) -> Any:
+    _term_count: ClassVar[int] = 1
+
+    def _transformed(self, change: Callable[[Polynomial], Polynomial], restricted: bool = False) -> Any:
         """Return None: in other coordinates a function of the user is not known."""
         return None
 
@@ -266,9 +268,11 @@ class LogarithmicInvariant(Invariant):
     def __reduce__(self) -> tuple[Any, ...]:
         return LogarithmicSum.invariant, (self.formula,)  # closures cannot be pickled; the formula can
 
-    def _transformed(self, change: Callable[[Polynomial], Polynomial]) -> LogarithmicInvariant:
-        """Return the same invariant in other coordinates, see `LogarithmicSum.transformed`."""
-        return self.formula.transformed(change).invariant()
+    def _transformed(
+        self, change: Callable[[Polynomial], Polynomial], restricted: bool = False
+    ) -> LogarithmicInvariant | None:
+        """Return the same invariant in other coordinates; None on a subspace, where it may be undefined."""
+        return None if restricted else self.formula.transformed(change).invariant()
 
 
 def _functions(forms: Forms, dim: int) -> tuple[Any, Any]:

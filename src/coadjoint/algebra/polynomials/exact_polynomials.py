@@ -5,18 +5,16 @@ about a point, and polynomials whose coefficients are polynomials in symbols.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from fractions import Fraction
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.exact.numbers import exact_number, exact_numbers, fraction, rational
+from coadjoint.algebra.exact.numbers import exact_numbers, fraction, rational, read_exact
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient, Exponents
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
-from coadjoint.validation import read_number
 
 Exact = Any
 """An element of the ring: `flint.fmpq_mpoly`, with its own +, -, *, / by numbers and ==."""
@@ -156,7 +154,7 @@ class SymbolicPolynomial:
 
     def with_values(self, values: Mapping[str, Coefficient]) -> Polynomial:
         """Substitute numbers (name -> number) for all symbols; exact if values and coefficients are."""
-        numbers = exact_numbers(_exact(values[name], name) for name in self.symbols)
+        numbers = exact_numbers(read_exact(values[name], name) for name in self.symbols)
         monomials = {}
         for exponents, coefficient in self.coefficients.items():
             total = coefficient(numbers)
@@ -197,7 +195,3 @@ class SymbolicPolynomial:
                 term = f"{write({exponents: 1}, names)}{between}({write(coefficient.monomials, self.symbols)})"
             text += (f" - {term[1:]}" if term.startswith("-") else f" + {term}") if text else term
         return text or "0"
-
-
-def _exact(value: Any, name: str) -> Any:
-    return exact_number(value if type(value) in (int, Fraction) else read_number(value, name))

@@ -71,20 +71,26 @@ def summands(node: ast.expr, sign: int = 1) -> Iterator[tuple[int, ast.expr]]:
     """Yield the signed terms of a sum in their order, without recursion."""
     stack = [(sign, node)]
     while stack:
-        sign, node = stack.pop()
-        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub):
-            stack += [(-sign if isinstance(node.op, ast.Sub) else sign, node.right), (sign, node.left)]
-        else:
-            yield sign, node
+        match stack.pop():
+            case sign, ast.BinOp(left, ast.Add(), right):
+                stack += [(sign, right), (sign, left)]
+            case sign, ast.BinOp(left, ast.Sub(), right):
+                stack += [(-sign, right), (sign, left)]
+            case term:
+                yield term
 
 
 def factors(node: ast.expr) -> list[tuple[bool, ast.expr]]:
     """Return the factors of a product in their order, without recursion; True marks those that divide."""
     found = []
-    while isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
-        found.append((isinstance(node.op, ast.Div), node.right))
-        node = node.left
-    return [(False, node), *reversed(found)]
+    while True:
+        match node:
+            case ast.BinOp(node, ast.Mult(), right):
+                found.append((False, right))
+            case ast.BinOp(node, ast.Div(), right):
+                found.append((True, right))
+            case _:
+                return [(False, node), *reversed(found)]
 
 
 class FormulaTree:

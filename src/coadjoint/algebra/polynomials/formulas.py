@@ -10,7 +10,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from coadjoint.algebra.exact.numbers import Constant, checked, is_finite, quotient, too_large
+from coadjoint.algebra.exact.numbers import Constant, checked, exact_number, is_finite, quotient, too_large
 from coadjoint.algebra.invariants.invariant import LogarithmicSum
 from coadjoint.algebra.polynomials.formula_tree import (
     FUNCTIONS,
@@ -21,6 +21,7 @@ from coadjoint.algebra.polynomials.formula_tree import (
     coordinates_and_parameters,
     factors,
     names_and_parameters,
+    read_dimension,
     summands,
 )
 from coadjoint.algebra.polynomials.monomials import Exponents
@@ -30,7 +31,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 Number = int | Fraction
-Formula = Number | Polynomial | LogarithmicSum
+Formula = Polynomial | LogarithmicSum
 
 MAX_TERMS = 10_000
 """Terms of one product that is multiplied out."""
@@ -65,6 +66,14 @@ def parse_polynomial(
     return Expansion(tree, dim).polynomial()
 
 
+def read_polynomial(
+    text: str, dim: int | None, basis: Sequence[str] | None, parameters: Mapping[str, Any] | None
+) -> tuple[Mapping[Exponents, Constant], int]:
+    """Parse a polynomial in `dim` coordinates or in those named by `basis`: its monomials, and their dimension."""
+    count = read_dimension(text, dim, basis)
+    return parse_polynomial(text, count, None if basis is None else tuple(basis), parameters).monomials, count
+
+
 def parse_formula(text: str, parameters: Mapping[str, Number], dim: int, letter: str = "x") -> Formula:
     """Parse a formula of the catalogue in exact arithmetic; ``log(p)`` is log|p|; `letter` names coordinates."""
     tree = FormulaTree(text, names_and_parameters(text, dim, letter, parameters), ("log", "atan2"), _EXACT_NOTATION)
@@ -83,13 +92,15 @@ def condition_holds(text: str, parameters: Mapping[str, Number]) -> bool:
     ((_, node),) = tree.terms
 
     def holds(node: ast.expr) -> bool:
-        if isinstance(node, ast.BoolOp):
-            parts = [holds(part) for part in node.values]
-            return any(parts) if isinstance(node.op, ast.Or) else all(parts)
-        if not isinstance(node, ast.Compare):
-            raise tree.refused(f"is no condition; {notation}")
-        sides = [expansion.of(side) for side in (node.left, *node.comparators)]
-        return all(_COMPARISONS[type(sign)](*pair) for sign, pair in zip(node.ops, pairwise(sides), strict=True))
+        match node:
+            case ast.BoolOp(ast.Or(), parts):
+                return any([holds(part) for part in parts])
+            case ast.BoolOp(ast.And(), parts):
+                return all([holds(part) for part in parts])
+            case ast.Compare(left, signs, others):
+                sides = [expansion.of(side) for side in (left, *others)]
+                return all(_COMPARISONS[type(sign)](*pair) for sign, pair in zip(signs, pairwise(sides), strict=True))
+        raise tree.refused(f"is no condition; {notation}")
 
     return holds(node)
 
@@ -124,15 +135,9 @@ class Expansion:
         """Return the value of the whole formula, a number as a constant polynomial."""
         return self._multiplied_out(self._sum(self.tree.terms))
 
-    def value(self) -> Any:
-        """Return the value of the whole formula."""
-        return self._number_or_polynomial(self._sum(self.tree.terms))
-
     def of(self, node: ast.expr) -> Any:
-        """Return the value of a part of the formula."""
-        return self._number_or_polynomial(self._node(node))
-
-    def _number_or_polynomial(self, value: Monomial | Polynomial) -> Any:
+        """Return the value of a part of the formula: a number, or a polynomial."""
+        value = self._node(node)
         number = number_of(value)
         return self._multiplied_out(value) if number is None else number
 
@@ -158,7 +163,7 @@ class Expansion:
             case ast.Call(func=ast.Name(id=name)):
                 return self.call(name, [self._node(argument) for argument in node.args])
             case ast.BinOp(op=ast.Pow()):
-                return self._power(self._node(node.left), self.of(node.right))
+                return self._power(self._node(node.left), self._node(node.right))
             case ast.BinOp(op=ast.Mult() | ast.Div()):
                 return self._product(node)
         return self._sum(summands(node))
@@ -214,16 +219,14 @@ class Expansion:
         if self._work > MAX_WORK:
             raise self.tree.refused(f"has more than {MAX_WORK // (self.dim + 8)} products when it is multiplied out")
 
-    def _power(self, base: Monomial | Polynomial, power: Any) -> Monomial | Polynomial:
-        if isinstance(power, float) and power.is_integer():
-            power = int(power)
-        number = number_of(base)
-        if number is not None and not isinstance(power, Polynomial):
+    def _power(self, base: Monomial | Polynomial, exponent: Monomial | Polynomial) -> Monomial | Polynomial:
+        number, given = number_of(base), number_of(exponent)
+        power = exact_number(given)
+        if number is not None and given is not None:
             return Monomial(self.power_of_number(number, power), {})
         if not isinstance(power, int) or power < 0:
-            raise self.not_polynomial(
-                f"has the power {in_one_line(str(power), MAX_QUOTED)}; powers are whole numbers from 0 up"
-            )
+            shown = in_one_line(str(self._multiplied_out(exponent) if given is None else given), MAX_QUOTED)
+            raise self.not_polynomial(f"has the power {shown}; powers are whole numbers from 0 up")
         self._check_size(base.degree * power)
         if isinstance(base, Monomial):
             number = self.power_of_number(base.number, power) if base.number != 1 else 1
@@ -284,8 +287,6 @@ class ExactExpansion(Expansion):
     def value(self) -> Any:
         """Return the value of the whole formula."""
         value = self._sum(self.tree.terms)
-        if (number := number_of(value)) is not None:
-            return number
         total = LogarithmicSum(self._coordinates, ())
         rest: dict[Exponents, Constant] = {}
         for exponents, coefficient in self._multiplied_out(value).monomials.items():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import exact_number, exact_numbers, is_finite
 from coadjoint.short_repr import short
-from coadjoint.validation import is_integer, read_integer
+from coadjoint.validation import is_integer, is_real, read_integer
 
 Coefficient = int | float | Fraction
 Exponents = tuple[int, ...]
@@ -63,9 +63,9 @@ def factors_of(exponents: Exponents) -> list[int]:
 
 def read_coefficient(value: Any, what: str) -> Coefficient:
     """Validate a coefficient and return it as int, float or Fraction."""
-    if isinstance(value, bool | np.timedelta64) or not isinstance(value, Rational | float | np.floating):
+    if not (is_real(value) and isinstance(value, Rational | float | np.floating)):
         raise TypeError(f"{what} must be an int, float or Fraction, not {short(value)}")
-    number: Coefficient = float(value) if isinstance(value, float | np.floating) else exact_number(value)
+    number: Coefficient = exact_number(value) if isinstance(value, Rational) else float(value)
     if not is_finite(number):
         raise ValueError(f"{what} is {short(value)}; it must be finite and within float64")
     return number

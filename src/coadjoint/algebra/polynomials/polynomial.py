@@ -5,7 +5,6 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from numbers import Rational
 from types import MappingProxyType
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import is_finite, quotient
-from coadjoint.algebra.polynomials.formula_tree import BYTES_PER_EXPONENT, read_dimension
+from coadjoint.algebra.polynomials.formula_tree import BYTES_PER_EXPONENT
 from coadjoint.algebra.polynomials.monomials import (
     Coefficient,
     Exponents,
@@ -35,7 +34,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import plain as plain_form
 from coadjoint.short_repr import short
-from coadjoint.validation import read_integer, to_array
+from coadjoint.validation import is_real, read_integer, to_array
 
 # Values beyond float64 become infinite without a warning.
 IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
@@ -94,7 +93,9 @@ class Polynomial:
         parameters: Mapping[str, Any] | None = None,
     ) -> None:
         if isinstance(monomials, str):
-            monomials, dim = _read_text(monomials, dim, basis, parameters)
+            from coadjoint.algebra.polynomials.formulas import read_polynomial
+
+            monomials, dim = read_polynomial(monomials, dim, basis, parameters)
             if basis is not None:
                 self._names = special_names(tuple(basis))
         elif basis is not None or parameters is not None:
@@ -165,9 +166,13 @@ class Polynomial:
             self._renamed = renamed
         return self._renamed
 
-    def _transformed(self, change: Callable[[Polynomial], Polynomial]) -> Polynomial:
-        """Return what `change` makes of it, the same function in other coordinates."""
+    def _transformed(self, change: Callable[[Polynomial], Polynomial], restricted: bool = False) -> Polynomial:
+        """Return what `change` makes of it, the same function in other coordinates or `restricted` to a subspace."""
         return change(self)
+
+    @property
+    def _term_count(self) -> int:
+        return len(self._monomials)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name != "_renamed"}
@@ -225,7 +230,7 @@ class Polynomial:
             if other._dim != self._dim:
                 raise ValueError(f"polynomials in {self._dim} and in {other._dim} coordinates cannot be combined")
             return other
-        if isinstance(other, Rational | float) and not isinstance(other, bool | np.timedelta64):
+        if is_real(other):
             return Polynomial({(0,) * self._dim: read_coefficient(other, "constant")})
         return None
 
@@ -264,7 +269,7 @@ class Polynomial:
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: Coefficient) -> Polynomial:
-        if not isinstance(divisor, Rational | float) or isinstance(divisor, bool | np.timedelta64):
+        if not is_real(divisor):
             return NotImplemented
         number = read_coefficient(divisor, "the divisor of a Polynomial")
         if number == 0:
@@ -381,16 +386,6 @@ class Polynomial:
         """
         check_available_memory(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
-
-
-def _read_text(
-    text: str, dim: int | None, basis: Sequence[str] | None, parameters: Mapping[str, Any] | None
-) -> tuple[Mapping[Exponents, Coefficient], int]:
-    """Parse text to monomials and the number of coordinates."""
-    from coadjoint.algebra.polynomials.formulas import parse_polynomial
-
-    count = read_dimension(text, dim, basis)
-    return parse_polynomial(text, count, None if basis is None else tuple(basis), parameters).monomials, count
 
 
 @plain_form.register(Polynomial)

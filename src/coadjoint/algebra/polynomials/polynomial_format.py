@@ -56,14 +56,14 @@ def plain(monomials: Monomials, names: Sequence[str]) -> str:
     >>> plain({(2, 0): 0.5, (1, 1): -1}, ["x", "y"])
     '0.5*x^2 - x*y'
     """
-    return _format_sum(monomials, names, "{0}^{1}", "*", _plain_size)
+    return _format_sum(monomials, names, "{0}^{1}", "*", "({0}/{1})", str)
 
 
 def latex(monomials: Monomials, names: Sequence[str]) -> str:
     """Format a polynomial as LaTeX, without dollar signs."""
     factors = [latex_name(name) for name in names]
     braced = [f"{{{factor}}}" if "^" in factor else factor for factor in factors]
-    return _format_sum(monomials, braced, "{0}^{{{1}}}", " ", _latex_size)
+    return _format_sum(monomials, braced, "{0}^{{{1}}}", " ", r"\frac{{{0}}}{{{1}}}", _latex_number)
 
 
 GREEK = ("alpha", "beta", "gamma", "theta", "phi", "psi", "omega", "mu", "rho", "sigma")
@@ -120,25 +120,25 @@ def _readable(value: Coefficient) -> Coefficient:
 
 
 def _format_sum(
-    monomials: Monomials, names: Sequence[str], power: str, separator: str, size_of: Callable[[Coefficient], str]
+    monomials: Monomials,
+    names: Sequence[str],
+    power: str,
+    separator: str,
+    quotient: str,
+    number: Callable[[Coefficient], str],
 ) -> str:
     text = ""
     for exponents, value in monomials.items():
         factors = [name if e == 1 else power.format(name, e) for name, e in zip(names, exponents, strict=True) if e]
         size: Any = abs(value)
         if size != 1 or not factors:
-            factors.insert(0, size_of(size))
+            is_quotient = isinstance(size, Fraction) and size.denominator != 1
+            factors.insert(0, quotient.format(size.numerator, size.denominator) if is_quotient else number(size))
         sign = ("-" if value < 0 else "") if not text else (" - " if value < 0 else " + ")
         text += sign + separator.join(factors)
     return text or "0"
 
 
-def _plain_size(size: Coefficient) -> str:
-    return f"({size})" if isinstance(size, Fraction) and size.denominator != 1 else f"{size}"
-
-
-def _latex_size(size: Coefficient) -> str:
-    if isinstance(size, Fraction) and size.denominator != 1:
-        return rf"\frac{{{size.numerator}}}{{{size.denominator}}}"
+def _latex_number(size: Coefficient) -> str:
     digits, _, exponent = f"{size}".partition("e")
     return rf"{digits} \times 10^{{{int(exponent)}}}" if exponent else digits
