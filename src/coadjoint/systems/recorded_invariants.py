@@ -156,7 +156,7 @@ def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product,
     for x in points:
         for t in TIMES if H.timed else TIMES[:1]:
             force = evaluate(lambda y, t=t: H.gradient(y, t), x, False)
-            if isinstance(force, Exception) or not np.all(np.isfinite(force)):
+            if force is None or not np.all(np.isfinite(force)):
                 continue
             bound, work = np.abs(force), 2**20
             if hasattr(H, "gradient_and_size"):

@@ -71,9 +71,6 @@ class Force(metaclass=ExplainedCalls):
     random: ClassVar[bool] = False
     """Whether it is random, and therefore has no field."""
 
-    is_constant_torque: ClassVar[bool] = False
-    """Whether it is a constant `torque`, which may be an input of runs."""
-
     uses_energy: ClassVar[bool] = True
     """Whether its flow may depend on the Hamiltonian or another parameter of the system."""
 
@@ -89,6 +86,11 @@ class Force(metaclass=ExplainedCalls):
     def label(self) -> str:
         """Name in balances and messages."""
         return type(self).__name__
+
+    @property
+    def is_constant_torque(self) -> bool:
+        """Whether it is a constant `torque`, which may be an input of runs."""
+        return False
 
     def __repr__(self) -> str:
         return record_repr(self) if is_dataclass(self) else self.label

@@ -224,7 +224,7 @@ class Torque(StateTorque):
             set_fields(self, torque=read_state(self.torque, "the torque"))
 
     @property
-    def is_constant_torque(self) -> bool:  # type: ignore[override]
+    def is_constant_torque(self) -> bool:
         """Whether the torque is no function."""
         return not callable(self.torque)
 
