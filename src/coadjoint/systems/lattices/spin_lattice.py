@@ -30,8 +30,8 @@ from coadjoint.systems.lattices.coupling_matrix import coefficients_of_spins, co
 from coadjoint.systems.lattices.dipolar import dipolar_energy
 from coadjoint.systems.lattices.geometry import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.recorded_invariants import KnownInvariants
 from coadjoint.systems.registry import ready_made
+from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import as_tuples, read_finite, to_array
 
