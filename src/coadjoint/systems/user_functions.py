@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 import types
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,13 @@ def without_multiples(function: Any) -> tuple[Any, list[MultipleOf]]:
         multiples.insert(0, function)
         function = function.function
     return function, multiples
+
+
+def with_multiples(function: Any, multiples: Sequence[MultipleOf]) -> Any:
+    """Return a function multiplied as `without_multiples` found it."""
+    for one in multiples:
+        function = replace(one, function=function)
+    return function
 
 
 @dataclass(frozen=True)
