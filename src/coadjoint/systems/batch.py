@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import of
-from coadjoint.systems.lie_poisson import LiePoissonSystem
+from coadjoint.systems.lie_poisson import LiePoissonSystem, known_or_found_casimirs
 from coadjoint.systems.poisson import PoissonSystem
-from coadjoint.systems.recorded_invariants import known_or_found_casimirs
 from coadjoint.systems.system import System
 from coadjoint.validation import read_list
 

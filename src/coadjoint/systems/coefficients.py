@@ -15,7 +15,7 @@ from coadjoint.algebra.polynomials.monomials import factors_of
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.hamiltonians.summable import Summable, no_linear_term
-from coadjoint.systems.hamiltonians.terms import PolynomialTerm
+from coadjoint.systems.hamiltonians.terms import built_in
 from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
@@ -137,18 +137,18 @@ def coefficients_of(system: Any) -> EnergyCoefficients:
         codes.append(encoded(first, second))
         values.append(np.asarray(numbers, dtype=np.float64))
 
-    for term in system.hamiltonian.terms():
+    for term in built_in(system.hamiltonian.terms()):
         add(np.array([-1]), np.array([-1]), [term.constant])
-        if term.form is not None:
-            i = np.flatnonzero(term.form.linear)
-            add(np.full(len(i), -1), i, term.form.linear[i])
-            i, j = term.form.rows, term.form.indices
+        form, polynomial = term.form, term.to_polynomial() if term.form is None else None
+        if form is not None:
+            i = np.flatnonzero(form.linear)
+            add(np.full(len(i), -1), i, form.linear[i])
+            i, j = form.rows, form.indices
             upper = i <= j
-            i, j, numbers = i[upper], j[upper], term.form.values[upper]
+            i, j, numbers = i[upper], j[upper], form.values[upper]
             add(i, j, np.where(i == j, 0.5 * numbers, numbers))
-        elif isinstance(term, PolynomialTerm):
-            numbers = {exponents: float(value) for exponents, value in term.polynomial.monomials.items()}
-            low, high = _by_degree(numbers)
+        elif polynomial is not None:
+            low, high = _by_degree({exponents: float(one) for exponents, one in polynomial.monomials.items()})
             codes.append(low[0])
             values.append(np.asarray(low[1], dtype=np.float64))
             others |= {key: others.get(key, 0.0) + value for key, value in high.items()}

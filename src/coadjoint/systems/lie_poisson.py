@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
@@ -20,13 +23,55 @@ from coadjoint.systems.evaluation import ProductSums, scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.recorded_invariants import known_or_found_casimirs, read_casimirs, read_integrals
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import read_closed_form, read_layout, read_name, read_parameters, read_sign
+from coadjoint.systems.system_checks import (
+    read_casimirs,
+    read_closed_form,
+    read_integrals,
+    read_layout,
+    read_name,
+    read_parameters,
+    read_sign,
+)
 from coadjoint.systems.vanishing_products import Products, field_products
 from coadjoint.validation import set_fields
 
 BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
+
+
+# Systems search for Casimirs automatically up to this number of monomials times constants per coordinate, which takes
+# a fraction of a second.
+MAX_SEARCH_SIZE = 5000
+MAX_SEARCH_DEGREE = 4
+
+# Algebras are immutable and compare by value, so a scan over Hamiltonians searches once.
+_CASIMIR_CACHE: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDictionary()
+
+
+def known_or_found_casimirs(algebra: LieAlgebra) -> Mapping[str, Any]:
+    """Return the known Casimirs of an algebra or, if some are missing, those of a quick search."""
+    known = algebra.casimirs_known
+    constants = len(algebra.triples.c)
+    # A nonzero bracket has rank at least two.
+    if constants == 0 or (known and len(known) >= algebra.dim - 2):
+        return known
+    degree = max(
+        (d for d in range(1, MAX_SEARCH_DEGREE + 1) if _search_size(algebra.dim, d, constants) <= MAX_SEARCH_SIZE),
+        default=0,
+    )
+    if degree < 2 or (known and len(known) >= algebra.dim - algebra.generic_rank()):
+        return known
+    if algebra not in _CASIMIR_CACHE:
+        try:
+            _CASIMIR_CACHE[algebra] = algebra.casimirs(degree)
+        except ValueError:  # undecidable with rounded constants
+            _CASIMIR_CACHE[algebra] = {}
+    casimirs = _CASIMIR_CACHE[algebra]
+    return casimirs if len(casimirs) > len(known) else known
+
+
+def _search_size(dim: int, degree: int, constants: int) -> float:
+    return math.comb(dim + degree - 1, degree) * max(1.0, constants / dim)
 
 
 @suggest_keywords

@@ -14,9 +14,15 @@ from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
-from coadjoint.systems.recorded_invariants import read_casimirs
 from coadjoint.systems.system import System
-from coadjoint.systems.system_checks import check_structure, read_closed_form, read_name, read_parameters, read_sign
+from coadjoint.systems.system_checks import (
+    check_structure,
+    read_casimirs,
+    read_closed_form,
+    read_name,
+    read_parameters,
+    read_sign,
+)
 from coadjoint.systems.user_functions import check_derivative, takes_time
 from coadjoint.validation import read_integer, set_fields
 

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
-from coadjoint.systems.description import system_table
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force, forces_on, forces_text, labels_of
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
@@ -393,4 +392,6 @@ class System:
         return f"<{self.name}: {self.hamiltonian!r}>"
 
     def _repr_html_(self) -> str:
+        from coadjoint.systems.description import system_table
+
         return system_table(self, **({"forces": forces_text(self.forces)} if self.forces else {}))

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.systems.hamiltonians.terms import Term, built_in
-from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.recorded_invariants import known_or_found_casimirs
+from coadjoint.systems.lie_poisson import LiePoissonSystem, known_or_found_casimirs
 from coadjoint.systems.vanishing_products import without_cancelling
 
 Floats = NDArray[np.float64]

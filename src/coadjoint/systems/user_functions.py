@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 import types
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -60,6 +60,13 @@ def without_multiples(function: Any) -> tuple[Any, list[MultipleOf]]:
         multiples.insert(0, function)
         function = function.function
     return function, multiples
+
+
+def with_multiples(function: Any, multiples: Sequence[MultipleOf]) -> Any:
+    """Return a function multiplied as `without_multiples` found it."""
+    for one in multiples:
+        function = replace(one, function=function)
+    return function
 
 
 @dataclass(frozen=True)
@@ -193,8 +200,10 @@ def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
     return [draw[0] * signs, draw[1], 0.125 * draw[2], 1.0 + 7.0 * draw[3]] if count > 1 else [draw[0] * signs]
 
 
-def evaluate(function: Callable[..., Any], x: Any, timed: bool, *, convert: bool = True) -> Any:
-    """Return the value of a function at a sample point, or its exception: the point may lie outside its domain."""
+def evaluate(
+    function: Callable[..., Any], x: Any, timed: bool, *, convert: bool = True, failures: list[Exception] | None = None
+) -> Any:
+    """Return the value of a function at a sample point; None if it fails there, which may lie outside its domain."""
     with np.errstate(all="ignore"):
         try:
             result = function(x, SAMPLE_TIME) if timed else function(x)
@@ -202,7 +211,9 @@ def evaluate(function: Callable[..., Any], x: Any, timed: bool, *, convert: bool
                 raise TypeError("it returns None")
             return np.asarray(result, dtype=np.float64) if convert else result
         except (ArithmeticError, ValueError, TypeError, IndexError) as reason:
-            return reason
+            if failures is not None:
+                failures.append(reason)
+            return None
 
 
 def check_derivative(
@@ -218,11 +229,13 @@ def check_derivative(
     # The difference of the central differences for steps e and e/2 estimates 3/4 of the truncation error; round-off is
     # u |f| / e. Factors 16 and 2^10 allow for higher orders and a loss of ten bits. Non-finite points are skipped.
     evaluated, failure = False, ""
+    failures: list[Exception] = []
     for x in sample_points(1 if n is None else n):
         argument = x if n is not None else float(x[0])
-        value, slope = evaluate(function, argument, timed), evaluate(derivative, argument, timed)
-        if isinstance(value, Exception) or isinstance(slope, Exception):
-            failure = f"{names[0]}: {value}" if isinstance(value, Exception) else f"{names[1]}: {slope}"
+        value, slope = (evaluate(one, argument, timed, failures=failures) for one in (function, derivative))
+        if value is None or slope is None:
+            failure = f"{names[0] if value is None else names[1]}: {failures[0]}"
+            failures.clear()
             continue
         evaluated = True
         for name, result, shape in zip(names, (value, slope), shapes, strict=True):
@@ -252,7 +265,7 @@ def _compare(
             evaluate(function, end if n is not None else float(end[0]), timed)
             for end in (x + h * direction, x - h * direction)
         )
-        if isinstance(right, Exception) or isinstance(left, Exception):
+        if right is None or left is None:
             return
         size = max(size, np.abs(right).max(initial=0.0), np.abs(left).max(initial=0.0))
         differences.append((right - left) / (2.0 * h))

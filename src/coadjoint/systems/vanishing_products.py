@@ -289,15 +289,16 @@ def _gradient_monomials(
     term: QuadraticTerm | PolynomialTerm, columns: Collection[int]
 ) -> dict[int, list[GradientTerm]] | None:
     """Return the monomials of components of the gradient of a polynomial; None if there are too many."""
-    if isinstance(term, PolynomialTerm):
-        if len(term.polynomial.monomials) * term.polynomial.dim > MAX_MONOMIALS:
-            return None
-        return derivatives_of(term.polynomial, range(term.polynomial.dim))
+    form = term.form
+    if form is None:
+        polynomial = term.to_polynomial()
+        few = len(polynomial.monomials) * polynomial.dim <= MAX_MONOMIALS
+        return derivatives_of(polynomial, range(polynomial.dim)) if few else None
     found: dict[int, list[GradientTerm]] = {}
     for k in columns:
-        row = slice(int(term.indptr[k]), int(term.indptr[k + 1]))
-        pairs = zip(term.indices[row].tolist(), term.values[row].tolist(), strict=True)
+        row = slice(int(form.indptr[k]), int(form.indptr[k + 1]))
+        pairs = zip(form.indices[row].tolist(), form.values[row].tolist(), strict=True)
         found[k] = [(None, (i,), value) for i, value in pairs]
-        if term.linear[k]:
-            found[k].append((None, (), float(term.linear[k])))
+        if form.linear[k]:
+            found[k].append((None, (), float(form.linear[k])))
     return found

@@ -13,7 +13,7 @@ from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.recorded_invariants import KnownInvariants
+from coadjoint.systems.system_checks import KnownInvariants
 
 PER_BODY = 12  # L, and the three space axes seen from the body
 AXES = ("X", "Y", "Z")

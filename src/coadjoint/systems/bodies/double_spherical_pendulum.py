@@ -69,7 +69,7 @@ def double_spherical_pendulum(
     LiePoissonSystem
         State: ``(q_1, q_2, p_1, p_2, 1)``, 13 numbers, q_1 = u_1, q_2 = u_2, and ``p_1 = a u_1' + c u_2'``, ``p_2 = b
         u_2' + c u_1'`` (angular momentum), up to components along q;
-        ``coadjoint.systems.canonical_state`` assembles it. Casimir: ``"z"``, which is 1. Integrals, all
+        ``co.systems.canonical_state`` assembles it. Casimir: ``"z"``, which is 1. Integrals, all
         quadratic: ``"|q1|^2"``, ``"q1.p1"``, the same of q2 and p2, and the vertical component ``"total L3"`` of the
         angular momentum, or all three components without gravity.
 

@@ -101,7 +101,7 @@ def decorated_particles(
     -------
     LiePoissonSystem
         State: ``(q_1, ..., q_n, p_1, ..., p_n, 1, x20_1, x11_1, x02_1, x20_2, ...)``, as
-        ``coadjoint.systems.canonical_state(q, p, x)`` makes it. The 1 is the central coordinate z. Casimirs:
+        ``co.systems.canonical_state(q, p, x)`` makes it. The 1 is the central coordinate z. Casimirs:
         z and the squared emittance x20 x02 - x11^2 of each particle. Integrals: the total momentum if there is no
         external potential, and the energy of the centre of mass if it is ``(0, 0, k)``. ``exact(x0, t)`` if both
         potentials are at most quadratic. Functions are not stored in ``parameters``.

@@ -23,8 +23,8 @@ from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summa
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import (
     TracingError,
-    picklable_function,
-    restored_function,
+    picklable_state,
+    restore_state,
     traced,
 )
 from coadjoint.systems.hamiltonians.user_hamiltonian import (
@@ -195,12 +195,7 @@ class Hamiltonian(Summable):
         result._loop_value, result._gradient, result._hessian = functions
         return result
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes, with derived functions as their source text."""
-        return {name: picklable_function(value) for name, value in vars(self).items()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update({name: restored_function(value) for name, value in state.items()})
+    __getstate__, __setstate__ = picklable_state, restore_state
 
     def __copy__(self) -> Self:
         result = object.__new__(type(self))
@@ -365,12 +360,13 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[st
             return Quadratic.from_polynomial(H)
         return _quadratic(H, tuple(map(type, H.monomials.values())))
     # A Quadratic is one, and the test of a protocol takes much of the time to make a small system.
-    if isinstance(H, type) or not (type(H) is Quadratic or isinstance(H, HamiltonianLike)):
+    is_class = isinstance(H, type)
+    if is_class or not (type(H) is Quadratic or isinstance(H, HamiltonianLike)):
         missing = [name for name in REQUIRED_ATTRIBUTES if not hasattr(H, name)]
         if is_plain_function(H):
             return Hamiltonian(H).bind(n)
-        what = f"the class {H.__name__}" if isinstance(H, type) else f"a {type(H).__name__}"
-        is_incomplete = not isinstance(H, type) and 0 < len(missing) < len(REQUIRED_ATTRIBUTES) - 1
+        what = f"the class {H.__name__}" if is_class else f"a {type(H).__name__}"
+        is_incomplete = not is_class and 0 < len(missing) < len(REQUIRED_ATTRIBUTES) - 1
         hint = f" (as a user-defined Hamiltonian it lacks {', '.join(missing)})" if is_incomplete else ""
         raise TypeError(
             f"the Hamiltonian is {what}; give a Quadratic, Polynomial, Separable, SplitHamiltonian or Hamiltonian, "

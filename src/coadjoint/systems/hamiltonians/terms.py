@@ -14,7 +14,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, polynomial_of_entries, rows_of, starts_of_rows
-from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
+from coadjoint.systems.hamiltonians.traced_function import picklable_state, restore_state
 
 
 class Term(Protocol):
@@ -336,12 +336,7 @@ class FunctionTerm:
     form: ClassVar[None] = None
     multiplications: ClassVar[int] = 0
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes, with derived functions as their source text."""
-        return {name: picklable_function(value) for name, value in vars(self).items()}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update({name: restored_function(value) for name, value in state.items()})
+    __getstate__, __setstate__ = picklable_state, restore_state
 
     @property
     def differentiable(self) -> bool:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import hashlib
 import linecache
 import math
-from collections.abc import Callable, Collection, Container, Iterable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
-from coadjoint.systems.user_functions import MultipleOf, without_multiples
+from coadjoint.systems.user_functions import with_multiples, without_multiples
 from coadjoint.validation import is_real
 
 DERIVED_MODULE = "derived_by_coadjoint"
@@ -191,29 +192,28 @@ def _defined(source: str) -> Callable[..., Any]:
     return function
 
 
-class PicklableFunction(NamedTuple):
-    """A derived function as its source text, for pickling."""
-
-    source: str
-    multiples: tuple[tuple[int | float, bool], ...]
-
-
 def picklable_function(function: Any) -> Any:
-    """Return a derived function, or a multiple of one, in a form that can be pickled; anything else unchanged."""
+    """Return a derived function, or a multiple of one, as a call with its source text; anything else unchanged."""
     inner, multiples = without_multiples(function)
     if getattr(inner, "__module__", None) != DERIVED_MODULE:
         return function
-    return PicklableFunction(inner.__globals__["__source__"], tuple((one.factor, one.scalar) for one in multiples))
+    return with_multiples(partial(_defined, inner.__globals__["__source__"]), multiples)
 
 
 def restored_function(function: Any) -> Any:
     """Return the function of `picklable_function`."""
-    if not isinstance(function, PicklableFunction):
-        return function
-    restored: Any = _defined(function.source)
-    for factor, scalar in function.multiples:
-        restored = MultipleOf(restored, factor, scalar)
-    return restored
+    inner, multiples = without_multiples(function)
+    return with_multiples(inner(), multiples) if getattr(inner, "func", None) is _defined else function
+
+
+def picklable_state(instance: Any) -> dict[str, Any]:
+    """Return the attributes of an object, with derived functions as their source text: its `__getstate__`."""
+    return {name: picklable_function(value) for name, value in vars(instance).items()}
+
+
+def restore_state(instance: Any, state: Mapping[str, Any]) -> None:
+    """Set the attributes of `picklable_state`: the `__setstate__` of an object."""
+    vars(instance).update({name: restored_function(value) for name, value in state.items()})
 
 
 def _operand(value: Any) -> Any:
@@ -254,9 +254,9 @@ def _folded(operation: str, a: Any, b: Any) -> Any:
 def _binary(operation: str, swapped: bool = False) -> Callable[[Traced, Any], Any]:
     def apply(self: Traced, other: Any) -> Any:
         """Record the operation."""
-        if isinstance(other, np.ndarray) and other.ndim:
-            return NotImplemented
         if isinstance(other, np.ndarray):
+            if other.ndim:
+                return NotImplemented
             other = other.item()
         other = _operand(other)
         a, b = (other, self) if swapped else (self, other)

@@ -23,8 +23,8 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lattices.couplings import coefficients_of_spins, coupled_spins, dipolar_energy, driving_field
 from coadjoint.systems.lattices.geometry import graph
 from coadjoint.systems.lie_poisson import LiePoissonSystem
-from coadjoint.systems.recorded_invariants import KnownInvariants
 from coadjoint.systems.registry import ready_made
+from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_finite
 
 Floats = npt.NDArray[np.float64]
