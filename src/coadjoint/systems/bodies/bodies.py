@@ -9,13 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.bodies.attitude_algebra import (
-    PER_BODY,
-    axis_products,
-    bodies_algebra,
-    central_coordinate,
-    momentum_in_space,
-)
+from coadjoint.systems.bodies.body import axis_products, bodies_algebra, central_coordinate, momentum_in_space
 from coadjoint.systems.bodies.body_systems import (
     Bodies,
     joined,
@@ -26,7 +20,7 @@ from coadjoint.systems.bodies.body_systems import (
     read_vectors,
 )
 from coadjoint.systems.bodies.inertia import BodyInertia, inverse_of_moving, read_in_range, read_inertias
-from coadjoint.systems.forces.torque import SAMPLE_ATTITUDE
+from coadjoint.systems.forces.torque import PER_BODY, SAMPLE_ATTITUDE
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

@@ -11,8 +11,8 @@ from coadjoint.algebra.representation import ORTHOGONALITY, is_rotation, matrice
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.attitude_algebra import PER_BODY
 from coadjoint.systems.bodies.inertia import NO_ROTORS, BodyInertia, Rotors, without_wheels
+from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
 from coadjoint.validation import read_bool, read_choice, read_finite, read_numbers, set_fields

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
 from coadjoint.systems.bodies.bodies import (
     BodiesSystem,
     inertial_parameters,
@@ -17,6 +16,7 @@ from coadjoint.systems.bodies.bodies import (
     read_masses,
     system_of_bodies,
 )
+from coadjoint.systems.bodies.body import momentum_in_space
 from coadjoint.systems.bodies.inertia import anisotropic_part, read_in_range, read_inertias
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants

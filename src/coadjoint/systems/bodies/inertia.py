@@ -29,11 +29,16 @@ MIN_MOMENT = 2.0**-1022  # smallest normal number: below it the inverse overflow
 
 def read_inertia(inertia: npt.ArrayLike, what: str = "inertia") -> npt.NDArray[np.float64]:
     """Return positive principal moments, (3,), or a tensor, (3, 3), which `inverse_of` finds positive definite."""
+    array = _read_moments_or_tensor(inertia, what)
+    return positive_moments(array, what) if array.ndim == 1 else array
+
+
+def _read_moments_or_tensor(inertia: Any, what: str) -> npt.NDArray[np.float64]:
     array = read_numbers(inertia, what)
     if array.shape not in ((3,), (3, 3)):
         raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
     check_finite(array, what)
-    return positive_moments(array, what) if array.ndim == 1 else array
+    return array
 
 
 def read_vector(values: npt.ArrayLike, what: str, n: int = 3) -> npt.NDArray[np.float64]:
@@ -220,10 +225,7 @@ def anisotropic_part(tensor: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def read_body_inertia(inertia: Any, what: str = "inertia") -> BodyInertia:
     """Validate principal moments or a tensor; the moment along a rod, and all those of a point, may be zero."""
-    array = read_numbers(inertia, what)
-    if array.shape not in ((3,), (3, 3)):
-        raise ValueError(f"{what} has shape {array.shape}; give three principal moments, or a symmetric (3, 3)")
-    check_finite(array, what)
+    array = _read_moments_or_tensor(inertia, what)
     if not array.any():
         return BodyInertia(as_tuples(array), np.zeros((3, 3)), np.zeros(3), np.zeros((3, 3)))
     inverse, rotating = (_inverse_moments if array.ndim == 1 else _inverse_tensor)(array, what)

@@ -113,6 +113,15 @@ class ClassicalBody(LiePoissonSystem):
         return np.asarray(np.einsum("ij,...j->...i", np.linalg.inv(W[:, :3]), omega - at_rest))
 
 
+ON_ONE_SPHERE = Picture(
+    "directions",
+    vectors={"x": (0, 1, 2)},
+    axes_named=("$x_1$", "$x_2$", "$x_3$"),
+    title="motions on the sphere of one momentum",
+    view=(35.0, 22.0),
+)
+
+
 def _energy(inertia: npt.NDArray[Any]) -> tuple[npt.NDArray[Any]]:
     return (inverse_of(inertia, "inertia"),)
 
@@ -213,15 +222,7 @@ def _energy_with_rotors(
         step=0.05,
         caption="Sixteen motions with the same length of the momentum. Without rotors their curves would be symmetric "
         "about the planes of the principal axes. The rotors shift the equilibria, and there are fewer of them.",
-        pictures=(
-            Picture(
-                "directions",
-                vectors={"x": (0, 1, 2)},
-                axes_named=("$x_1$", "$x_2$", "$x_3$"),
-                title="motions on the sphere of one momentum",
-                view=(35.0, 22.0),
-            ),
-        ),
+        pictures=(ON_ONE_SPHERE,),
         components=Picture("components", chosen=(1,)),
         quantity="angular momentum",
     ),

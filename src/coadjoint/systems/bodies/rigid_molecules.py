@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +11,8 @@ import numpy.typing as npt
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.attitude_algebra import momentum_in_space
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
+from coadjoint.systems.bodies.body import momentum_in_space
 from coadjoint.systems.bodies.inertia import BodyInertia, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -28,6 +28,8 @@ COLLINEAR = 64 * UNIT_ROUNDOFF
 """Largest distance of a site from the axis of its linear molecule, relative to the size, that is taken for rounding."""
 MAX_MOLECULES = 10**5
 BYTES_PER_MOLECULE = 20_000
+ARGUMENTS = ("sites", "charges", "lj", "masses", "count")
+"""The arguments that each kind of molecules has."""
 KIND = "give one molecule, or a list of kinds, of which each of sites, charges, lj, masses and count has one"
 
 WATER = ((0.0, 0.0, 0.0), (0.0756950, 0.0, 0.0585882), (-0.0756950, 0.0, 0.0585882))
@@ -66,17 +68,6 @@ class MoleculesSystem(BodiesSystem):
             found.append((r[..., own, None, :] + turned).reshape(*r.shape[:-2], -1, 3))
             begin, first = begin + count, first + types
         return np.concatenate(found, axis=-2)
-
-
-class MoleculeKind(NamedTuple):
-    """A kind of molecule: places of sites from the centre of mass, charges, Lennard-Jones constants, mass, inertia."""
-
-    places: Floats
-    charges: Floats
-    lj: Floats
-    mass: float
-    inertia: BodyInertia
-    given: tuple[Any, ...]
 
 
 def _dimer() -> Floats:
@@ -207,16 +198,19 @@ def rigid_molecules(
     """
     several = _depth(sites) > 2
     kinds = _read_kinds(several, sites, charges, lj, masses, count)
-    counts = [kind.given[-1] for kind in kinds]
-    total = sum(counts)
+    bodies = [
+        _body_of_sites(places, m, f"[{k}]" if several else "")
+        for k, (places, m) in enumerate(zip(kinds["sites"], kinds["masses"], strict=True))
+    ]
+    total = sum(kinds["count"])
     if total > MAX_MOLECULES:
         raise ValueError(f"count is {short(count)}; give at most {MAX_MOLECULES} molecules")
     check_available_memory(BYTES_PER_MOLECULE * total, f"{total} molecules")
     sides, ends = _read_box(box), _read_cutoff(box, cutoff, switch_from, dielectric)
     constant = read_in_range(coulomb, "coulomb")
-    tables = _tables(kinds, counts, sides, ends, read_choice(mixing, "mixing", MIXING), constant)
-    given = zip(*(kind.given for kind in kinds), strict=True)
-    named = dict(zip(("sites", "charges", "lj", "masses", "count"), given, strict=True))
+    places, weights, inertias = zip(*bodies, strict=True)
+    tables = _tables(kinds, places, sides, ends, read_choice(mixing, "mixing", MIXING), constant)
+    named = {key: tuple(map(as_tuples, values)) for key, values in kinds.items()}
     parameters = {key: values if several else values[0] for key, values in named.items()} | {
         "box": None if box is None else as_tuples(sides),
         "cutoff": None if cutoff is None else ends[1],
@@ -225,11 +219,11 @@ def rigid_molecules(
         "mixing": mixing,
         "coulomb": constant,
     }
-    order = np.repeat(np.arange(len(kinds)), counts).tolist()
+    order = np.repeat(np.arange(len(bodies)), kinds["count"]).tolist()
     system = system_of_bodies(
         "rigid_molecules",
-        tuple(kinds[k].inertia for k in order),
-        np.array([kinds[k].mass for k in order]),
+        tuple(inertias[k] for k in order),
+        np.array([weights[k] for k in order]),
         site_forces(tables),
         parameters,
         integrals=momentum_in_space(total, 18 * total + 1, turning=box is None),
@@ -247,20 +241,20 @@ def _depth(values: Any) -> int:
     return depth + getattr(values, "ndim", 0)
 
 
-def _read_kinds(several: bool, *arguments: Any) -> list[MoleculeKind]:
-    """Validate molecules of one kind, or lists with an entry for each of several."""
+def _read_kinds(several: bool, *arguments: Any) -> dict[str, list[Any]]:
+    """Validate molecules of one kind, or lists with an entry for each of several; return lists of kinds by argument."""
     if not several:
-        return [_read_kind("", *arguments)]
-    lists = dict(zip(("sites", "charges", "lj", "masses", "count"), arguments, strict=True))
-    read = {name: read_list(values, name, KIND) for name, values in lists.items()}
+        return {name: [value] for name, value in zip(ARGUMENTS, _read_kind("", *arguments), strict=True)}
+    read = {name: read_list(values, name, KIND) for name, values in zip(ARGUMENTS, arguments, strict=True)}
     for name, values in read.items():
         if len(values) != len(read["sites"]):
             raise ValueError(f"{name} has {len(values)} entries, and sites {len(read['sites'])} kinds; {KIND}")
-    return [_read_kind(f"[{k}]", *values) for k, values in enumerate(zip(*read.values(), strict=True))]
+    kinds = [_read_kind(f"[{k}]", *values) for k, values in enumerate(zip(*read.values(), strict=True))]
+    return {name: list(values) for name, values in zip(ARGUMENTS, zip(*kinds, strict=True), strict=True)}
 
 
-def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count: Any) -> MoleculeKind:
-    """Validate one kind of molecule; `which` is its index in messages."""
+def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count: Any) -> tuple[Any, ...]:
+    """Validate the arguments of one kind of molecule, in their order; `which` is its index in messages."""
     places = read_finite(sites, f"sites{which}")
     if places.ndim != 2 or places.shape[1] != 3 or not len(places):
         raise ValueError(f"sites{which} has shape {places.shape}; give (s, 3) for a molecule of s sites, or a list")
@@ -274,7 +268,11 @@ def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count
     for array, name in ((pairs, "lj"), (m, "masses")):
         if (array < 0.0).any():
             raise ValueError(f"{name}{which} is {short(as_tuples(array))}; its numbers must not be negative")
-    number = read_integer(count, f"count{which}")
+    return places, q, pairs, m, read_integer(count, f"count{which}")
+
+
+def _body_of_sites(places: Floats, m: Floats, which: str) -> tuple[Floats, float, BodyInertia]:
+    """Return the sites of a molecule from its centre of mass, its mass, and its inertia."""
     mass = read_in_range(math.fsum(m), f"the sum of masses{which}")
     # Relative to the first site, so that an atom is at its centre exactly.
     apart = places - places[0]
@@ -290,9 +288,7 @@ def _read_kind(which: str, sites: Any, charges: Any, lj: Any, masses: Any, count
     diagonal = not (tensor - np.diag(np.diag(tensor))).any()
     inertia = read_body_inertia(np.diag(tensor) if diagonal else tensor, f"the inertia of sites{which}")
     _check_axis(inertia, from_centre, which)
-    return MoleculeKind(
-        from_centre, q, pairs, mass, inertia, (as_tuples(places), as_tuples(q), as_tuples(pairs), as_tuples(m), number)
-    )
+    return from_centre, mass, inertia
 
 
 def _check_axis(inertia: BodyInertia, places: Floats, which: str) -> None:
@@ -342,15 +338,15 @@ def _read_cutoff(box: Any, cutoff: Any, switch_from: Any, dielectric: Any) -> tu
 
 
 def _tables(
-    kinds: list[MoleculeKind],
-    counts: list[int],
+    kinds: dict[str, list[Any]],
+    places: tuple[Floats, ...],
     box: Floats,
     ends: tuple[float, float, float],
     mixing: str,
     constant: float,
 ) -> SiteTables:
     """Return the tables of all molecules; pairs of types have constants by the rule of mixing."""
-    q, (epsilon, sigma) = np.concatenate([kind.charges for kind in kinds]), np.concatenate([k.lj for k in kinds]).T
+    q, (epsilon, sigma) = np.concatenate(kinds["charges"]), np.concatenate(kinds["lj"]).T
     near, cutoff, permittivity = ends
     with np.errstate(all="ignore"):
         square = sigma[:, None] * sigma if mixing == "geometric" else (0.5 * (sigma[:, None] + sigma)) ** 2
@@ -362,6 +358,7 @@ def _tables(
     for name, array in (("charges", qq), ("lj", a)):
         if not np.isfinite(array).all():
             raise ValueError(f"{name} are so large that products of them leave the range of float64; change units")
-    places = np.concatenate([kind.places for kind in kinds])
-    types = np.array([len(kind.places) for kind in kinds])
-    return SiteTables(np.array(counts), types, places, qq, a, b, box, near, cutoff, field, shift)
+    types = np.array([len(sites) for sites in places])
+    return SiteTables(
+        np.array(kinds["count"]), types, np.concatenate(places), qq, a, b, box, near, cutoff, field, shift
+    )

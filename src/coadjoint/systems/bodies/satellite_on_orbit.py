@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.bodies.attitude_algebra import PER_BODY, attitude_algebra, axis_products
+from coadjoint.systems.bodies.body import attitude_algebra, axis_products
 from coadjoint.systems.bodies.body_systems import BodySystem
 from coadjoint.systems.bodies.inertia import (
     anisotropic_part,
@@ -19,6 +19,7 @@ from coadjoint.systems.bodies.inertia import (
     read_body_inertia,
     read_in_range,
 )
+from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic

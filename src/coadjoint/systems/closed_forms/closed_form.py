@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -91,3 +92,12 @@ def rotate_about(spins: Floats, axis: Floats, t: Floats) -> Floats:
     angle = (rate * t)[..., None]
     across = spins - direction * np.sum(direction * spins, axis=-1, keepdims=True)
     return spins + np.sin(angle) * np.cross(spins, direction) - 2.0 * np.sin(angle / 2) ** 2 * across
+
+
+def oscillator_solutions(stiffness: float, t: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the solutions of y'' = -stiffness y from (1, 0) and (0, 1), and of y'' = 1 - stiffness y from (0, 0)."""
+    rate = sqrt(abs(stiffness))
+    if not rate:
+        return np.ones_like(t), t, t * t / 2
+    cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
+    return cosine(rate * t), sine(rate * t) / rate, 2 * (sine(rate * t / 2) / rate) ** 2

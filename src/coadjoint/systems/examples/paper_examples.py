@@ -14,7 +14,7 @@ from coadjoint.algebra.invariants.invariant import COSH, HOLD, SINH, SINH_SQUARE
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia import read_vector
-from coadjoint.systems.bodies.rigid_body import so3_body
+from coadjoint.systems.bodies.rigid_body import ON_ONE_SPHERE, so3_body
 from coadjoint.systems.closed_forms.closed_form import move_state_and_element
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -91,16 +91,7 @@ def paper_a37(a: float = 2.0, masses: npt.ArrayLike = (1.0, 2.0, 0.01)) -> LiePo
         caption="Eighteen motions on the sphere of the momentum: closed curves around the axes of the largest and of "
         "the smallest moment of inertia, and between them the separatrix through the middle axis, which is "
         "unstable.",
-        pictures=(
-            Picture("error"),
-            Picture(
-                "directions",
-                vectors={"x": (0, 1, 2)},
-                axes_named=("$x_1$", "$x_2$", "$x_3$"),
-                title="motions on the sphere of one momentum",
-                view=(35.0, 22.0),
-            ),
-        ),
+        pictures=(Picture("error"), ON_ONE_SPHERE),
         components=Picture("components", chosen=(1,)),
         quantity="angular momentum",
     ),
@@ -147,15 +138,7 @@ def paper_rigid_body(masses: npt.ArrayLike = (1.0, 0.5, 1.0 / 3.0)) -> LiePoisso
         step=0.01,
         caption="Sixteen motions with the same length of the momentum, as for a rigid body. The energy grows "
         "exponentially with the components, so the curves around the axes are squares with round corners.",
-        pictures=(
-            Picture(
-                "directions",
-                vectors={"x": (0, 1, 2)},
-                axes_named=("$x_1$", "$x_2$", "$x_3$"),
-                title="motions on the sphere of one momentum",
-                view=(35.0, 22.0),
-            ),
-        ),
+        pictures=(ON_ONE_SPHERE,),
         components=Picture("components", chosen=(1,)),
     )
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from math import comb, sqrt
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import move_state
+from coadjoint.systems.closed_forms.closed_form import move_state, oscillator_solutions
 from coadjoint.systems.coordinates import with_canonical_pairs
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
@@ -208,11 +208,11 @@ def _oscillators(w: Floats, W: Floats, U: Floats, start: Floats, times: Floats) 
     total, stiff = w.sum(), k + u * w.sum()
     Q, V = (w @ q) / total, p.sum() / total
     T = (z * times)[..., None]
-    c, s, fall = _oscillator_solutions(k, T)
+    c, s, fall = oscillator_solutions(k, T)
     centre, speed = c * Q + s * V - push * fall, c * V - s * (k * Q + push)
-    c, s, _ = _oscillator_solutions(stiff, T)
+    c, s, _ = oscillator_solutions(stiff, T)
     relative_q, relative_v = c * (q - Q) + s * (p / w - V), c * (p / w - V) - stiff * s * (q - Q)
-    c, s, _ = _oscillator_solutions(stiff, times[..., None])
+    c, s, _ = oscillator_solutions(stiff, times[..., None])
     x20, x11, x02 = x.T
     widths = np.stack(
         [
@@ -224,15 +224,6 @@ def _oscillators(w: Floats, W: Floats, U: Floats, start: Floats, times: Floats) 
     ).reshape(len(times), 3 * n)
     constant = np.full((len(times), 1), z)
     return np.concatenate([centre + relative_q, w * (speed + relative_v), constant, widths], axis=-1)
-
-
-def _oscillator_solutions(stiffness: float, t: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the solutions of y'' = -stiffness y from (1, 0) and (0, 1), and of y'' = 1 - stiffness y from (0, 0)."""
-    rate = sqrt(abs(stiffness))
-    if not rate:
-        return np.ones_like(t), t, t * t / 2
-    cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
-    return cosine(rate * t), sine(rate * t) / rate, 2 * (sine(rate * t / 2) / rate) ** 2
 
 
 def validate_potential(argument: Any, what: str) -> DerivativeFunctions | None:

@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
-from coadjoint.systems.gallery_entry import GalleryEntry, Picture
-from coadjoint.systems.matrices import sphere_grid, sphere_states
-from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices import sphere_states, spherical_modes
+from coadjoint.systems.matrices.fluid_system import FluidSystem, entry_of_fluid, read_shape, read_values
 from coadjoint.systems.matrices.spherical_modes import (
     as_mapping,
     generators,
@@ -131,10 +130,10 @@ class SphereEuler(FluidSystem):
         (5, 8, 1.5708)
         """
         rows, columns = self._shape(shape)
-        return sphere_grid.latitudes(points, rows), sphere_grid.longitudes(columns)
+        return spherical_modes.latitudes(points, rows), spherical_modes.longitudes(columns)
 
     def _shape(self, shape: Any) -> tuple[int, int]:
-        return sphere_grid.read_shape(shape, (2, 1), sphere_grid.default_shape(self.algebra.N))
+        return read_shape(shape, (2, 1), spherical_modes.default_shape(self.algebra.N))
 
     def to_grid(self, W: Any, shape: Any = None, points: str = "clenshaw-curtis") -> Floats:
         """Return the values of the field of matrices at the points of a grid of any shape, exactly.
@@ -161,7 +160,7 @@ class SphereEuler(FluidSystem):
         >>> s.to_grid(-2 * generators(4)[2], (3, 1))[:, 0].round(12) + 0.0
         array([ 2.,  0., -2.])
         """
-        return sphere_grid.values_of(self.mode_array(W), self._shape(shape), points)
+        return spherical_modes.values_of(self.mode_array(W), self._shape(shape), points)
 
     def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
         """Return the matrix of a field given at the points of a grid; the mean is removed.
@@ -182,10 +181,10 @@ class SphereEuler(FluidSystem):
         (..., N, N) array
         """
         first = read_number(longitude, "longitude")
-        return matrix_of_harmonics(sphere_grid.coefficients_of(values, self.algebra.N, points, first))
+        return matrix_of_harmonics(spherical_modes.coefficients_of(read_values(values), self.algebra.N, points, first))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
-        north, points, east = sphere_grid.grid_orientation(first, second)
+        north, points, east = spherical_modes.grid_orientation(first, second)
         field = np.asarray(values)[..., ::north, ::east]
         return self.from_grid(field, points, float(second[::east][0]))
 
@@ -223,13 +222,13 @@ class SphereEuler(FluidSystem):
         return c
 
     def point_modes(self, places: Floats, strengths: Floats) -> Matrix:
-        return sphere_grid.delta_coefficients(places, strengths, self.algebra.N)
+        return spherical_modes.delta_coefficients(places, strengths, self.algebra.N)
 
     def disc_profile(self, radius: float) -> Floats:
-        return sphere_grid.cap_profile(radius, self.algebra.N)[:, None]
+        return spherical_modes.cap_profile(radius, self.algebra.N)[:, None]
 
     def read_places(self, places: Any, what: str) -> Floats:
-        return sphere_grid.read_places(places, what)
+        return spherical_modes.read_places(places, what)
 
     def relative(self, W: Any) -> Matrix:
         return np.asarray(self.matrices(W) - self.planetary)
@@ -280,23 +279,12 @@ def _unstable_jet() -> Matrix:
 
 
 @ready_made(
-    gallery_entry=GalleryEntry(
-        x0=_unstable_jet,
-        t_span=(0.0, 10.0),
-        step=0.00625,
-        caption="An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices "
+    gallery_entry=entry_of_fluid(
+        _unstable_jet,
+        48,
+        "An eastward jet is unstable: a small bump grows to waves, which roll up and break into vortices "
         "of both signs. In the middle, the vorticity at the start and at the end. Energy moves to larger and to "
         "smaller scales, and the spectrum of the matrix is constant.",
-        pictures=(
-            Picture("vorticity", at=0.0),
-            Picture("vorticity", at=1.0),
-            Picture("field spectra"),
-            Picture("eigenvalues"),
-        ),
-        components=Picture("energy by scale"),
-        parameters={"N": 48},
-        save_every=20,
-        quantity="vorticity",
     )
 )
 def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:

@@ -10,10 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
-from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import torus_modes
-from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.sphere_grid import read_shape, read_values
+from coadjoint.systems.matrices.fluid_system import FluidSystem, entry_of_fluid, read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
 from coadjoint.systems.matrices.torus_modes import matrix_of_modes, modes_of_matrix, read_modes, representatives
 from coadjoint.systems.registry import ready_made
@@ -240,22 +238,11 @@ def _two_jets() -> Matrix:
 
 
 @ready_made(
-    gallery_entry=GalleryEntry(
-        x0=_two_jets,
-        t_span=(0.0, 10.0),
-        step=0.00625,
-        caption="Two jets, one against the other, meander and roll up into rows of vortices. In the middle, the "
+    gallery_entry=entry_of_fluid(
+        _two_jets,
+        49,
+        "Two jets, one against the other, meander and roll up into rows of vortices. In the middle, the "
         "vorticity at the start and at the end. The spectrum of the matrix is constant.",
-        pictures=(
-            Picture("vorticity", at=0.0),
-            Picture("vorticity", at=1.0),
-            Picture("field spectra"),
-            Picture("eigenvalues"),
-        ),
-        components=Picture("energy by scale"),
-        parameters={"N": 49},
-        save_every=20,
-        quantity="vorticity",
     )
 )
 def torus_euler(N: int = 33) -> TorusEuler:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from math import comb, sqrt
+from math import comb
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from coadjoint.algebra.families.phase_space import moments, powers_of
 from coadjoint.algebra.polynomials.formulas import parse_polynomial
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import short
-from coadjoint.systems.closed_forms.closed_form import move_state
+from coadjoint.systems.closed_forms.closed_form import move_state, oscillator_solutions
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
@@ -176,10 +176,7 @@ def _powers_of_energy(h: Phase, degree: int, powers: list[tuple[int, int]]) -> d
 def _linear_flow(stiffness: float, powers: list[tuple[int, int]], start: Floats, times: Floats) -> Floats:
     """Return the moments under q'' = -stiffness q, where every particle undergoes the same linear map."""
     index = {pair: k for k, pair in enumerate(powers)}
-    rate = sqrt(abs(stiffness))
-    cosine, sine = (np.cos, np.sin) if stiffness > 0 else (np.cosh, np.sinh)
-    c = cosine(rate * times)
-    s = sine(rate * times) / rate if rate else times
+    c, s, _ = oscillator_solutions(stiffness, times)
     slope = -stiffness * s
     moments_at = np.zeros((len(times), len(powers)))
     for (i, j), k in index.items():

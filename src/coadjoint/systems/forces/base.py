@@ -87,11 +87,6 @@ class Force(metaclass=ExplainedCalls):
         """Name in balances and messages."""
         return type(self).__name__
 
-    @property
-    def is_constant_torque(self) -> bool:
-        """Whether it is a constant `torque`, which may be an input of runs."""
-        return False
-
     def __repr__(self) -> str:
         return record_repr(self) if is_dataclass(self) else self.label
 

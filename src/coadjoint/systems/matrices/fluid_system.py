@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.short_repr import short
+from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import initial_states
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
+from coadjoint.validation import check_finite, read_integer, read_numbers, to_array
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
+
+MAX_GRID_SIZE = 2**16  # rows or columns; a larger grid exceeds any memory
 
 
 class FluidSystem(MatrixSystem):
@@ -153,6 +159,48 @@ class FluidSystem(MatrixSystem):
         rows = weighted.reshape(-1, degrees.size)
         sums = np.array([np.bincount(degrees, row, count) for row in rows]).reshape(*weighted.shape[:-2], count)
         return np.arange(1, count, dtype=np.int64), np.asarray(sums[..., 1:], dtype=np.float64)
+
+
+def entry_of_fluid(x0: Callable[[], Any], N: int, caption: str) -> GalleryEntry:
+    """Return the gallery entry of a fluid whose unstable jets break up into vortices."""
+    return GalleryEntry(
+        x0=x0,
+        t_span=(0.0, 10.0),
+        step=0.00625,
+        caption=caption,
+        pictures=(
+            Picture("vorticity", at=0.0),
+            Picture("vorticity", at=1.0),
+            Picture("field spectra"),
+            Picture("eigenvalues"),
+        ),
+        components=Picture("energy by scale"),
+        parameters={"N": N},
+        save_every=20,
+        quantity="vorticity",
+    )
+
+
+def read_shape(shape: Any, min_shape: tuple[int, int], default: tuple[int, int]) -> tuple[int, int]:
+    """Validate the numbers of rows and columns of a grid."""
+    if shape is None:
+        return default
+    try:
+        rows, columns = shape
+    except (TypeError, ValueError):
+        raise TypeError(f"shape is {short(shape)}; give two whole numbers, such as {default}") from None
+    return read_integer(rows, "shape[0]", min_shape[0], MAX_GRID_SIZE), read_integer(
+        columns, "shape[1]", min_shape[1], MAX_GRID_SIZE
+    )
+
+
+def read_values(values: Any, what: str = "values") -> Floats:
+    """Validate real, finite values on a grid, (..., rows, columns)."""
+    field = read_numbers(to_array(values, what), what)
+    if field.ndim < 2:
+        raise ValueError(f"{what} has the shape {field.shape}; give (..., rows, columns)")
+    check_finite(field, what)
+    return field
 
 
 Matrix = npt.NDArray[Any]

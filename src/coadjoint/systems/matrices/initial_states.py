@@ -11,27 +11,29 @@ import numpy.typing as npt
 
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.short_repr import short
-from coadjoint.validation import read_finite, read_integer, read_number, read_positive
-
-if TYPE_CHECKING:
-    from coadjoint.systems.matrices.fluid_system import FluidSystem
-
-from typing import TYPE_CHECKING
-
 from coadjoint.optional_packages import require_packages
-from coadjoint.validation import read_array_file
+from coadjoint.short_repr import short
+from coadjoint.validation import (
+    read_array_file,
+    read_finite,
+    read_integer,
+    read_number,
+    read_path,
+    read_positive,
+)
 
 if TYPE_CHECKING:
     import xarray
+
+    from coadjoint.systems.matrices.fluid_system import FluidSystem
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MAX_WIDTH = 1e100
+"""Upper limit of widths, whose squares would overflow; the smoothing is already complete."""
 FIRST = ("lat", "latitude", "x")
 SECOND = ("lon", "longitude", "y")
-"""Upper limit of widths, whose squares would overflow; the smoothing is already complete."""
 DEFAULT_DEGREES = (2, 10)
 """First and last degree of a random field by default."""
 
@@ -301,9 +303,7 @@ def read_field(
     path: str | Path, variable: str | None = None, select: Mapping[str, int] | None = None
 ) -> tuple[npt.NDArray[Any], tuple[Floats, Floats] | None]:
     """Return the array of a .npy or .nc file and, for NetCDF, the coordinates of its last two axes in radians."""
-    if not isinstance(path, str | Path):
-        raise TypeError(f"path is {short(path)}; give the name of a file")
-    file = Path(path)
+    file = read_path(path, "path")
     if file.suffix == ".npy":
         if variable is not None or select is not None:
             raise ValueError(f"{short(file.name)} contains one array; variable= and select= are for NetCDF")

@@ -24,7 +24,7 @@ from coadjoint.systems.matrices.matrix_invariants import (
     traces_of,
     values_of,
 )
-from coadjoint.systems.matrices.streams import FunctionStream, Stream
+from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import read_closed_form, read_parameters, read_sign
 from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
@@ -115,13 +115,8 @@ class MatrixSystem(System):
     ) -> None:
         if not isinstance(algebra, MatrixAlgebra):
             raise TypeError(f"algebra is {short(algebra)}; give a MatrixAlgebra, such as MatrixAlgebra('su', 16)")
-        if not isinstance(stream, Stream):
-            if isinstance(stream, type) or not callable(stream):
-                raise TypeError(f"stream is {short(stream)}; give a Stream, such as Weights(w), or a function of W")
-            traceless = [(rows.start, rows.stop) for rows, _, kind in algebra.parts if kind.traceless]
-            stream = FunctionStream(stream, tuple(traceless))
-        self.algebra, self.stream, self.complex = algebra, stream, algebra.complex
-        self.timed: bool = getattr(stream, "timed", False)
+        self.algebra, self.stream, self.complex = algebra, as_stream(stream, algebra), algebra.complex
+        self.timed: bool = getattr(self.stream, "timed", False)
         self.energy_function = read_energy(energy, self.timed)
         self.energy_sign = read_sign(energy_sign, "energy_sign")
         self.name = read_title(name, "name")
@@ -135,7 +130,7 @@ class MatrixSystem(System):
             raise ValueError(f"linear has the shape {self.linear.shape}; it must be {algebra.shape}")
         if self.linear is not None:
             self.linear.flags.writeable = False
-        self._check_stream(stream)
+        self._check_stream(self.stream)
         self.hamiltonian = MatrixEnergy(self)
 
     def _check_stream(self, stream: Stream) -> None:

@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.spherical_modes import laplacian
@@ -323,3 +324,12 @@ class FunctionStream:
             kind = "complex" if kinds == "iufc" else "real"
             raise TypeError(f"the stream returns {short(P)}; it must return a {kind} matrix of shape {W.shape}")
         return result.astype(W.dtype, copy=False)
+
+
+def as_stream(given: Any, algebra: MatrixAlgebra, what: str = "stream") -> Stream:
+    """Return a stream, made of a function of W where one is given."""
+    if isinstance(given, Stream):
+        return given
+    if isinstance(given, type) or not callable(given):
+        raise TypeError(f"{what} is {short(given)}; give a Stream, such as Weights(w), or a function of W")
+    return FunctionStream(given, tuple((rows.start, rows.stop) for rows, _, kind in algebra.parts if kind.traceless))

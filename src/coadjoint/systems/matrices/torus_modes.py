@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.matrices.spherical_modes import read_mode
-from coadjoint.validation import read_complex, read_finite
+from coadjoint.systems.matrices.spherical_modes import read_mode, read_mode_array
+from coadjoint.validation import read_finite
 
 Complexes = npt.NDArray[np.complex128]
 Floats = npt.NDArray[np.float64]
@@ -67,16 +67,12 @@ def read_modes(argument: Any, N: int) -> Complexes:
 
 
 def _read_array(argument: Any, N: int) -> Complexes:
-    w = read_complex(argument, "modes")
-    if w.ndim < 2 or w.shape[-2:] != (N, N):
-        raise ValueError(f"modes has the shape {w.shape}; give a mapping of (n1, n2) to w, or (..., {N}, {N})")
-    if not np.isfinite(w).all():
-        raise ValueError("modes contains NaN or infinity; every w must be finite")
+    w = read_mode_array(argument, N, "(n1, n2)", "w")
     mirrored = np.conj(np.roll(w[..., ::-1, ::-1], 1, (-2, -1)))
     violation = max(np.abs(w - mirrored).max(initial=0.0), np.abs(w[..., 0, 0]).max(initial=0.0))
     if violation > 1e-12 * np.abs(w).max(initial=0.0):
         raise ValueError("modes of n and -n are not conjugate, or that of (0, 0) is not zero; give a real vorticity")
-    return np.asarray(w, dtype=np.complex128)
+    return w
 
 
 def coordinates(count: int) -> Floats:

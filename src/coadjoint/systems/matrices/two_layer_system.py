@@ -14,7 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
-from coadjoint.systems.matrices.streams import Stream
+from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.validation import to_array
 
 Matrix = npt.NDArray[Any]
@@ -76,15 +76,14 @@ class TwoLayerSystem(MatrixSystem):
         super().__init__(algebra, stream, energy_sign=energy_sign, name=name, parameters=parameters, powers=powers)
         if not algebra.skew or algebra.blocks:
             raise ValueError(f"algebra is {algebra}; two layers need skew-Hermitian matrices of one block")
-        if not self.linear_stream or stream.kind == "BY_FUNCTION":
-            raise TypeError(f"stream is {short(stream)}; two layers need a Stream, such as Weights(w)")
         traces = traces_of(algebra, self.powers, self.matrices, self.to_vector)
         self._followed = tuple(trace.power for trace in traces.values() if trace.power > 1)
-        if second_stream is not None:
-            if not isinstance(second_stream, Stream):
-                raise TypeError(f"second_stream is {short(second_stream)}; give a Stream, such as Weights(w)")
-            self._check_stream(second_stream)
-        self.second_stream = second_stream
+        self.second_stream = None if second_stream is None else as_stream(second_stream, algebra, "second_stream")
+        for what, one in (("stream", self.stream), ("second_stream", self.second_stream)):
+            if one is not None and one.kind == "BY_FUNCTION":
+                raise TypeError(f"{what} is a function; two layers need a Stream, such as Weights(w)")
+        if self.second_stream is not None:
+            self._check_stream(self.second_stream)
         self.shape = self.matrix_shape = (2, *algebra.shape)
         self.dim = 2 * self.dim
         self.hamiltonian = MatrixEnergy(self)
