@@ -11,12 +11,13 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from contextlib import contextmanager
 from importlib.machinery import ModuleSpec
 from threading import current_thread, main_thread
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from importlib.abc import Loader
     from types import FrameType, ModuleType
     from typing import Any
@@ -43,17 +44,19 @@ class Interrupted(KeyboardInterrupt):
         return _description(self.number)
 
 
-class raise_on_interrupt:
+@contextmanager
+def raise_on_interrupt() -> Iterator[None]:
     """Context in which the first interrupt raises `Interrupted` instead of ending the process."""
-
-    def __enter__(self) -> None:
-        global _raise_enabled, _signal_received
-        _raise_enabled, _signal_received = True, 0
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        global _raise_enabled
+    global _raise_enabled, _signal_received
+    _raise_enabled, _signal_received = True, 0
+    try:
+        yield
+    except Interrupted:
+        _raise_enabled, _signal_received = False, 0
+        raise
+    finally:
         _raise_enabled = False
-        if _signal_received and not isinstance(error, Interrupted):
+        if _signal_received:
             _exit_process(_signal_received, None)  # Python dropped the exception
 
 

@@ -162,7 +162,7 @@ def test_reproduce_prints_the_table_and_the_figures(folder, capsys, monkeypatch)
     def experiments(out, echo):
         echo("running")
         (out / "sum.png").write_text("")
-        return SimpleNamespace(table=[row], figures=[out / "sum.png"])
+        return [row], [out / "sum.png"]
 
     monkeypatch.setitem(
         sys.modules,

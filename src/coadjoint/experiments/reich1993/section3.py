@@ -32,7 +32,6 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper
 from coadjoint.systems.examples.paper_examples import paper_rigid_body
-from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 SLOPES = f"slopes within {SLOPE_TOLERANCE} on so(4), t = 2"
 LONG_STEPS, LONG_STEP = 2000, 0.05  # steps and step of the runs that should keep an invariant to round-off
@@ -91,7 +90,6 @@ def _gauss_keeps(case: ReferenceProblem) -> Statement:
 
 
 def _stages(case: ReferenceProblem) -> Statement:
-    assert isinstance(case.system, LiePoissonSystem)
     steps = [0.4 / 2**k for k in range(5)]
     errors = np.empty((4, len(steps)))
     for k, h in enumerate(steps):

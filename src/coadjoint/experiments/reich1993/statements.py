@@ -177,7 +177,7 @@ def within(measured: float, expected: float) -> bool:
     return abs(measured - expected) <= SLOPE_TOLERANCE
 
 
-def stage_iterates(system: LiePoissonSystem, stages: int, h: float, x: Floats, count: int) -> list[Floats]:
+def stage_iterates(system: System, stages: int, h: float, x: Floats, count: int) -> list[Floats]:
     """Return the function iterates X^0 = x, ..., X^count of equation (6), each (s, n), for s Gauss stages."""
     _, weights, mu = gauss_legendre(stages)
     iterates = [np.tile(x, (stages, 1))]
