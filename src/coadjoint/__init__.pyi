@@ -13,14 +13,15 @@ from .algebra.families.matrix_algebra import MatrixAlgebra as MatrixAlgebra
 from .algebra.invariants.invariant import Invariant as Invariant
 from .algebra.lie_algebra import LieAlgebra as LieAlgebra
 from .algebra.polynomials.polynomial import Polynomial as Polynomial
-from .analysis.backward_error.corrector import Corrector as Corrector
-from .analysis.backward_error.corrector import make_corrector as make_corrector
 from .analysis.backward_error.field_at_points import ModifiedField as ModifiedField
 from .analysis.backward_error.modified_field import modified_field as modified_field
 from .analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian as ModifiedHamiltonian
 from .analysis.backward_error.modified_hamiltonian import modified_hamiltonian as modified_hamiltonian
 from .analysis.certificates.certificate import Certificate as Certificate
 from .analysis.certificates.certify import certify as certify
+from .analysis.energy_error import Corrector as Corrector
+from .analysis.energy_error import make_corrector as make_corrector
+from .analysis.energy_error import suggest_step as suggest_step
 from .analysis.equilibrium import Equilibrium as Equilibrium
 from .analysis.equilibrium import equilibrium as equilibrium
 from .analysis.fit import fit as fit
@@ -34,7 +35,6 @@ from .analysis.phase_drift import phase_drift as phase_drift
 from .analysis.predicted_drift import predicted_drift as predicted_drift
 from .analysis.section import Section as Section
 from .analysis.section import poincare_section as poincare_section
-from .analysis.suggested_step import suggest_step as suggest_step
 from .analysis.thermal_states import ThermalStates as ThermalStates
 from .analysis.thermal_states import thermal_states as thermal_states
 from .choosing.accuracy import Choice as Choice

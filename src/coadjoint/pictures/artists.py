@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import io
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,10 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from mpl_toolkits.mplot3d.art3d import Line3D
 from numpy.typing import NDArray
-
-from coadjoint.pictures.globe import FAR_ALPHA, view_frame
-from coadjoint.pictures.level_surface import Hides
-from coadjoint.pictures.style import paper
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -169,35 +166,30 @@ def _lines(full: str, fits: Any, anywhere: bool) -> list[str]:
 
 
 class FadingLine(Line3D):  # type: ignore[misc]
-    """Line in space that is faint where it is hidden; a mark is hollow there. For orthographic projection."""
+    """Line in space with the opacity `faint` where `hides(points, axes)`; a mark has the colour `hollow` there."""
 
-    def __init__(self, points: Floats, hides: Hides, **style: Any) -> None:
+    def __init__(
+        self, points: Floats, hides: Callable[[Floats, Any], Any], *, faint: float, hollow: Any, **style: Any
+    ) -> None:
         super().__init__(*points.T, **style)
-        self._hides, self._paper = hides, paper()
+        self._hides, self._faint, self._hollow = hides, faint, hollow
 
     def draw(self, renderer: Any) -> None:
         """Draw the hidden part and the visible one."""
         data, alpha, face = self.get_data_3d(), self.get_alpha(), self.get_markerfacecolor()
         points = np.stack([np.asarray(values, dtype=np.float64) for values in data], axis=-1)
-        hidden = self._hides(points, towards_viewer(self.axes)) if len(points) else np.zeros(0, dtype=bool)
+        hidden = self._hides(points, self.axes) if len(points) else np.zeros(0, dtype=bool)
         is_mark = len(points) == 1
-        for part, opacity in ((hidden, FAR_ALPHA), (~hidden, 1.0)):
+        for part, opacity in ((hidden, self._faint), (~hidden, 1.0)):
             if not part.any():
                 continue
             # Segments across the edge belong to both parts, to avoid gaps.
             shown = part if self.get_linestyle() == "None" else part | np.append(part[1:], False)
             self.set_data_3d(*np.where(shown[:, None], points, np.nan).T)
             self.set_alpha((1.0 if is_mark else opacity) * (1.0 if alpha is None else alpha))
-            self.set_markerfacecolor(self._paper if is_mark and hidden[0] else face)
+            self.set_markerfacecolor(self._hollow if is_mark and hidden[0] else face)
             super().draw(renderer)
         self.set_data_3d(*data)
         self.set_alpha(alpha)
         self.set_markerfacecolor(face)
         self.stale = False
-
-
-def towards_viewer(axes: Any) -> Floats:
-    """Return the direction to the viewer of three-dimensional axes, in the coordinates of the data."""
-    towards = view_frame((axes.azim, axes.elev))[2]
-    size = np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1)
-    return np.asarray(towards * size / axes._box_aspect)

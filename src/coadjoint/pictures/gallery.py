@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import html
 import importlib
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -74,29 +73,18 @@ def summary_of(function: Callable[..., Any]) -> str:
     return summary[:1].upper() + summary[1:]
 
 
-@dataclass(frozen=True)
-class Piece:
-    """One picture of a gallery: name and summary of the system, figure, caption, and a description of the run."""
-
-    name: str
-    figure: Any
-    summary: str
-    caption: str
-    run: str
-
-
-def piece(name: str) -> Piece:
-    """Run a ready-made system, or one of `SCENES`, from its declared start over its declared span, and draw it."""
+def piece(name: str) -> tuple[Any, str]:
+    """Run a ready-made system, or one of `SCENES`, over its declared span; return the figure and its HTML section."""
     require_packages("a gallery", "matplotlib")
     if name in SCENES:
         system, scene = SCENES[name]
         entry = scene()
         run = _run(system, entry)
         text = f"{_describe(run)}; {run.stats.seconds:.0f} s"
-        return Piece(name, run.plot(entry.pictures), summary_of(scene), entry.caption, text)
+        return run.plot(entry.pictures), _section(name, summary_of(scene), entry.caption, text)
     run, declared = run_example(name), gallery_entry_of(name)
     assert declared is not None
-    return Piece(name, run.plot(), summary_of(ready_made_systems()[name]), declared.caption, _describe(run))
+    return run.plot(), _section(name, summary_of(ready_made_systems()[name]), declared.caption, _describe(run))
 
 
 @suggest_keywords
@@ -117,13 +105,12 @@ def gallery(names: Sequence[str], draw: Callable[[Any, str], None], echo: Callab
     str
         HTML that needs only the pictures in its folder; each has an alternative text.
     """
-    pieces = []
+    sections = {}
     for number, name in enumerate(names, start=1):
         echo(f"{number} of {len(names)}: {name}")
-        drawn = piece(name)
-        draw(drawn.figure, file_of(name))
-        pieces.append(drawn)
-    return _page(pieces)
+        figure, sections[name] = piece(name)
+        draw(figure, file_of(name))
+    return _page(sections)
 
 
 def file_of(name: str) -> str:
@@ -143,9 +130,9 @@ def _describe(solution: Solution) -> str:
     )
 
 
-def _page(pieces: Sequence[Piece]) -> str:
-    links = "".join(f'<a href="#{html.escape(p.name)}">{html.escape(p.name)}</a> ' for p in pieces)
-    body = "".join(_section(p) for p in pieces)
+def _page(sections: Mapping[str, str]) -> str:
+    links = "".join(f'<a href="#{name}">{name}</a> ' for name in map(html.escape, sections))
+    body = "".join(sections.values())
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>coadjoint: gallery</title>'
         f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{_STYLE}</style></head><body>\n'
@@ -153,11 +140,12 @@ def _page(pieces: Sequence[Piece]) -> str:
     )
 
 
-def _section(p: Piece) -> str:
-    name, caption = html.escape(p.name), html.escape(p.caption, quote=True)
+def _section(name: str, summary: str, caption: str, run: str) -> str:
+    picture = html.escape(file_of(name))
+    name, caption = html.escape(name), html.escape(caption, quote=True)
     return (
-        f'<h2 id="{name}">{name}</h2>\n<p>{html.escape(p.summary)}</p>\n'
-        f'<figure><img src="{html.escape(file_of(p.name))}" alt="{caption}">'
+        f'<h2 id="{name}">{name}</h2>\n<p>{html.escape(summary)}</p>\n'
+        f'<figure><img src="{picture}" alt="{caption}">'
         f'<figcaption aria-hidden="true">{caption}</figcaption></figure>\n'
-        f"<p><code>{html.escape(p.run)}</code></p>\n"
+        f"<p><code>{html.escape(run)}</code></p>\n"
     )

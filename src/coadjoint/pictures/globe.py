@@ -40,6 +40,13 @@ def view_frame(view: tuple[float, float]) -> Floats:
     return np.stack([right, np.cross(towards, right), towards])
 
 
+def towards_viewer(axes: Any) -> Floats:
+    """Return the direction to the viewer of three-dimensional axes, in the coordinates of the data."""
+    towards = view_frame((axes.azim, axes.elev))[2]
+    size = np.ptp([axes.get_xlim(), axes.get_ylim(), axes.get_zlim()], axis=1)
+    return np.asarray(towards * size / axes._box_aspect)
+
+
 class Globe:
     """Sphere of a given radius in flat axes of equal aspect, with labels for its three axes and a view as `VIEW`."""
 

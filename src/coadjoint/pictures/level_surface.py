@@ -17,8 +17,6 @@ from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import read_finite, read_integer, read_number
 
 Floats = npt.NDArray[np.float64]
-Hides = Callable[[Floats, Floats], npt.NDArray[np.bool_]]
-"""Function of points (k, 3) and of the direction to the viewer that returns whether the points are hidden, (k,)."""
 
 TESTED_POINTS = 400  # of a line; each needs values along a ray
 RAY_SAMPLES = 32
@@ -140,25 +138,23 @@ def _cut(corners: Floats, values: Floats) -> list[Floats]:
     return triangles
 
 
-def hides_behind(function: Callable[[Any], Any], level: float, box: Floats, period: float = 0.0) -> Hides:
-    """Return the test whether the surface function(x) = level, in a box (3, 2), hides points, as `Hides` does."""
-
-    def hides(points: Floats, towards: Floats) -> npt.NDArray[np.bool_]:
-        tested = np.unique(np.linspace(0, len(points) - 1, min(len(points), TESTED_POINTS)).round().astype(np.int64))
-        start = points[tested]
-        with np.errstate(all="ignore"):
-            exits = np.where(towards > 0.0, box[:, 1] - start, box[:, 0] - start) / towards
-            length = np.nanmin(np.where(np.isfinite(exits), exits, np.nan), axis=1, initial=np.inf)
-            shares = (np.arange(RAY_SAMPLES) + 1.0) / RAY_SAMPLES
-            rays = start[:, None] + (np.maximum(length, 0.0)[:, None] * shares)[..., None] * towards
-            distance = values_at(function, rays) - level
-            if period > 0.0:
-                distance = distance - period * np.rint(distance / period)
-                distance[np.abs(distance) > 0.25 * period] = np.nan
-            # A sample may lie on the surface.
-            changes = (distance[:, :-1] < 0.0) != (distance[:, 1:] < 0.0)
-            crossed: npt.NDArray[np.bool_] = np.any(changes & ~np.isnan(distance[:, :-1] + distance[:, 1:]), axis=1)
-        nearest = np.searchsorted(tested, np.arange(len(points))).clip(0, len(tested) - 1)
-        return np.asarray(crossed[nearest], dtype=np.bool_)
-
-    return hides
+def hidden_behind(
+    points: Floats, towards: Floats, function: Callable[[Any], Any], level: float, box: Floats, period: float = 0.0
+) -> npt.NDArray[np.bool_]:
+    """Return whether the surface function(x) = level in a box (3, 2) hides points (k, 3) from a viewer."""
+    tested = np.unique(np.linspace(0, len(points) - 1, min(len(points), TESTED_POINTS)).round().astype(np.int64))
+    start = points[tested]
+    with np.errstate(all="ignore"):
+        exits = np.where(towards > 0.0, box[:, 1] - start, box[:, 0] - start) / towards
+        length = np.nanmin(np.where(np.isfinite(exits), exits, np.nan), axis=1, initial=np.inf)
+        shares = (np.arange(RAY_SAMPLES) + 1.0) / RAY_SAMPLES
+        rays = start[:, None] + (np.maximum(length, 0.0)[:, None] * shares)[..., None] * towards
+        distance = values_at(function, rays) - level
+        if period > 0.0:
+            distance = distance - period * np.rint(distance / period)
+            distance[np.abs(distance) > 0.25 * period] = np.nan
+        # A sample may lie on the surface.
+        changes = (distance[:, :-1] < 0.0) != (distance[:, 1:] < 0.0)
+        crossed: npt.NDArray[np.bool_] = np.any(changes & ~np.isnan(distance[:, :-1] + distance[:, 1:]), axis=1)
+    nearest = np.searchsorted(tested, np.arange(len(points))).clip(0, len(tested) - 1)
+    return np.asarray(crossed[nearest], dtype=np.bool_)

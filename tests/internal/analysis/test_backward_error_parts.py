@@ -7,9 +7,9 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.analysis.backward_error.corrector import short_motion
 from coadjoint.analysis.backward_error.scheme_terms import names_of
 from coadjoint.analysis.backward_error.step_series import bracket_change, hamiltonian_of, skew_factor
+from coadjoint.analysis.energy_error import short_motion
 from coadjoint.systems.user_functions import sample_points
 from refusals import refused
 

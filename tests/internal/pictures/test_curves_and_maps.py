@@ -18,10 +18,10 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 import coadjoint as co
 from coadjoint.pictures.analysis_figures import with_error
-from coadjoint.pictures.artists import FadingLine, PanelLayout, towards_viewer
+from coadjoint.pictures.artists import FadingLine, PanelLayout
 from coadjoint.pictures.curves import COLUMNS, draw_series, envelope
 from coadjoint.pictures.gallery import SCENES, decaying_turbulence, piece
-from coadjoint.pictures.globe import FAR_ALPHA, Globe, unit_vectors
+from coadjoint.pictures.globe import FAR_ALPHA, Globe, towards_viewer, unit_vectors
 from coadjoint.pictures.kinds.directions import _rotation_to_vertical
 from coadjoint.pictures.kinds.fields import direction_colours, sites_of_row
 from coadjoint.pictures.kinds.quantities import flip_times
@@ -29,7 +29,7 @@ from coadjoint.pictures.kinds.vorticity import PROJECTIONS, on_grid, turned
 from coadjoint.pictures.plot_data import REFINED_TOLERANCE, REFINED_TURN, PlottedRun, _chord_duration
 from coadjoint.pictures.style import symbol
 
-T0 = 7.3
+T0, FADING = 7.3, {"faint": FAR_ALPHA, "hollow": "white"}
 SENSES = [1.0, -1.0]
 BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
 SPIN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
@@ -283,7 +283,7 @@ def test_hidden_points_are_faint_and_gaps_between_the_parts_are_closed(joined, a
     monkeypatch.setattr(Line3D, "draw", recorded)
     axes = space(20.0, 35.0)
     style = {} if joined else {"linestyle": "none", "marker": "o"}
-    line = FadingLine(points, lambda points, towards: hidden[: len(points)], alpha=alpha, color="red", **style)
+    line = FadingLine(points, lambda points, _: hidden[: len(points)], alpha=alpha, color="red", **FADING, **style)
     axes.add_line(line)
     line.draw(RendererAgg(10, 10, 72))
     assert [opacity for _, opacity, _ in seen] == [FAR_ALPHA * (alpha or 1.0), alpha or 1.0]
@@ -300,7 +300,7 @@ def test_a_hidden_mark_is_hollow_and_not_faint(behind, monkeypatch):
     seen = []
     monkeypatch.setattr(Line3D, "draw", lambda self, _: seen.append((self.get_alpha(), self.get_markerfacecolor())))
     axes = space(20.0, 35.0)
-    mark = FadingLine(np.ones((1, 3)), lambda points, _: np.array([behind]), marker="o", linestyle="none", color="red")
+    mark = FadingLine(np.ones((1, 3)), lambda *_: np.array([behind]), marker="o", ls="none", color="red", **FADING)
     axes.add_line(mark)
     mark.draw(RendererAgg(10, 10, 72))
     ((alpha, face),) = seen
@@ -394,10 +394,10 @@ def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
     """A shorter run with the pictures of the scene; the field has one seed, the degrees 3 to 8 and mean square 1."""
     short = partial(decaying_turbulence, N=12, end=2.0, step=0.1)
     monkeypatch.setitem(SCENES, "decaying_turbulence", ("sphere_euler", short))
-    made = piece("decaying_turbulence")
-    titles = [axes.get_title() for axes in made.figure.axes if axes.get_label() != "<colorbar>"]
+    figure, section = piece("decaying_turbulence")
+    titles = [axes.get_title() for axes in figure.axes if axes.get_label() != "<colorbar>"]
     assert titles == [f"vorticity{part} at $t$ = {t}" for t in (0, 0, 2) for part in ("", ", large scales")]
-    assert made.run.startswith("sphere_euler(N=12") and made.run.endswith(" s")
+    assert "<code>sphere_euler(N=12" in section and " s</code>" in section
     degrees, enstrophy = co.systems.sphere_euler(12).enstrophy_spectrum(short().start())
     assert degrees[enstrophy > 1e-20].tolist() == list(range(3, 9))
     assert enstrophy.sum() == pytest.approx(2 * np.pi, rel=1e-12)

@@ -297,11 +297,13 @@ def _from_terms(source: SchemeTerms, order: int) -> ModifiedHamiltonian:
     return ModifiedHamiltonian(terms, order, radius=radius, neglected=neglected, values=source.values, source=source)
 
 
-def check_system_and_scheme(system: System, method: Any) -> tuple[LiePoissonSystem, Method]:
+def check_system_and_scheme(
+    system: System, method: Any, what: str = "a modified Hamiltonian"
+) -> tuple[LiePoissonSystem, Method]:
     """Validate system and scheme: one system on a Lie algebra, and a scheme."""
     scheme = read_method(method)
     if not isinstance(system, LiePoissonSystem):
-        raise TypeError(f"the system is {short(system)}; a modified Hamiltonian is for one LiePoissonSystem")
+        raise TypeError(f"the system is {short(system)}; {what} is for one LiePoissonSystem")
     check_one_system(system)
     return system, scheme
 

@@ -11,10 +11,11 @@ import numpy.typing as npt
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.pictures.curves import MemberColours, PathUpdate
-from coadjoint.pictures.level_surface import Hides, hides_behind, level_surface
+from coadjoint.pictures.globe import FAR_ALPHA, towards_viewer
+from coadjoint.pictures.level_surface import hidden_behind, level_surface
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
-from coadjoint.pictures.style import colour, ink, path_style, set_title, setting, symbol
+from coadjoint.pictures.style import colour, ink, paper, path_style, set_title, setting, symbol
 
 SURFACE_COLOUR = "#B8CCE0"
 MAX_COORDINATE = 1e75  # larger coordinates, of members that fail, overflow in the normals of a surface
@@ -89,28 +90,28 @@ def draw_orbit(
             title = f"orbits, and the level surface of {symbol(name)} of the first"
         elif not on_surface:
             title = f"{subject}, and the level surface of {symbol(name)} at its start"
-
-    hides: Hides = _hides_nothing
     if len(triangles):
         _draw_surface(axes, triangles)
-        hides = hides_behind(casimir, level, box, getattr(casimir, "period", 0.0))
+
+    def hides(points: npt.NDArray[np.float64], space: Any) -> npt.NDArray[np.bool_]:
+        if not len(triangles):
+            return np.zeros(len(points), dtype=np.bool_)
+        return hidden_behind(points, towards_viewer(space), casimir, level, box, getattr(casimir, "period", 0.0))
+
+    fading: Any = {"faint": FAR_ALPHA, "hollow": paper()}
     several, lines = len(members) > 1, []
     for m, orbit in enumerate(members):
         shade = colour(0) if shades is None else shades[m]
         style = path_style(len(orbit), joined, 0.9 if several else 1.1)
-        line = FadingLine(orbit, hides, color=shade, zorder=5, **style)
-        mark = {"marker": "o", "linestyle": "none", "color": shade if several else colour(1), "zorder": 6}
-        start = FadingLine(orbit[:1], hides, markersize=2.5 if several else 4.0, **mark)
+        line = FadingLine(orbit, hides, **fading, color=shade, zorder=5, **style)
+        mark: dict[str, Any] = {"marker": "o", "markersize": 2.5 if several else 4.0, "linestyle": "none"}
+        start = FadingLine(orbit[:1], hides, color=shade if several else colour(1), zorder=6, **mark, **fading)
         for artist in (line, start):
             axes.add_line(artist)
         lines.append(line)
     frame_space(axes, box, names)
     set_title(axes, title + "\n(dot: start)")
     return lines, title
-
-
-def _hides_nothing(points: npt.NDArray[np.float64], towards: Any) -> npt.NDArray[np.bool_]:
-    return np.zeros(len(points), dtype=np.bool_)
 
 
 def _surface(casimir: Any, level: float, members: npt.NDArray[np.float64]) -> tuple[Any, Any]:

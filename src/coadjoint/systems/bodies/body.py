@@ -21,8 +21,8 @@ from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, free_
 from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.recorded_invariants import KnownInvariants
 from coadjoint.systems.registry import ready_made
+from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import read_bool, read_integer
 
 AXES = ("X", "Y", "Z")
