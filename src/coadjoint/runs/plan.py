@@ -8,8 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from coadjoint import memory
-from coadjoint.kernels.arrays import Layout
-from coadjoint.kernels.loop import MemberBatch
+from coadjoint.kernels.loop import Layout, MemberBatch
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.memory import UNCHECKED_BYTES, format_bytes
 from coadjoint.methods.protocol.method import Method

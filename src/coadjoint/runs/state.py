@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import ArrayOffsets, Extent, Layout, NamedArrays
 from coadjoint.kernels.interface import kernel_interface, limit
+from coadjoint.kernels.loop import ArrayOffsets, Extent, Layout, NamedArrays
 from coadjoint.short_repr import short
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.program.shifts.group_correction import unshift_tables
 from coadjoint.program.shifts.shift import quadratic_casimirs
+from coadjoint.runs.loops.shifted_attitude import CompiledShiftCorrection
 
 pytestmark = pytest.mark.thinned(3)
 

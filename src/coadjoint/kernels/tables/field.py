@@ -9,9 +9,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
-from coadjoint.kernels.tables.compiled import addresses_of
-from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.tables.compiled import Owners, addresses_of, unrecorded
 from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.system import System

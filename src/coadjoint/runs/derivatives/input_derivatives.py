@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.tables.compiled import CompiledTables
+from coadjoint.kernels.tables.compiled import CompiledTables, NotWritable, as_structure
 from coadjoint.kernels.tables.invariants import invariants_table
-from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables
 from coadjoint.methods.protocol.method import Method, Representation

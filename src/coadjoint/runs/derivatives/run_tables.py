@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.tables.compiled import CompiledTables
-from coadjoint.kernels.tables.cotangents import BackwardRun, FlowCotangents, ForwardRun
+from coadjoint.kernels.tables.compiled import CompiledTables, as_structure
+from coadjoint.kernels.tables.derivatives import BackwardRun, FlowCotangents, ForwardRun
 from coadjoint.kernels.tables.invariants import invariants_table
-from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
-from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
+from coadjoint.kernels.tables.compiled import raised_by
+from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, advance_tables
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables, Kernel
 from coadjoint.runs.loops.execution import sum_in_threads
 from coadjoint.runs.loops.groups import split_members

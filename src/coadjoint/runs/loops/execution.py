@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any, NoReturn, TypeVar
 
-from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.loop import NEVER_STOPPED, MemberBatch, StopFlag
+from coadjoint.kernels.loop import NEVER_STOPPED, Layout, MemberBatch, NamedArrays, StopFlag
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.loops.loops import Loops
 

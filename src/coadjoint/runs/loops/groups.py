@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, MemberBatch
-from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
+from coadjoint.kernels.tables.compiled import as_structure, stacked, structure_of
 from coadjoint.kernels.tables.writable import WritableTables
 
 if TYPE_CHECKING:

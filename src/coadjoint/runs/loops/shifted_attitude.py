@@ -1,32 +1,106 @@
-"""Attitudes of shifted runs: the correction for the Casimirs subtracted from the Hamiltonian."""
+"""Attitudes of shifted runs: the factor of Casimirs subtracted from the Hamiltonian, g = g0 exp(t X) g_shifted(t).
+
+X = -sign rho(grad C(x0)) is constant and linear in the initial momentum.
+"""
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
+from copy import copy
+from ctypes import addressof
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.kernels.arrays import NamedArrays
+from coadjoint.kernels.library import kernels
+from coadjoint.kernels.loop import NamedArrays, as_c_double
+from coadjoint.kernels.tables.compiled import as_structure, packer
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices
-from coadjoint.program.shifts.group_correction import unshift_tables
+from coadjoint.program.shifts.group_correction import UnshiftTables, unshift_tables
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System
 from coadjoint.validation import SMALL_SIZE
 
-if TYPE_CHECKING:
-    from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
-
 Shift = tuple[tuple[Polynomial, float], ...]
 
 FINITE_GROWTH = 700.0  # exp overflows beyond 709
+# Multiplications per call; interrupts are handled between calls.
+MAX_PRODUCTS = 2e7
+
+
+class Unshifted(NamedTuple):
+    """The part of a run to process: addresses of its arrays for `members` members, and ranges of members and points. X
+    is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and member,
+    instead of those of a schedule.
+    """
+
+    momenta: int
+    initial: int
+    held: int
+    out: int
+    members: int
+    first: int
+    last: int
+    k0: int
+    k1: int
+    rate: float
+    elapsed: int = 0
+
+
+class CompiledShiftCorrection:
+    """Tables of one shift, whose generator X is multiplied by `rate`."""
+
+    def __init__(self, tables: UnshiftTables, rate: float) -> None:
+        self.tables, self.rate, self._keepalive = tables, rate, as_structure(tables)
+        self._address, self._packed = ctypes.byref(self._keepalive), packer(Unshifted)
+        self._kernel = kernels().unshift
+        self.most = _largest_norm(tables, rate)
+        width = max(np.diff(tables.begin).tolist(), default=0)
+        self._products = tables.size**3 + 30 * width**3
+
+    def at_rate(self, rate: float) -> CompiledShiftCorrection:
+        """Return the same shift with another rate."""
+        other = copy(self)
+        other.rate, other.most = rate, _largest_norm(self.tables, rate)
+        return other
+
+    def fill(
+        self,
+        out: NDArray[np.float64],
+        loop_groups: int,
+        momenta: NDArray[np.float64],
+        initial: NDArray[np.float64],
+        first: int,
+        last: int,
+        schedule: bytes,
+        elapsed: NDArray[np.float64] | None = None,
+    ) -> None:
+        """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1, from the transposed ones
+        of the shifted run at the address `loop_groups`. `elapsed` (k, members) replaces the times of the schedule.
+        """
+        x0, g0 = addressof(as_c_double(momenta)), addressof(as_c_double(initial))
+        out_address = addressof(as_c_double(out))
+        points, members = out.shape[:2]
+        elapsed_address = 0 if elapsed is None else addressof(as_c_double(elapsed))
+        points_per_call = int(MAX_PRODUCTS / ((last - first) * self._products)) or 1
+        for k in range(0, points, points_per_call):
+            stop = min(k + points_per_call, points)
+            # Packed bytes take a tenth of the time of a ctypes structure.
+            numbers = x0, g0, loop_groups, out_address, members, first, last, k, stop, self.rate, elapsed_address
+            self._kernel(self._address, self._packed(*numbers), schedule)
+
+
+def _largest_norm(tables: UnshiftTables, rate: float) -> float:
+    """Return the largest norm of X for momenta with components of at most 1."""
+    return abs(rate) * float(np.sum(np.abs(tables.weight)))
 
 
 def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
@@ -37,8 +111,6 @@ def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: i
 def _with_tables(
     system: System, shift: Shift, representation: Representation, tables: Any, rate: float
 ) -> ShiftCorrection:
-    from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
-
     correction = ShiftCorrection(system, shift, representation)
     correction._compiled_correction = CompiledShiftCorrection(tables, rate)
     return correction
@@ -55,8 +127,6 @@ class ShiftCorrection:
     @cached_property
     def _compiled_correction(self) -> CompiledShiftCorrection:
         """Tables, built lazily."""
-        from coadjoint.kernels.tables.casimir_shift import CompiledShiftCorrection
-
         system, shift, rate = self._system, self.shift, 1.0
         if len(shift) == 1:
             # The factor of a single Casimir scales the time: a scan over factors shares the tables.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import in_one_line
-from coadjoint.kernels.arrays import NamedArrays
+from coadjoint.kernels.loop import NamedArrays
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import Times
