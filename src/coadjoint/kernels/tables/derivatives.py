@@ -26,7 +26,7 @@ from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
 from coadjoint.program.actions import Action, build_action, empty_action
 from coadjoint.program.added_part import AddedPart
-from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.generators import BasisMatrices, given_matrices
 from coadjoint.program.table import Program, dual_action
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.energy_derivatives import FunctionDerivative
@@ -191,10 +191,11 @@ def flow_cotangents(
     dual = _marked_like(dual_action(system.algebra, program), tables.state)
     group_dual = empty_action()
     if program.group is not None:
+        rho = given_matrices(group)
         matrices = (
             BasisMatrices.coadjoint(system.algebra)
-            if isinstance(group, str)
-            else BasisMatrices.on_group(system.algebra, -np.swapaxes(group, 1, 2))
+            if rho is None
+            else BasisMatrices.on_group(system.algebra, -np.swapaxes(rho, 1, 2))
         )
         group_dual = _marked_like(build_action(matrices, parts), tables.group)
     if added is not None:
