@@ -129,7 +129,7 @@ CACHED = {
         [{"size": 2}, {"results": 9}, {"scalar": True}, {"flat": False}, {"timed": True}],
     ),
     "streams": (
-        lambda **given: steps._compiled(**given),
+        lambda **given: steps._compiled_stream(**given),
         {"function": product, "N": 3, "complex_entries": False, "timed": False, "traceless": ()},
         [{"N": 4}, {"complex_entries": True}, {"timed": True}]
         + [{"traceless": places} for places in (((0, 3),), ((0, 2),), ((0, 2), (2, 3)))],
