@@ -10,7 +10,7 @@ import numpy as np
 
 import coadjoint as co
 from coadjoint.analysis.lyapunov import frame_of
-from coadjoint.kernels.tables.tangents import Frame
+from coadjoint.kernels.tables.derivatives import Frame
 from coadjoint.runs.loops.loops import loops_of_members
 from coadjoint.runs.plan_and_state import Plan
 from coadjoint.runs.run import Run

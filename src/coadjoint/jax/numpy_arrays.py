@@ -17,26 +17,11 @@ MOST_BRANCHES = 64
 """Largest number of combinations of branches of a function, which are all computed."""
 
 
-class Branches:
-    """The decisions of one evaluation of a function, some of which are given; others are first taken as true."""
-
-    def __init__(self, given: tuple[bool, ...]) -> None:
-        self.taken: list[bool] = list(given)
-        self.conditions: list[Any] = []
-
-    def decide(self, condition: Any) -> bool:
-        """Record a condition and return the decision."""
-        if len(self.conditions) == len(self.taken):
-            self.taken.append(True)
-        self.conditions.append(condition)
-        return self.taken[len(self.conditions) - 1]
-
-
 class Numbers(NDArrayOperatorsMixin):
-    """An array of JAX with the interface of NumPy. Slices are views, as those of NumPy."""
+    """An array of JAX with the interface of NumPy, whose conditions are decided by a function. Slices are views."""
 
-    def __init__(self, value: Any, branches: Branches, place: tuple[Numbers, Any] | None = None) -> None:
-        self._value, self._branches, self._place = value, branches, place
+    def __init__(self, value: Any, decide: Callable[[Any], bool], place: tuple[Numbers, Any] | None = None) -> None:
+        self._value, self._decide, self._place = value, decide, place
 
     @property
     def value(self) -> Any:
@@ -60,7 +45,7 @@ class Numbers(NDArrayOperatorsMixin):
         index = plain(index)
         parts = index if isinstance(index, tuple) else (index,)
         is_view = any(isinstance(part, slice) or part is Ellipsis for part in parts) or len(parts) < self.ndim
-        return Numbers(self.value[index], self._branches, (self, index) if is_view else None)
+        return Numbers(self.value[index], self._decide, (self, index) if is_view else None)
 
     def __setitem__(self, index: Any, value: Any) -> None:
         self._set(self.value.at[plain(index)].set(plain(value)))
@@ -70,16 +55,16 @@ class Numbers(NDArrayOperatorsMixin):
             raise TypeError(f"it writes numbers of JAX into an array of NumPy, or calls {function.__name__}.{method}")
         found = getattr(jnp, function.__name__)(*map(plain, inputs))
         if not out:
-            return Numbers(found, self._branches)
+            return Numbers(found, self._decide)
         out[0]._set(found)
         return out[0]
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
         found = getattr(jnp, function.__name__)(*map(plain, arguments), **{k: plain(v) for k, v in options.items()})
-        return jax.tree.map(lambda one: Numbers(one, self._branches), found)
+        return jax.tree.map(lambda one: Numbers(one, self._decide), found)
 
     def __bool__(self) -> bool:
-        return self._branches.decide(self.value)
+        return self._decide(self.value)
 
     def __len__(self) -> int:
         return int(self.value.shape[0])
@@ -94,10 +79,10 @@ class Numbers(NDArrayOperatorsMixin):
         found = getattr(self.value, name, None)
         function = partial(getattr(jnp, name), self.value) if found is None else found
         if not callable(function):
-            return function if isinstance(function, tuple | int | np.dtype) else Numbers(function, self._branches)
+            return function if isinstance(function, tuple | int | np.dtype) else Numbers(function, self._decide)
 
         def method(*arguments: Any, **options: Any) -> Numbers:
-            return Numbers(function(*map(plain, arguments), **options), self._branches)
+            return Numbers(function(*map(plain, arguments), **options), self._decide)
 
         return method
 
@@ -122,8 +107,17 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
         return evaluated(arguments, ())
 
     def evaluated(arguments: Any, given: tuple[bool, ...]) -> Any:
-        branches = Branches(given)
-        numbers = [Numbers(jnp.asarray(one), branches) for one in arguments]
+        # Decisions that are not given are first taken as true.
+        taken: list[bool] = list(given)
+        conditions: list[Any] = []
+
+        def decide(condition: Any) -> bool:
+            if len(conditions) == len(taken):
+                taken.append(True)
+            conditions.append(condition)
+            return taken[len(conditions) - 1]
+
+        numbers = [Numbers(jnp.asarray(one), decide) for one in arguments]
         try:
             found = jnp.asarray(plain(function(*numbers)), dtype=jnp.float64)
         except Exception as reason:
@@ -131,11 +125,11 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
                 f"JAX cannot trace {what} ({type(reason).__name__}: {in_one_line(str(reason), 160)}); write it with "
                 'jax.numpy, or take backend="compiled"'
             ) from reason
-        for k in range(len(branches.taken) - 1, len(given) - 1, -1):
+        for k in range(len(taken) - 1, len(given) - 1, -1):
             if 2 ** (k + 1) > MOST_BRANCHES:
                 raise TypeError(f'{what} has more than {MOST_BRANCHES} branches; take backend="compiled"')
-            other = evaluated(arguments, (*branches.taken[:k], False))
-            found = jnp.where(branches.conditions[k], found, other)
+            other = evaluated(arguments, (*taken[:k], False))
+            found = jnp.where(conditions[k], found, other)
         return found
 
     return traced

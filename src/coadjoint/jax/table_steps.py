@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jax.scipy.linalg import expm
 
-from coadjoint.jax.body_angles import Angles, body_angles
+from coadjoint.jax.body_motion import Angles, body_angles
 from coadjoint.jax.stage_steps import Steps, gradient_of, sparse
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, BlockKind
 from coadjoint.program.group_correction import UnshiftTables
@@ -54,11 +54,13 @@ def _exponential_jvp(values: Any, tangents: Any) -> Any:
 
 def _part(
     table: Table, functions: Mapping[int, Any], part: int, side: int | None
-) -> tuple[Angles, Callable[..., State]]:
-    """Return the angles of a part, and its flow of constants, the times tau and t, and a state."""
+) -> tuple[Callable[[Any], Any], Callable[..., State]]:
+    """Return the constants of a part from the numbers of the table, and its flow of these, tau, t and a state."""
     first, last = (int(k) for k in table["share"][part : part + 2])
     rows = slice(int(table["term_row"][first]), int(table["term_row"][last]))
-    angles = body_angles(table, part) if first in table["bodies"] else _angles(table, functions, first, last)
+    constants_of, angles = (
+        body_angles(table, part) if first in table["bodies"] else _angles(table, functions, first, last)
+    )
     count = rows.stop - rows.start
     layers = _layers(table, "state", int(table["dim"]), part, count)
     on_group = [] if side is None else _layers(table, "group", side, part, count)
@@ -67,7 +69,7 @@ def _part(
 
     def flow(constants: Any, tau: Any, t: Any, state: State) -> State:
         x, elements = state
-        theta = angles.at(constants, tau, x, t)
+        theta = angles(constants, tau, x, t)
         if np.any(w):
             theta = jnp.where(w == 0.0, theta, 2.0 * jnp.arctan(0.5 * safe * theta) / safe)
         for act in layers:
@@ -76,7 +78,7 @@ def _part(
             elements = jax.vmap(partial(act, theta))(elements)
         return x, elements
 
-    return angles, flow
+    return constants_of, flow
 
 
 def table_steps(
@@ -102,7 +104,7 @@ def table_steps(
                 own = table["provenance"][name]
                 numbers[k] = numbers[k].at[own["index"]].set(own["factor"] * rest[own["monomial"]])
         joined = jnp.concatenate(numbers)
-        return [angles.constants(joined) for angles, _ in parts], factors
+        return [constants_of(joined) for constants_of, _ in parts], factors
 
     def flows(constants: Any, rows: Sequence[int], t: Any, h: Any, state: State, direction: float = 1.0) -> State:
         """Apply the flows of rows of a step from t, or in the direction -1 those of its inverse."""
@@ -246,7 +248,7 @@ def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -
             theta = theta.at[start : start + len(own)].add(gradient(x[own], t))
         return tau * theta
 
-    return Angles(constants, at)
+    return constants, at
 
 
 def _layers(table: Table, action: str, n: int, part: int, count: int) -> list[BlockAction]:

@@ -115,14 +115,14 @@ def check(description: LibraryInterface) -> None:
         for name, value in values.items():
             _check_equal(f"{list_name}.{name}", value, codes.get(list_name, {}).get(name))
         if list_name != "Limit":
-            _check_equal(f"{list_name}: names", sorted(values), sorted(codes[list_name]))
+            _check_names(f"{list_name}: names", values, codes[list_name])
     for list_name, names in REQUIRED_CODES.items():
         for name in names:
             if name not in codes.get(list_name, {}):
                 _check_equal(f"{list_name}.{name}", "a number", None)
     axes = {name for _, name in description.tables.get("Extent", ())} | set(codes["Limit"])
     for kind, used in ARRAYS.items():
-        _check_equal(f"arrays of a run, {kind}", sorted(used), sorted(arrays.get(kind, {})))
+        _check_names(f"arrays of a run, {kind}", used, arrays.get(kind, {}))
         for name, (numbers, own_axes) in arrays[kind].items():
             unknown = sorted(set(own_axes) - axes)
             if unknown:
@@ -136,20 +136,22 @@ def check_fields(name: str, fields: Iterable[str]) -> None:
     library_fields = kernel_interface().tables.get(name)
     if library_fields is None:
         raise ImportError(f"the compiled kernels have no table {name}: {REBUILD_ADVICE}")
-    _check_equal(f"table {name}: fields", sorted(fields), sorted(field for _, field in library_fields))
+    _check_names(f"table {name}: fields", fields, (field for _, field in library_fields))
 
 
 def _check_equal(name: str, ours: Any, theirs: Any) -> None:
-    if ours == theirs:
-        return
-    if isinstance(ours, list) and isinstance(theirs, list):
-        ours, theirs = (sorted(set(first) - set(second)) for first, second in ((ours, theirs), (theirs, ours)))
+    if ours != theirs:
+        shown = "missing" if theirs is None else theirs
+        raise ImportError(f"{name} is {ours} in this package and {shown} in the compiled kernels: {REBUILD_ADVICE}")
+
+
+def _check_names(what: str, ours: Iterable[str], theirs: Iterable[str]) -> None:
+    in_package, in_kernels = set(ours), set(theirs)
+    if in_package != in_kernels:
         raise ImportError(
-            f"{name}: {_listed(ours)} only in this package, {_listed(theirs)} only in the compiled kernels: "
-            f"{REBUILD_ADVICE}"
+            f"{what}: {_listed(sorted(in_package - in_kernels))} only in this package, "
+            f"{_listed(sorted(in_kernels - in_package))} only in the compiled kernels: {REBUILD_ADVICE}"
         )
-    shown = "missing" if theirs is None else theirs
-    raise ImportError(f"{name} is {ours} in this package and {shown} in the compiled kernels: {REBUILD_ADVICE}")
 
 
 def _listed(names: list[str]) -> str:

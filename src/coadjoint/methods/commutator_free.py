@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.matrix_steps import matrix_tables
-from coadjoint.kernels.tables.steps import STEP_LOOP
+from coadjoint.kernels.tables.steps import STEP_LOOP, matrix_tables
 from coadjoint.methods.numerics.isospectral_stages import has_layers, slope_along
 from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, work_of_products
 from coadjoint.methods.protocol.method import Representation

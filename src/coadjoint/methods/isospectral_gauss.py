@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.matrix_steps import matrix_tables
-from coadjoint.kernels.tables.steps import STEP_LOOP
+from coadjoint.kernels.tables.steps import STEP_LOOP, matrix_tables
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_stages import increment_of, linearized_step, stages_of
 from coadjoint.methods.protocol.composed import SubstepMethod

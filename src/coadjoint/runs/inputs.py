@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
-from coadjoint.kernels.tables.structures import NotWritable
+from coadjoint.kernels.tables.compiled import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.loops import Loops, loops_of_system

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import limited_blas_threads
+from coadjoint.kernels.loop import Extent, Layout, NamedArrays, limited_blas_threads
+from coadjoint.kernels.tables.compiled import as_structure
 from coadjoint.kernels.tables.recording import partial_step_schedule
-from coadjoint.kernels.tables.structures import as_structure
 from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import TerminalEvent
 from coadjoint.runs.loops.loops import Loops

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint import memory
-from coadjoint.kernels.arrays import ArrayOffsets, Extent, Layout, NamedArrays
 from coadjoint.kernels.interface import kernel_interface, limit
-from coadjoint.kernels.loop import MemberBatch
+from coadjoint.kernels.loop import ArrayOffsets, Extent, Layout, MemberBatch, NamedArrays
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.memory import UNCHECKED_BYTES, format_bytes
 from coadjoint.methods.protocol.method import Method

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.kernels.arrays import NamedArrays
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.loop import MemberBatch, limited_blas_threads
+from coadjoint.kernels.loop import MemberBatch, NamedArrays, limited_blas_threads
 from coadjoint.long_operations import paced, progress_bar
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.runs.events import RecordedEvents, TerminalEvent

@@ -15,8 +15,7 @@ import numpy as np
 from numpy import ndarray
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import as_c_double
-from coadjoint.kernels.loop import raise_outcome
+from coadjoint.kernels.loop import as_c_double, raise_outcome
 from coadjoint.kernels.tables.recording import SCHEDULE_BYTES, schedule_of
 from coadjoint.methods.forced import check_steps
 from coadjoint.runs.loops.loops import Loops

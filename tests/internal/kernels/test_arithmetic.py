@@ -10,7 +10,7 @@ import pytest
 from scipy import special, stats
 
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.structures import address
+from coadjoint.kernels.tables.compiled import address
 from coadjoint.runs.run import rounding
 from coadjoint.systems.forces.base import normal_deviates, random_words
 from rounding import UNIT_ROUNDOFF as U

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from coadjoint.kernels.functions import compilation, numba_steps
+from coadjoint.kernels.functions import compilation
 from coadjoint.kernels.functions.compiled_functions import CompiledFunction
-from coadjoint.kernels.tables import matrix_steps
+from coadjoint.kernels.tables import steps
 from coadjoint.systems.user_functions import MultipleOf
 from refusals import refused
 
@@ -111,13 +111,13 @@ def made(monkeypatch):
 
         __hash__, __eq__ = object.__hash__, object.__eq__
 
-    for module, name in ((compilation, "_compiled"), (matrix_steps, "_adapted"), (numba_steps, "_compiled")):
+    for module, name in ((compilation, "_compiled"), (steps, "_adapted_stream"), (compilation, "_compiled_function")):
         monkeypatch.setattr(module, name, lambda *given: Made(given))
     monkeypatch.setattr(compilation, "_COMPILED", {})
 
 
 def step_of(**given):
-    found, reason = numba_steps.compiled_step(**given)
+    found, reason = compilation.compiled_step(**given)
     assert reason == ""
     return found
 
@@ -129,7 +129,7 @@ CACHED = {
         [{"size": 2}, {"results": 9}, {"scalar": True}, {"flat": False}, {"timed": True}],
     ),
     "streams": (
-        lambda **given: matrix_steps._compiled(**given),
+        lambda **given: steps._compiled_stream(**given),
         {"function": product, "N": 3, "complex_entries": False, "timed": False, "traceless": ()},
         [{"N": 4}, {"complex_entries": True}, {"timed": True}]
         + [{"traceless": places} for places in (((0, 3),), ((0, 2),), ((0, 2), (2, 3)))],

@@ -10,7 +10,7 @@ import numpy as np
 
 import coadjoint
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.structures import address
+from coadjoint.kernels.tables.compiled import address
 
 SOURCE = Path(coadjoint.__file__).parent / "kernels" / "source"
 SINE, EXPONENTIAL, HALF_EXPONENTIAL, LOGARITHM, ANGLE = range(5)

@@ -15,8 +15,8 @@ import pytest
 import coadjoint as co
 from coadjoint.kernels import interface as description
 from coadjoint.kernels import library
-from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
-from coadjoint.kernels.tables import structures
+from coadjoint.kernels.loop import Extent, Layout, NamedArrays
+from coadjoint.kernels.tables import compiled
 from coadjoint.kernels.tables.field import GroupField
 from refusals import refused
 
@@ -106,7 +106,7 @@ INDEX = np.zeros(2, dtype=np.uint32)
 )
 def test_arrays_that_the_kernels_do_not_read(value, was):
     with pytest.raises(TypeError) as refusal:
-        structures.as_structure(GroupField(1, 2, INDEX, INDEX, INDEX, value))
+        compiled.as_structure(GroupField(1, 2, INDEX, INDEX, INDEX, value))
     assert str(refusal.value) == f"GroupField.value is {was}, not a contiguous float64"
 
 
@@ -116,7 +116,7 @@ class Unknown(NamedTuple):
 
 def test_tables_of_another_version():
     assert "have no table Unknown: they were built for another version" in refusal_of(
-        lambda: structures.as_structure(Unknown(1))
+        lambda: compiled.as_structure(Unknown(1))
     )
 
 
@@ -182,7 +182,7 @@ def test_fields_of_another_table_are_refused(monkeypatch):
     )
     monkeypatch.setattr(description, "kernel_interface", lambda: kernel_interface)
     with refused(ImportError, "GroupField", "entries", "size"):
-        structures.structure_of_table.__wrapped__(GroupField)
+        compiled.structure_of_table.__wrapped__(GroupField)
 
 
 def test_kernels_without_a_description_are_refused(monkeypatch):
@@ -214,7 +214,7 @@ def test_the_order_and_shapes_of_arrays_are_those_of_the_kernels(monkeypatch):
     kernel_interface = description.parse_description(text().replace(first + second, second + first))
     extent = Extent(members=3, points=2, size=4, square=9, invariants=2, memory_size=5)
     before = Layout(extent)
-    monkeypatch.setattr("coadjoint.kernels.arrays.kernel_interface", lambda: kernel_interface)
+    monkeypatch.setattr("coadjoint.kernels.loop.kernel_interface", lambda: kernel_interface)
     after = Layout(extent)
     assert list(before.saved.shapes) == ["x", "group", "values"] and next(iter(after.saved.shapes)) == "group"
     assert before.saved.shapes["x"] == after.saved.shapes["x"] == (2, 3, 4)

@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.structures import address
+from coadjoint.kernels.tables.compiled import address
 from coadjoint.methods.numerics.projection import independent
 from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.methods.numerics.taylor_series import Dual, PowerSeries, logarithm_of_step, near_log2, near_power_of_two

@@ -7,7 +7,7 @@ from typing import Any
 
 from coadjoint.errors import IntegrationError, in_one_line
 from coadjoint.files.configuration.loading import Configuration
-from coadjoint.kernels.arrays import Layout
+from coadjoint.kernels.loop import Layout
 from coadjoint.memory import available, format_bytes
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import declared_properties

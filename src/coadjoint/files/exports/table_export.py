@@ -13,7 +13,7 @@ from coadjoint.files.exports.c_statements import check_terms
 from coadjoint.files.output.atomic_output import PendingOutput
 from coadjoint.files.output.output_files import OutputError, write_text
 from coadjoint.kernels.library import SOURCE, SUFFIX, kernels
-from coadjoint.kernels.tables.cotangents import flow_cotangents
+from coadjoint.kernels.tables.derivatives import flow_cotangents
 from coadjoint.kernels.tables.flow import FlowTables
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.prepared_run import PreparedRun

@@ -1,4 +1,4 @@
-"""Functions that the kernels call by address: those of users, compiled or called in Python, and tabulated formulas."""
+"""Functions of users that the kernels call by address, compiled or called in Python."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.invariants.invariant import Forms
-from coadjoint.kernels.tables.structures import as_structure, filled
 from coadjoint.optional_packages import MissingPackageError, installed, require_packages
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
@@ -56,31 +54,6 @@ def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
 def _recompiled(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
     restored = restored_function(function)
     return CompiledFunction(restored, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
-
-
-class FormulaFunction:
-    """A formula table for the kernels, identified by the negative of its address; the object keeps the table alive."""
-
-    def __init__(self, forms: Forms) -> None:
-        self._table = as_structure(forms)
-        self.address: int = -ctypes.addressof(self._table)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return arguments that build the formula again in another process."""
-        return FormulaFunction, (self._table.source,)
-
-
-class CompiledShares:
-    """A compiled `SumOfShares`, identified by the negative and odd address of its table."""
-
-    def __init__(self, share: CompiledFunction, shares: int, results: int) -> None:
-        self._arguments = share, shares, results
-        self._table = filled("SharedFunction", address=share.address, shares=shares, results=results)
-        self.address: int = -ctypes.addressof(self._table) - 1
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return arguments that build the table again in another process."""
-        return CompiledShares, self._arguments
 
 
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
@@ -210,7 +183,7 @@ def _compiled_step(method: Any, system: Any) -> tuple[Any, str]:
         require_packages("a compiled step", "numba")
     except MissingPackageError as error:
         return None, str(error)
-    from coadjoint.kernels.functions.numba_steps import compiled_step
+    from coadjoint.kernels.functions.compilation import compiled_step
 
     names, values = _parameters(method)
     try:
@@ -234,13 +207,3 @@ def _parameters(method: Any) -> tuple[tuple[str, ...], tuple[Any, ...]]:
 def with_derivatives(system: Any) -> bool:
     """Return whether the kernels have exact derivatives of a field, which then has no user functions."""
     return system.algebra is not None and not any(term.called for term in system.hamiltonian.terms())
-
-
-def raised_by(owners: Iterable[Any]) -> BaseException | None:
-    """Return and clear the exception that a function called in Python raised, if any."""
-    return next((error for owner in owners if (error := getattr(owner, "raised", lambda: None)())), None)
-
-
-Owner = CompiledFunction | CompiledShares | FormulaFunction | PythonCallback
-Owners = tuple[Owner, ...]
-"""Owners of the objects that addresses point to: they must live as long as the addresses are in use."""

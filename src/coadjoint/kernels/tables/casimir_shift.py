@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import as_c_double
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.structures import as_structure, packer
+from coadjoint.kernels.loop import as_c_double
+from coadjoint.kernels.tables.compiled import as_structure, packer
 from coadjoint.program.group_correction import UnshiftTables
 
 # Multiplications per call; interrupts are handled between calls.

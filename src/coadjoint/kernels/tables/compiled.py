@@ -1,33 +1,233 @@
-"""Tables with the compiled user functions that they call, and their pickling: functions are compiled again, and
-addresses are replaced by those in the receiving process.
+"""Tables as C structures with the layout that the library describes, the compiled user functions that they call, and
+their pickling: functions are compiled again, and addresses are replaced by those in the receiving process.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import ctypes
+import functools
+import struct
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from operator import attrgetter, itemgetter
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.invariant import Forms
 from coadjoint.kernels.functions.compiled_functions import (
     CompiledFunction,
-    CompiledShares,
-    FormulaFunction,
-    Owner,
-    Owners,
     PythonCallback,
-    raised_by,
     warn_slow_compilation,
 )
-from coadjoint.kernels.tables.structures import structure_of_table, table_fields, unrecorded, with_arrays
+from coadjoint.kernels.interface import check_fields, kernel_interface, limit
 from coadjoint.systems.user_functions import SumOfShares, forms_of, is_called_in_python
 
 if TYPE_CHECKING:
     from coadjoint.program.sources import Sources
     from coadjoint.systems.energy_derivatives import FunctionDerivative
     from coadjoint.systems.hamiltonians.terms import FunctionTerm
+
+# Types of fields in `source/boundary/tables.hpp`: numbers, or elements of arrays.
+SCALARS: dict[str, Any] = {"integer": ctypes.c_int64, "number": ctypes.c_double, "flag": ctypes.c_int64}
+ARRAYS: dict[str, Any] = {
+    "bytes": np.dtype(np.uint8),
+    "indices": np.dtype(np.uint32),
+    "integers": np.dtype(np.int64),
+    "addresses": np.dtype(np.int64),
+    "numbers": np.dtype(np.float64),
+    "constants": np.dtype(np.float64),
+}
+PER_MEMBER_TYPES = frozenset(("addresses", "constants"))
+"""Types of arrays with one column per member if the constants of members differ."""
+
+Tables = TypeVar("Tables", bound=tuple[Any, ...])
+
+
+class NotWritable(ValueError):
+    """The tables depend on numbers in a way that cannot be written into them; the message names the field."""
+
+
+def unrecorded() -> Any:
+    """Refuse to return the sources of tables."""
+    raise NotWritable("its tables do not record where they are")
+
+
+@functools.cache
+def structures() -> dict[str, Any]:
+    """Return the C structures of the tables by name."""
+    by_name: dict[str, Any] = {}
+    for name, listed in kernel_interface().tables.items():
+        members = [
+            (label, SCALARS.get(kind) or (ctypes.c_void_p if kind in ARRAYS else by_name[kind]))
+            for kind, label in listed
+        ]
+        by_name[name] = type(name, (ctypes.Structure,), {"_fields_": members, "kinds": [kind for kind, _ in listed]})
+    return by_name
+
+
+@functools.cache
+def structure_of_table(kind: Any) -> Any:
+    """Return the C structure with the name and fields of a class of named tuples; raise ImportError if they differ."""
+    check_fields(kind.__name__, getattr(kind, "_fields", ()))
+    return structures()[kind.__name__]
+
+
+class TableField(NamedTuple):
+    """A number or an array of a table or of a nested one: its dotted name, its type, and its offset in bytes."""
+
+    name: str
+    token: str
+    offset: int
+
+    def of(self, tables: Any) -> Any:
+        """Return the value in named tuples."""
+        return attrgetter(self.name)(tables)
+
+
+@functools.cache
+def table_fields(structure: Any) -> tuple[TableField, ...]:
+    """Return the fields of a C structure and of nested ones, in its order."""
+    found: list[TableField] = []
+    for (name, kind), token in zip(structure._fields_, structure.kinds, strict=True):
+        offset = getattr(structure, name).offset
+        if token in SCALARS or token in ARRAYS:
+            found.append(TableField(name, token, offset))
+        else:
+            found += [TableField(f"{name}.{one.name}", one.token, offset + one.offset) for one in table_fields(kind)]
+    return tuple(found)
+
+
+def with_arrays(tables: Tables, arrays: Mapping[str, Any]) -> Tables:
+    """Return tables with other arrays, by their dotted names."""
+    named: Any = tables
+    changed: dict[str, Any] = {}
+    nested: dict[str, dict[str, Any]] = {}
+    for name, array in arrays.items():
+        outer, _, inner = name.partition(".")
+        if inner:
+            nested.setdefault(outer, {})[inner] = array
+        else:
+            changed[outer] = array
+    changed |= {outer: with_arrays(getattr(named, outer), inner) for outer, inner in nested.items()}
+    replaced: Tables = named._replace(**changed)
+    return replaced
+
+
+def as_structure(table: Any) -> Any:
+    """Return a named tuple as the C structure of its name, which keeps arrays alive; a structure unchanged."""
+    if isinstance(table, ctypes.Structure):
+        return table
+    table_class: Any = type(table)
+    return _filled(structure_of_table(table_class), partial(getattr, table), table)
+
+
+def filled(name: str, **fields: Any) -> Any:
+    """Return the C structure of a name with these fields, for a table that Python does not read."""
+    check_fields(name, fields)
+    return _filled(structures()[name], fields.__getitem__, fields)
+
+
+def _filled(kind: Any, value_of: Callable[[str], Any], source: Any) -> Any:
+    numbers = []
+    for (label, _), token in zip(kind._fields_, kind.kinds, strict=True):
+        value = value_of(label)
+        if token in ARRAYS:
+            if value.dtype != ARRAYS[token] or not value.flags.c_contiguous:
+                raise TypeError(f"{kind.__name__}.{label} is {value.dtype}, not a contiguous {ARRAYS[token]}")
+            value = value.__array_interface__["data"][0]
+        elif token not in SCALARS:
+            value = as_structure(value)
+        numbers.append(value)
+    structure = kind(*numbers)
+    structure.source = source
+    return structure
+
+
+@functools.cache
+def packer(kind: Any) -> Callable[..., bytes]:
+    """Return a function from the fields of a table of numbers to its bytes, ten times faster than `as_structure`."""
+    structure = structure_of_table(kind)
+    names = tuple(name for name, _ in structure._fields_)
+    pack = struct.Struct("=" + "".join("d" if token == "number" else "q" for token in structure.kinds)).pack
+    if names == kind._fields:
+        return pack
+    in_order = itemgetter(*map(kind._fields.index, names))
+    return lambda *numbers: pack(*in_order(numbers))
+
+
+def address(array: Any) -> ctypes.c_void_p:
+    """Return the address of the first element of a contiguous array."""
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+def structure_of(tables: Any) -> Hashable:
+    """Return everything in tables except their constants: members of equal structure can share one set of tables."""
+    kind: Any = type(tables)
+    return kind, *(_structure_of(one, one.of(tables)) for one in table_fields(structure_of_table(kind)))
+
+
+def _structure_of(field: TableField, value: Any) -> Hashable:
+    if field.token in SCALARS:
+        scalar: Hashable = value
+        return scalar
+    if field.token not in PER_MEMBER_TYPES:
+        return value.dtype.char, value.shape, value.tobytes()
+    return value.shape if value.dtype == np.float64 else (value.shape, (value == 0).tobytes())
+
+
+def stacked(members: Sequence[Tables]) -> Tables:
+    """Return one set of tables for members of equal `structure_of`, with a column of constants for each; the last one
+    is repeated up to a multiple of MOST_LANES, since lanes may read beyond it.
+    """
+    kind: Any = type(members[0])
+    varying = [one for one in table_fields(structure_of_table(kind)) if one.token in PER_MEMBER_TYPES]
+    return with_arrays(
+        members[0], {one.name: _stacked_columns([one.of(member) for member in members]) for one in varying}
+    )
+
+
+def _stacked_columns(columns: Sequence[Any]) -> Any:
+    padding = -len(columns) % limit("MOST_LANES")
+    return np.ascontiguousarray(np.pad(np.array(columns), ((0, padding), (0, 0)), mode="edge").T)
+
+
+class FunctionTable:
+    """A function that the kernels evaluate from a table, which is identified by the negative of its address: a formula,
+    or the shares of a compiled function, with an odd address. `remade` are the arguments of its pickle.
+    """
+
+    def __init__(self, table: Any, remade: tuple[Any, ...], odd: bool = False) -> None:
+        self._table, self._remade = table, remade
+        self.address: int = -ctypes.addressof(table) - odd
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return arguments that build the table again in another process."""
+        return self._remade
+
+
+def formula_table(forms: Forms) -> FunctionTable:
+    """Return the table of a formula."""
+    return FunctionTable(as_structure(forms), (formula_table, (forms,)))
+
+
+def share_table(share: CompiledFunction, shares: int, results: int) -> FunctionTable:
+    """Return the table of a compiled `SumOfShares`."""
+    table = filled("SharedFunction", address=share.address, shares=shares, results=results)
+    return FunctionTable(table, (share_table, (share, shares, results)), odd=True)
+
+
+Owner = CompiledFunction | FunctionTable | PythonCallback
+Owners = tuple[Owner, ...]
+"""Owners of the objects that addresses point to: they must live as long as the addresses are in use."""
+
+
+def raised_by(owners: Iterable[Any]) -> BaseException | None:
+    """Return and clear the exception that a function called in Python raised, if any."""
+    return next((error for owner in owners if (error := getattr(owner, "raised", lambda: None)())), None)
+
 
 ORDERS = {"value": 0, "gradient": 1, "hessian": 2}
 
@@ -103,7 +303,7 @@ def addresses_of(
 ) -> tuple[NDArray[np.int64], Owners]:
     """Compile a derivative of FUNCTION terms by number; return addresses (count,), 0 for others, and owners."""
     addresses = np.zeros(count, dtype=np.int64)
-    keepalive: list[CompiledFunction | CompiledShares | FormulaFunction | PythonCallback] = []
+    keepalive: list[Owner] = []
     if not functions:
         return addresses, ()
     warn_slow_compilation(
@@ -112,30 +312,30 @@ def addresses_of(
         if forms_of(user_function := getattr(term, derivative)) is None and not is_called_in_python(user_function)
     )
     for k, term in functions.items():
-        function = getattr(term, derivative)
-        if (forms := forms_of(function)) is not None:
-            keepalive.append(FormulaFunction(forms))
-            addresses[k] = keepalive[-1].address
-            continue
-        size = len(term.coordinates)
-        results = size ** ORDERS[derivative]
-        if is_called_in_python(function):
-            keepalive.append(PythonCallback(function, size, results))
-            addresses[k] = keepalive[-1].address
-            continue
-        shared = isinstance(function, SumOfShares)
-        compiled = CompiledFunction(
-            function.share if shared else function,
-            size,
-            results,
-            scalar=term.scalar,
-            flat=derivative != "value",
-            timed=term.timed or shared,
-            what=f"the {derivative} of {owner}",
-        )
-        keepalive.append(CompiledShares(compiled, function.shares, results) if shared else compiled)
+        keepalive.append(_owner_of(term, derivative, owner))
         addresses[k] = keepalive[-1].address
     return addresses, tuple(keepalive)
+
+
+def _owner_of(term: FunctionTerm, derivative: str, owner: str) -> Owner:
+    """Compile a derivative of a term, or make a table of it."""
+    function, size = getattr(term, derivative), len(term.coordinates)
+    if (forms := forms_of(function)) is not None:
+        return formula_table(forms)
+    results = size ** ORDERS[derivative]
+    if is_called_in_python(function):
+        return PythonCallback(function, size, results)
+    shared = isinstance(function, SumOfShares)
+    compiled = CompiledFunction(
+        function.share if shared else function,
+        size,
+        results,
+        scalar=term.scalar,
+        flat=derivative != "value",
+        timed=term.timed or shared,
+        what=f"the {derivative} of {owner}",
+    )
+    return share_table(compiled, function.shares, results) if shared else compiled
 
 
 def addresses_by_coefficients(functions: Sequence[FunctionDerivative], count: int) -> tuple[NDArray[np.int64], Owners]:

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction, Owners
-from coadjoint.kernels.tables.compiled import addresses_of
-from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.tables.compiled import Owners, addresses_of, unrecorded
+from coadjoint.program.generators import given_matrices
 from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of
 from coadjoint.program.term_table import FUNCTION, Terms, TermTable
 from coadjoint.systems.system import System
@@ -169,13 +169,14 @@ def group_of(system: System, representation: Any) -> GroupField:
     no_integers = np.zeros(0, dtype=np.int64)
     if representation is None or system.algebra is None:
         return GroupField(0, 0, _indices(no_integers), _indices(no_integers), _indices(no_integers), np.zeros(0))
-    if isinstance(representation, str):
+    rho = given_matrices(representation)
+    if rho is None:
         # (D_u)_ac = sum_i u_i c_ai^c, from both orders of each listed pair
         i, j, k, c = system.algebra.triples
         element, row, column = np.concatenate([j, i]), np.concatenate([i, j]), np.concatenate([k, k])
         value, size = np.concatenate([c, -c]), system.dim
     else:
-        rho = np.asarray(representation, dtype=np.float64)
+        rho = np.asarray(rho, dtype=np.float64)
         element, row, column = np.nonzero(rho)
         value, size = rho[element, row, column], rho.shape[1]
     return GroupField(size, len(value), _indices(element), _indices(row), _indices(column), -system.sign * value)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of
-from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.kernels.tables.compiled import CompiledTables, addresses_of, as_structure
 from coadjoint.program.actions import Action, acts_rationally, empty_action
 from coadjoint.program.blocks import BlockKind
 from coadjoint.program.parts.part import BodyShare

@@ -14,11 +14,15 @@ from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.compiled import CompiledTables
+from coadjoint.kernels.tables.compiled import CompiledTables, as_structure
 from coadjoint.kernels.tables.invariants import watch_tables
-from coadjoint.kernels.tables.matrix_steps import stream_tables
-from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
-from coadjoint.kernels.tables.structures import as_structure
+from coadjoint.kernels.tables.steps import (
+    INNER_LOOP_INDEX,
+    STEP_LOOP,
+    inner_loop_integers,
+    named_step_tables,
+    stream_tables,
+)
 from coadjoint.optional_packages import require_packages
 from coadjoint.program.sources import CoefficientNumbers, Multiples, Sources
 from coadjoint.systems.coefficients import linear_of, with_linear

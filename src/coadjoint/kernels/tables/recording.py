@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.library import kernels
-from coadjoint.kernels.tables.structures import address, as_structure, filled, packer
+from coadjoint.kernels.tables.compiled import address, as_structure, filled, packer
 from coadjoint.program.term_table import Terms
 
 ROWS_PER_STEP, SPARE_ROWS = 4, 2**14

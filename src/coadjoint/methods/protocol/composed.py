@@ -19,7 +19,7 @@ from coadjoint.shortcuts import of
 from coadjoint.systems.system import System
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.tables.tangents import Frame
+    from coadjoint.kernels.tables.derivatives import Frame
     from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.tables.cotangents import (
+from coadjoint.kernels.tables.compiled import unrecorded
+from coadjoint.kernels.tables.derivatives import (
     flow_cotangents,
     runge_kutta_cotangents,
     with_step,
 )
-from coadjoint.kernels.tables.structures import unrecorded
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.program.added_part import Places, terms_of, with_added_part
 from coadjoint.program.sources import NO_MULTIPLES, Multiples, Sources, concatenated

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.kernels.tables.structures import unrecorded
+from coadjoint.kernels.tables.compiled import unrecorded
 from coadjoint.methods.protocol.composed import Composed, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.program.generators import NotSplittable
@@ -34,7 +34,7 @@ from coadjoint.systems.system import System
 from coadjoint.validation import read_bool, read_choice, read_integer, read_list
 
 if TYPE_CHECKING:
-    from coadjoint.kernels.tables.tangents import Frame
+    from coadjoint.kernels.tables.derivatives import Frame
     from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
@@ -134,7 +134,7 @@ class FlowMethod(Method):
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
         """Return the loop over the rows of the table, with tangent vectors."""
-        from coadjoint.kernels.tables.tangents import check_differentiable, with_tangents
+        from coadjoint.kernels.tables.derivatives import check_differentiable, with_tangents
 
         check_differentiable(system)
         program = self.program(system)

@@ -23,7 +23,7 @@ from coadjoint.validation import read_choice
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from coadjoint.kernels.tables.tangents import Frame
+    from coadjoint.kernels.tables.derivatives import Frame
     from coadjoint.methods.numerics.formal_series import FormalNumber
     from coadjoint.methods.protocol.cost_model import Work
     from coadjoint.methods.protocol.derivative_tables import DerivativeTables
@@ -133,8 +133,8 @@ class RungeKuttaMethod(SubstepMethod):
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over stages and their derivatives."""
+        from coadjoint.kernels.tables.derivatives import check_differentiable, with_tangents
         from coadjoint.kernels.tables.field import terms_of_field
-        from coadjoint.kernels.tables.tangents import check_differentiable, with_tangents
 
         check_differentiable(system)
         if self.solver not in ("explicit", "iterated"):

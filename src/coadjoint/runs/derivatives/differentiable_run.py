@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
-from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.kernels.tables.tangents import check_differentiable
+from coadjoint.kernels.tables.compiled import as_structure
+from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, check_differentiable
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables

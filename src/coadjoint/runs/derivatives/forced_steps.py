@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun
+from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.forced import Forced, flow_of_force, substeps_of
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, EXACT, DerivativeTables

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import raised_by
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import StopFlag
-from coadjoint.kernels.tables.cotangents import BackwardRun, ForwardRun, advance_tables
+from coadjoint.kernels.tables.compiled import raised_by
+from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, advance_tables
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.derivative_tables import DIFFERENCES, DerivativeTables, Kernel
 from coadjoint.methods.protocol.method import Method, Representation

@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Extent, Layout, NamedArrays
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop, MemberBatch, matrix_rows
+from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, NamedArrays, matrix_rows
+from coadjoint.kernels.tables.compiled import NotWritable, as_structure
 from coadjoint.kernels.tables.recording import values_along
-from coadjoint.kernels.tables.structures import NotWritable, as_structure
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.member_batches import (

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Layout, NamedArrays
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.loop import NEVER_STOPPED, CompiledLoop, MemberBatch, StopFlag
-from coadjoint.kernels.tables.structures import as_structure, stacked, structure_of
+from coadjoint.kernels.loop import NEVER_STOPPED, CompiledLoop, Layout, MemberBatch, NamedArrays, StopFlag
+from coadjoint.kernels.tables.compiled import as_structure, stacked, structure_of
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.method import Method
 

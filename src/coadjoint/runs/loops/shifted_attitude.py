@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.kernels.arrays import NamedArrays
+from coadjoint.kernels.loop import NamedArrays
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.arrays import Layout, NamedArrays
+from coadjoint.kernels.loop import Layout, NamedArrays
 from coadjoint.keyword_hints import NamedValues
 from coadjoint.runs.loops.loops import GroupCorrection
 from coadjoint.runs.results.quantities import Observed

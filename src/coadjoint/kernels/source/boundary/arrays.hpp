@@ -1,5 +1,5 @@
 // The arrays of a run: each with its type, its name, and its axes as a product of numbers of `Extent` and of limits.
-// `coadjoint.kernels.arrays` documents their contents.
+// `coadjoint.kernels.loop` documents their contents.
 #pragma once
 
 #include "boundary/codes.hpp"

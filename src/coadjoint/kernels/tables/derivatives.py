@@ -1,30 +1,118 @@
-"""Tables of programs whose steps are differentiated, forward and backward."""
+"""Tables of steps that are differentiated: with tangent vectors along, and whole runs forward and backward."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.kernels.functions.compiled_functions import CompiledFunction
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.loop import CompiledLoop, StopFlag, kernel_loop, raise_outcome
-from coadjoint.kernels.tables.compiled import CompiledTables, addresses_by_coefficients, addresses_of
+from coadjoint.kernels.loop import CompiledLoop, StopFlag, kernel_loop, loop_over, raise_outcome
+from coadjoint.kernels.tables.compiled import (
+    CompiledTables,
+    Owners,
+    addresses_by_coefficients,
+    addresses_of,
+    as_structure,
+    filled,
+)
 from coadjoint.kernels.tables.field import terms_of_field
 from coadjoint.kernels.tables.flow import FlowTables, flow_tables, mark_rational, with_properties
 from coadjoint.kernels.tables.runge_kutta import RungeKuttaTables
-from coadjoint.kernels.tables.structures import as_structure
-from coadjoint.kernels.tables.tangents import check_differentiable, derivative_of_structure
 from coadjoint.program.actions import Action, build_action, empty_action
 from coadjoint.program.added_part import AddedPart
-from coadjoint.program.generators import BasisMatrices
+from coadjoint.program.generators import BasisMatrices, given_matrices
 from coadjoint.program.table import Program, dual_action
 from coadjoint.program.term_table import Terms
 from coadjoint.systems.energy_derivatives import FunctionDerivative
+from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
+
+STRETCH_ENTRIES = 3
+"""Numbers that store a product of lengths, (high + low) 2^exponent."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Initial tangent vectors (k, n), one per row, and the number of steps between orthonormalizations."""
+
+    vectors: NDArray[np.float64]
+    every: int
+
+
+TANGENT_LOOPS: Mapping[type, tuple[str, str]] = {
+    FlowTables: ("flow_tangents_advance", "FlowTangents"),
+    RungeKuttaTables: ("runge_kutta_tangents_advance", "RungeKuttaTangents"),
+}
+"""Class of the tables of a loop -> the loop that also carries tangent vectors, and the C structure of its tables."""
+
+
+def with_tangents(
+    loop: CompiledLoop, system: System, functions: Mapping[int, FunctionTerm], frame: Frame
+) -> CompiledLoop:
+    """Return a loop that takes the same steps, bitwise, with tangent vectors and without the group element."""
+    name, structure = TANGENT_LOOPS[type(loop.tables)]
+    check_differentiable(system)
+    hessians, keepalive = addresses_of(functions, loop.tables.terms.size, "hessian", "the Hamiltonian")
+    derivative, structure_owners = derivative_of_structure(system)
+    carried, size = frame.vectors.shape
+    vectors = np.ascontiguousarray(frame.vectors, dtype=np.float64)
+    tangents = filled(
+        "Tangents",
+        size=size,
+        carried=carried,
+        every=frame.every,
+        frame=vectors,
+        hessians=hessians,
+        derivative=derivative,
+    )
+    tables = filled(structure, base=loop.tables, tangents=tangents)
+    return loop_over(name, CompiledTables(tables, (*loop.keepalive, *keepalive, *structure_owners)))
+
+
+def check_differentiable(system: System) -> None:
+    """Raise TypeError if the Hamiltonian has no second derivatives, or J(x) no derivative."""
+    if not all(term.differentiable for term in system.hamiltonian.terms()):
+        raise TypeError(
+            f"tangent vectors need second derivatives, which the Hamiltonian of {system.name} does not have; "
+            "give hessian="
+        )
+    if system.algebra is None and system.derivative_function is None:
+        raise TypeError(
+            f"tangent vectors need the derivative of J, which is unknown for {system.name}; give derivative=, "
+            "or derivative_function"
+        )
+
+
+def derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
+    """Compile the derivative of a structure matrix given as a function; return its address, if any, and its owner."""
+    if system.algebra is not None:
+        return np.zeros(0, dtype=np.int64), ()
+    assert system.derivative_function is not None
+    compiled = CompiledFunction(
+        system.derivative_function,
+        system.dim,
+        system.dim**3,
+        scalar=False,
+        flat=True,
+        timed=False,
+        what="the derivative of the structure matrix",
+    )
+    return np.array([compiled.address], dtype=np.int64), (compiled,)
+
+
+def stretch_logarithms(memory: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Return the logarithms (members, count) of the accumulated growth of each vector up to the last step."""
+    entries = memory[:, memory.shape[1] - count * STRETCH_ENTRIES :].reshape(-1, count, STRETCH_ENTRIES)
+    high, low, exponent = np.moveaxis(entries, 2, 0)
+    return np.asarray(exponent * np.log(2.0) + (np.log(high) + np.log1p(low / high)))
+
 
 Floats = NDArray[np.float64]
 
@@ -38,16 +126,6 @@ class FlowCotangents(NamedTuple):
     hessians: NDArray[np.int64]
     added: int
     stride: int
-
-
-class RungeKuttaCotangents(NamedTuple):
-    """Tables of a Runge-Kutta method with the terms of derivatives; see `source/boundary/tables.hpp`."""
-
-    base: RungeKuttaTables
-    hessians: NDArray[np.int64]
-    derivative: NDArray[np.int64]
-    added: Terms
-    functions: NDArray[np.int64]
 
 
 class ForwardRun(NamedTuple):
@@ -113,10 +191,11 @@ def flow_cotangents(
     dual = _marked_like(dual_action(system.algebra, program), tables.state)
     group_dual = empty_action()
     if program.group is not None:
+        rho = given_matrices(group)
         matrices = (
             BasisMatrices.coadjoint(system.algebra)
-            if isinstance(group, str)
-            else BasisMatrices.on_group(system.algebra, -np.swapaxes(group, 1, 2))
+            if rho is None
+            else BasisMatrices.on_group(system.algebra, -np.swapaxes(rho, 1, 2))
         )
         group_dual = _marked_like(build_action(matrices, parts), tables.group)
     if added is not None:
@@ -150,7 +229,7 @@ def flow_cotangents(
 def runge_kutta_cotangents(
     loop: CompiledLoop, system: System, added: Terms, functions: Sequence[FunctionDerivative]
 ) -> CompiledTables:
-    """Return `RungeKuttaCotangents` of a loop over stages, with the terms of the derivative of the energy."""
+    """Return the tables of a loop over stages, with the terms of the derivative of the energy."""
     check_differentiable(system)
     base: RungeKuttaTables = loop.tables
     table = terms_of_field(system)
@@ -158,7 +237,14 @@ def runge_kutta_cotangents(
     derivative, owners = derivative_of_structure(system)
     by_coefficients, others = addresses_by_coefficients(functions, added.size)
     return CompiledTables(
-        RungeKuttaCotangents(base, hessians, derivative, added, by_coefficients),
+        filled(
+            "RungeKuttaCotangents",
+            base=base,
+            hessians=hessians,
+            derivative=derivative,
+            added=added,
+            functions=by_coefficients,
+        ),
         (*loop.keepalive, *keepalive, *owners, *others),
     )
 
