@@ -19,13 +19,7 @@ from coadjoint.algebra.exact.free_algebra import (
     product,
     standard_factorization,
 )
-from coadjoint.algebra.invariants.casimir_equations import (
-    _row_echelon_form,
-    equations,
-    exact_kernel,
-    monomials,
-    numerical_kernel,
-)
+from coadjoint.algebra.invariants import casimir_equations as kernels
 from drawn_matrices import constants_of
 from refusals import refused
 
@@ -91,8 +85,8 @@ def test_a_rank_needs_a_gap():
 
 def test_large_blocks_of_equations_are_refused():
     i, j, k, c = co.algebras.so(3).triples
-    for values, solve in ((c, numerical_kernel), (c.astype(int).astype(object), exact_kernel)):
-        given = equations(Triples(i, j, k, c), values, monomials(3, 4), 3)
+    for values, solve in ((c, kernels.numerical_kernel), (c.astype(int).astype(object), kernels.exact_kernel)):
+        given = kernels.equations(Triples(i, j, k, c), values, kernels.monomials(3, 4), 3)
         assert len(solve(given, 6)) == 1  # x1^4 ... x3^4: six even monomials
         with refused(ValueError, "6 coefficients", "5"):
             solve(given, 5)
@@ -102,7 +96,7 @@ def test_large_blocks_of_equations_are_refused():
 def test_a_leading_coefficient_is_clear_above_its_threshold(size, clear):
     vector = np.array([[size, np.sqrt(1.0 - size**2)]])
     with nullcontext() if clear else refused(ValueError, "leading"):
-        assert _row_echelon_form(vector, 1e-14)[0] == [0]
+        assert kernels._row_echelon_form(vector, 1e-14)[0] == [0]
 
 
 @pytest.mark.parametrize("chunk", [1, 7, 100])
