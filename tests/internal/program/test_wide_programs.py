@@ -6,7 +6,7 @@ import pytest
 import coadjoint as co
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
 from coadjoint.long_operations import LongWait
-from coadjoint.program import blocks, commutation
+from coadjoint.program import blocks, commutation, logarithms, modified_series
 from coadjoint.program.added_part import Places
 from coadjoint.program.generators import NotSplittable, check_products
 from coadjoint.program.logarithms import Commutators
@@ -108,8 +108,6 @@ def test_lattices_are_not_too_wide():
 @pytest.mark.long
 def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     """Before most of them are made, on su(6) of 35 coordinates, also where their number was not foreseen."""
-    from coadjoint.program import logarithms, modified_series
-
     monkeypatch.setattr(modified_series, "estimated_products", lambda *given: 0.0)
 
     g = co.algebras.su(6)
