@@ -172,7 +172,10 @@ def from_description(description: Mapping[str, Any]) -> Method:
     return described("method", _schemes(), description)  # type: ignore[no-any-return]
 
 
-def read_method(value: Any, what: str = "method") -> Method:
+SCHEME_RULE = "it must be a scheme such as Splitting(order=2)"
+
+
+def read_method(value: Any, what: str = "method", rule: str = SCHEME_RULE) -> Method:
     """Return the scheme for an instance, a name or a mapping, as `integrate` takes it; errors name the nearest name."""
     if isinstance(value, Method):
         return value
@@ -189,7 +192,7 @@ def read_method(value: Any, what: str = "method") -> Method:
         return get(value)
     if isinstance(value, type) and issubclass(value, Method):
         raise TypeError(f"{what} is the class {value.__name__}; give a scheme, such as {value.__name__}()")
-    raise TypeError(f"{what} is {short(value)}; it must be a scheme such as Splitting(order=2)")
+    raise TypeError(f"{what} is {short(value)}; {rule}")
 
 
 ADAPTIVE_NAMES = frozenset(("rk45", "rk23", "dop853", "radau", "bdf", "lsoda", "dopri5", "vode", "tsit5", "odeint"))

@@ -29,7 +29,7 @@ def test_a_state_rests_up_to_its_threshold(speed, rests):
 def subject_of(system, method, states, h, steps=32, **said):
     scheme, claims = scheme_and_claims(system, method, said.get("order"), said.get("properties"), said.get("symmetric"))
     states = np.atleast_2d(np.asarray(states, dtype=float))
-    return Subject(system, scheme, h, states, steps, isinstance(method, co.methods.Method), **claims)
+    return Subject(system, scheme, h, states, steps, **claims)
 
 
 @pytest.mark.thinned(2)

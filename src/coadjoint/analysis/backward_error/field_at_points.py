@@ -22,19 +22,11 @@ from coadjoint.systems.user_functions import sample_points
 from coadjoint.validation import read_finite, read_number
 
 Floats = npt.NDArray[np.float64]
-Step = Callable[[npt.NDArray[Any], Any], Any]
 
 DISPLACEMENT_BITS = 53  # steps move by about 2^-53 of the state
 MAX_DISAGREEMENT = 1e-6  # largest accepted relative disagreement of two sets of steps
 SAMPLE_POINTS = (0, 1)  # the sample points of a system at which invariants are tested
 CHANGE_THRESHOLD = 1e-9  # relative threshold for a change of an invariant at a point
-
-
-def step_of(system: System, method: Any) -> Step:
-    """Return the step of a scheme, or of a function ``step(x, h)``, from time 0."""
-    if isinstance(method, Method):
-        return lambda x, h: method.step(system, x, 0 * h, h)
-    return lambda x, h: method(x, h)
 
 
 class ModifiedField:
@@ -54,7 +46,7 @@ class ModifiedField:
         Why the terms are not polynomials; empty if they are.
     """
 
-    def __init__(self, system: System, method: Any, order: int, reason: str) -> None:
+    def __init__(self, system: System, method: Method, order: int, reason: str) -> None:
         self.system, self.method, self.order, self.reason = system, method, order, reason
         self.dim: int = system.dim
         self.exact = not reason
@@ -151,7 +143,7 @@ class ModifiedField:
 
     def _checked_step(self, x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
         note_progress(f"a step of {self.method} in many digits")
-        end = np.asarray(step_of(self.system, self.method)(x, h))
+        end = np.asarray(self.method.step(self.system, x, 0 * h, h))
         if end.dtype != object or end.shape != x.shape:
             raise TypeError(
                 f"a step of {self.method} from {len(x)} mpmath numbers returned {end.dtype} of shape {end.shape}; a "

@@ -14,7 +14,7 @@ from coadjoint.algebra.polynomials.exact_polynomials import Exact
 from coadjoint.algebra.polynomials.monomials import ProductSum
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.polynomials.polynomial_format import readable_latex
-from coadjoint.analysis.backward_error.field_at_points import Floats, ModifiedField, step_of
+from coadjoint.analysis.backward_error.field_at_points import Floats, ModifiedField
 from coadjoint.analysis.backward_error.step_series import (
     ExactSystem,
     Field,
@@ -30,14 +30,13 @@ from coadjoint.analysis.backward_error.step_series import (
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.methods.protocol.method import Method
-from coadjoint.methods.registry import read_method
+from coadjoint.methods.protocol.step_method import read_step
 from coadjoint.optional_packages import require_packages
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
-from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import read_choice, read_integer, read_number
 
 MAX_ORDER = 64
@@ -101,14 +100,8 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
         raise ValueError(
             f"the Hamiltonian of {system.name} depends on time; a modified field needs an autonomous system"
         )
-    if isinstance(method, str | Mapping):
-        method = read_method(method)
-    if isinstance(method, Method):
-        method.properties(system)
-    elif not callable(method):
-        raise TypeError(f"method is {short(method)}; give a scheme such as GaussLegendre(2), or a function step(x, h)")
-    else:
-        check_arguments(method, "method", "x, h")
+    method = read_step(method, order)
+    method.properties(system)
     reason = 'way="numerical" was given'
     if way != "numerical":
         try:
@@ -124,19 +117,11 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     return field
 
 
-def _exact(system: System, method: Any, order: int) -> ExactField:
-    exact, step = ExactSystem(system), step_of(system, method)
+def _exact(system: System, method: Method, order: int) -> ExactField:
+    exact, known_to = ExactSystem(system), method.known_to
     exact.check_available_memory(order)
-    formal, known_to, declared = step, UNIT_ROUNDOFF, order
-    fractions: tuple[float, ...] = (1.0,)
-    if isinstance(method, Method):
-        known_to, fractions, declared = method.known_to, method.fractions, method.order
-
-        def formal(x: npt.NDArray[Any], h: Any) -> npt.NDArray[Any]:
-            return method.formal_step(system, x, h)
-
-    series = exact.series_of(formal, order)
-    check_at_a_point(step, exact, series, known_to)
+    series = exact.series_of(lambda x, h: method.formal_step(system, x, h), order)
+    check_at_a_point(lambda x, h: method.step(system, x, 0 * h, h), exact, series, known_to)
     fields = field_of_series(exact.ring, series)
     difference = max(size_of(a - b) for a, b in zip(fields[0], exact.field, strict=True))
     if 0.0 < difference <= MARGIN * max(known_to, UNIT_ROUNDOFF) * max(map(size_of, exact.field)):
@@ -144,8 +129,8 @@ def _exact(system: System, method: Any, order: int) -> ExactField:
         known_to, fields[0] = max(known_to, UNIT_ROUNDOFF), exact.field
     if known_to:
         # Substeps back and forth move further than their sum.
-        reach = 2.0 * float(np.sum(np.abs(fractions)))
-        for k, scale in enumerate(scale_of_motion(exact, min(order, declared))[1:], 1):
+        reach = 2.0 * float(np.sum(np.abs(method.fractions)))
+        for k, scale in enumerate(scale_of_motion(exact, min(order, method.order))[1:], 1):
             if max(map(size_of, fields[k])) <= MARGIN * known_to * reach**k * scale:
                 fields[k] = [exact.ring.zero] * system.dim
     return ExactField(system, method, order, exact, fields, known_to)

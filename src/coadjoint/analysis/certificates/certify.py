@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 import platform
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -21,15 +18,14 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, warn_if_long
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.protocol.properties import Properties
-from coadjoint.methods.protocol.step_method import StepMethod
-from coadjoint.methods.registry import description_of, read_method
+from coadjoint.methods.protocol.step_method import FunctionStep, read_step
+from coadjoint.methods.registry import description_of
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_bool, read_integer, read_number
 
-NO_PROPERTIES = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 MAX_ORDER, MAX_STEPS = 256, 10**7
 ALLOWED_SIZES = (1e-75, 1e75)
 """Allowed sizes of the largest entry of a state."""
@@ -112,8 +108,6 @@ def certify(
     if h == 0.0:
         raise ValueError(f"step is {h!r}; it must not be zero")
     count = None if steps is None else read_integer(steps, "steps", 1, MAX_STEPS, floats=True)
-    if isinstance(method, str | Mapping):
-        method = read_method(method)
     scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
     states, _ = momenta_of(system, x0)
     system = system.in_numbers
@@ -124,7 +118,7 @@ def certify(
             f"from {ALLOWED_SIZES[0]} to {ALLOWED_SIZES[1]}"
         )
     with np.errstate(all="ignore"), long_operation("certify"):
-        subject = Subject(system, scheme, h, states, count, isinstance(method, Method), **claims)
+        subject = Subject(system, scheme, h, states, count, **claims)
         if count is not None:
             seconds = subject.seconds * len(subject.states) * count
             warn_if_long(
@@ -180,47 +174,20 @@ def _description(method: Method) -> Any:
         return None
 
 
-@dataclass(frozen=True)
-class FunctionStep(StepMethod):
-    """A function ``step(x, h)``, or ``step(x, t, h)`` if `timed`, as a scheme."""
-
-    function: Callable[..., Any]
-    timed: bool = False
-
-    order = 1
-    explicit = False
-    symmetric = False
-    offered: ClassVar[bool] = False
-    compiles: ClassVar[bool] = False
-
-    def __str__(self) -> str:
-        """Name the function."""
-        return f"the function {getattr(self.function, '__name__', type(self.function).__name__)}"
-
-    def properties(self, system: System) -> Properties:
-        return NO_PROPERTIES
-
-    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
-        return np.asarray(self.function(x, t, h) if self.timed else self.function(x, h))
-
-
 def scheme_and_claims(
     system: System, method: Any, order: int | None, properties: Properties | None, symmetric: bool | None
 ) -> tuple[Method, dict[str, Any]]:
     """Return the scheme to be certified, with its own claims or, for a function, the claims in the arguments."""
     arguments: dict[str, Any] = {"order": order, "properties": properties, "symmetric": symmetric}
-    if isinstance(method, Method):
+    scheme = read_step(method)
+    if not isinstance(scheme, FunctionStep):
         for name, value in arguments.items():
             if value is not None:
-                raise TypeError(f"{name} is given, but {type(method).__name__} declares its own; omit {name}")
+                raise TypeError(f"{name} is given, but {type(scheme).__name__} declares its own; omit {name}")
         # The error of a scheme with its own step size does not depend on the step of the run.
-        own_order = None if method.own_steps else method.order
-        declared = declared_properties(method, system)
-        return method, {"order": own_order, "properties": declared, "symmetric": method.symmetric}
-    if isinstance(method, type) or not callable(method):
-        raise TypeError(
-            f"method is {short(method)}; it must be a scheme such as Splitting(order=2), or a function step(x, h)"
-        )
+        own_order = None if scheme.own_steps else scheme.order
+        declared = declared_properties(scheme, system)
+        return scheme, {"order": own_order, "properties": declared, "symmetric": scheme.symmetric}
     if order is not None:
         arguments["order"] = read_integer(order, "order", 1, MAX_ORDER)
     if symmetric is not None:
@@ -232,16 +199,4 @@ def scheme_and_claims(
             f'properties has attitude="{properties.attitude}", but a function step(x, h) moves the momentum only; '
             'give attitude="none"'
         )
-    return FunctionStep(method, _takes_time(method)), arguments
-
-
-def _takes_time(function: Callable[..., Any]) -> bool:
-    try:
-        parameters = inspect.signature(function).parameters.values()
-    except (TypeError, ValueError):
-        return False
-    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    needed = sum(p.kind in kinds and p.default is inspect.Parameter.empty for p in parameters)
-    if needed not in (2, 3):
-        raise TypeError(f"{short(function)} takes {needed} arguments; a step is a function of (x, h), or of (x, t, h)")
-    return needed == 3
+    return scheme, {**arguments, "compiled": False}

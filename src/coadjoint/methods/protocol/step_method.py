@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, ClassVar
+
+import numpy as np
 
 from coadjoint.kernels.functions.compiled_functions import step_function
 from coadjoint.kernels.loop import CompiledLoop, loop_over
@@ -17,9 +21,14 @@ from coadjoint.methods.protocol.cost_model import (
     work_of_iterations,
     work_of_operations,
 )
-from coadjoint.methods.protocol.method import Representation
+from coadjoint.methods.protocol.method import Method, Representation
+from coadjoint.methods.protocol.properties import Properties
+from coadjoint.methods.registry import SCHEME_RULE, read_method
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
 from coadjoint.systems.system import System
+
+NO_PROPERTIES = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
 
 class StepMethod(SubstepMethod):
@@ -90,6 +99,50 @@ class StepMethod(SubstepMethod):
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""
         return work_of_evaluations(system, substeps * self.order, self.explicit)
+
+
+@dataclass(frozen=True)
+class FunctionStep(StepMethod):
+    """A function ``step(x, h)``, or ``step(x, t, h)`` if `timed`, as a scheme of which no more is known."""
+
+    function: Callable[..., Any]
+    timed: bool = False
+    order: int = 1
+
+    explicit = False
+    symmetric = False
+    offered: ClassVar[bool] = False
+    compiles: ClassVar[bool] = False
+
+    def __str__(self) -> str:
+        """Name the function."""
+        return f"the function {getattr(self.function, '__name__', type(self.function).__name__)}"
+
+    def properties(self, system: System) -> Properties:
+        return NO_PROPERTIES
+
+    def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
+        return np.asarray(self.function(x, t, h) if self.timed else self.function(x, h))
+
+
+def step_takes_time(function: Callable[..., Any]) -> bool:
+    """Return whether a step is a function of (x, t, h), not of (x, h)."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return False
+    kinds = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    needed = sum(p.kind in kinds and p.default is inspect.Parameter.empty for p in parameters)
+    if needed not in (2, 3):
+        raise TypeError(f"{short(function)} takes {needed} arguments; a step is a function of (x, h), or of (x, t, h)")
+    return needed == 3
+
+
+def read_step(value: Any, order: int = 1) -> Method:
+    """Return the scheme as `read_method` does, or for a function ``step(x, h)`` or ``step(x, t, h)`` of an order."""
+    if callable(value) and not isinstance(value, type):
+        return FunctionStep(value, step_takes_time(value), order)
+    return read_method(value, rule=f"{SCHEME_RULE}, or a function step(x, h)")
 
 
 class CompiledStepMethod(SubstepMethod):
