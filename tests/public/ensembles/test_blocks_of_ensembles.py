@@ -36,6 +36,15 @@ def test_blocks_of_one_system_have_the_noise_of_their_members():
     assert len(np.unique(found.x[-1], axis=0)) == 8
 
 
+@pytest.mark.parametrize("rate", [[0.2, 0.1, 0.3], 0.2 * np.eye(3) + 0.01], ids=["diagonal", "matrix"])
+def test_a_check_of_the_step_changes_no_bits_of_the_blocks(rate):
+    """The check rounds up; what a thread keeps for the next call is computed in substeps of two lengths."""
+    damped = co.systems.gyrostat().with_forces(co.forces.Torque((0.01, 0.02, 0.03)), co.forces.LinearDamping(rate))
+    scheme = co.methods.even_order(co.GaussLegendre(1), 4)
+    found = co.integrate_ensemble(damped, X[:3], (0, 3), 0.25, scheme)
+    np.testing.assert_array_equal(found.x, co.integrate(damped, X[:3], (0, 3), 0.25, scheme).x)
+
+
 class Stop:
     """Files of an archive from which on writing fails; the names of those that were written."""
 
