@@ -21,10 +21,10 @@ namespace coadjoint {
                                             const A&, const Vectors<V>&);
 
 #define COMPILED_SWEEPS(declared, summation, A, G, C)                                                               \
-    declared template void sweep<summation, false>(const FlowTables&, const C&, uint32_t, uint32_t,                \
+    declared template void sweep<summation, false>(const FlowTables&, const C&, RowRange,                          \
                                                    const Vectors<A>&, const Vectors<G>&, const A&, double,         \
                                                    AngleWorkspace<A>&);                                            \
-    declared template void sweep<summation, true>(const FlowTables&, const C&, uint32_t, uint32_t,                 \
+    declared template void sweep<summation, true>(const FlowTables&, const C&, RowRange,                           \
                                                   const Vectors<A>&, const Vectors<G>&, const A&, double,          \
                                                   AngleWorkspace<A>&);                                             \
     declared template void rotate_fused<summation>(const FlowTables&, const C&, uint32_t, double,                  \
@@ -32,7 +32,7 @@ namespace coadjoint {
 
 #define COMPILED_GROUPS(declared, summation, with_group, C)                                                         \
     declared template void sweep_groups<summation, with_group>(                                                    \
-        const FlowTables&, const RowsTarget<ManyMembers, ManyMembers, C>* const*, int, uint32_t, uint32_t,         \
+        const FlowTables&, const RowsTarget<ManyMembers, ManyMembers, C>* const*, int, RowRange,                   \
         const ManyMembers&, double, AngleWorkspace<ManyMembers>&);
 
 #define COMPILED_ANGLES(declared, A, C)                                                                             \

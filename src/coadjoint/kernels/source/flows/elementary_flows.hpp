@@ -41,10 +41,10 @@ class FlowsOfRows {
         : tables(tables), constants(constants), with_group(with_group), with_cubic(with_cubic) {}
 
     // The flows of rows, one after the other. Empty if all would be whole rows; then the tables are read.
-    std::vector<ElementaryFlow<N>> operator()(uint32_t first, uint32_t last) {
+    std::vector<ElementaryFlow<N>> operator()(RowRange rows) {
         std::vector<ElementaryFlow<N>> flows;
         bool some = false;
-        for (uint32_t r = first; r < last; ++r) {
+        for (uint32_t r = rows.first; r < rows.last; ++r) {
             const size_t before = flows.size();
             if (append(r, flows)) {
                 some = true;

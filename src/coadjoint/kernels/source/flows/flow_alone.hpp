@@ -13,7 +13,7 @@ typedef Lanes<ROWS> GroupRows;
 
 // `sweep` with some sums, with the group element or without.
 template <class A, class G>
-using Sweep = void (*)(const FlowTables&, const SharedConstants&, uint32_t, uint32_t, const Vectors<A>&,
+using Sweep = void (*)(const FlowTables&, const SharedConstants&, RowRange, const Vectors<A>&,
                        const Vectors<G>&, const A&, double, AngleWorkspace<A>&);
 
 template <class A>
@@ -36,7 +36,7 @@ struct Finisher {
     }
 
     void operator()(A* x, A* dx, const A& t) {
-        sweep(tables, SharedConstants{}, tables.section[2], tables.section[3], Vectors<A>{x, dx, 1, scratch.at},
+        sweep(tables, SharedConstants{}, finishing_rows(tables), Vectors<A>{x, dx, 1, scratch.at},
               Vectors<Rows>{}, t, schedule.h, angles);
     }
 };
@@ -132,8 +132,8 @@ class LoneMember {
         std::copy_n(elements.at, 2 * square, checkpoint_elements.at);
         if (partial_step.needed) return;  // flows contain the angles of the tables
         FlowsOfRows<double, SharedConstants> flows_of(tables, SharedConstants{}, loop.arrays.square > 0);
-        opening = flows_of(tables.section[0], tables.section[loop.k0 == 0]);
-        repeated = flows_of(tables.section[1], tables.section[loop.k1 > 1 ? 2 : 1]);
+        if (loop.k0 == 0) opening = flows_of(rows_of_step(tables, 1));
+        if (loop.k1 > 1) repeated = flows_of(rows_of_step(tables, 2));
     }
 
     Vectors<double> momentum() { return {momenta.at, momenta.at + size, 1, scratch.at, &too_long}; }
@@ -157,8 +157,8 @@ class LoneMember {
         }
         std::copy_n(checkpoint_elements.at, 2 * square, elements.at);
         for (int64_t again = checkpoint + 1; again < k; ++again)
-            sweep(tables, SharedConstants{}, tables.section[again == 1 ? 0 : 1], tables.section[again == 1 ? 1 : 2],
-                  momentum(), group(), start_of(schedule, member, again), schedule.h, angles);
+            sweep(tables, SharedConstants{}, rows_of_step(tables, again), momentum(), group(),
+                  start_of(schedule, member, again), schedule.h, angles);
         finish_copies(k - 1);
         if (finite(size, copies.at) && all(finite(square, finished.at))) return k;
         too_long = 0;
@@ -210,7 +210,7 @@ class LoneMember {
     void finish_copies(int64_t k) {
         shared_copy(momenta.at, carried, copies.at);
         std::copy_n(elements.at, 2 * square, finished.at);
-        sweep(tables, SharedConstants{}, tables.section[2], tables.section[3],
+        sweep(tables, SharedConstants{}, finishing_rows(tables),
               Vectors<double>{copies.at, copies.at + size, 1, scratch.at},
               Vectors<GroupRows>{finished.at, finished.at + square, rows, group_scratch.at},
               start_of(schedule, member, k), schedule.h, angles);
@@ -237,11 +237,11 @@ NOINLINE void take_steps_alone(LoneMember& alone, Recorder& recorder) {
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
                 apply_flow<summation, with_group>(flow, SharedConstants{}, momentum, group);
             else
-                sweep<summation, with_group>(tables, SharedConstants{}, flow.row, flow.row + 1, momentum, group, t,
+                sweep<summation, with_group>(tables, SharedConstants{}, {flow.row, flow.row + 1}, momentum, group, t,
                                              schedule.h, alone.angles);
         if (flows.empty())
-            sweep<summation, with_group>(tables, SharedConstants{}, tables.section[k == 1 ? 0 : 1],
-                                         tables.section[k == 1 ? 1 : 2], momentum, group, t, schedule.h, alone.angles);
+            sweep<summation, with_group>(tables, SharedConstants{}, rows_of_step(tables, k), momentum, group, t,
+                                         schedule.h, alone.angles);
         if (__builtin_expect(!finite(size, momentum.at) ||
                                  (with_group && !all(finite(square, group.at))), 0)) {
             failed = alone.step_that_failed(k);

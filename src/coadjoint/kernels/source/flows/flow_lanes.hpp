@@ -10,7 +10,7 @@ namespace coadjoint {
 // `sweep_groups` with some sums: for a step, and for the momenta alone. Loops over steps are compiled once for all sums.
 template <class A, class C>
 struct LaneSweeps {
-    void (*step)(const FlowTables&, const RowsTarget<A, A, C>* const*, int, uint32_t, uint32_t, const A&, double,
+    void (*step)(const FlowTables&, const RowsTarget<A, A, C>* const*, int, RowRange, const A&, double,
                  AngleWorkspace<A>&);
     decltype(step) of_momenta;
 };
@@ -102,8 +102,8 @@ struct FlowLanes : RowsTarget<A, A, C> {
         std::copy_n(checkpoint_elements.at, 2 * square, elements.at);
         const RowsTarget<A, A, C>* const target = this;
         for (int64_t again = checkpoint + 1; again < k; ++again)
-            sweeps.step(loop.tables, &target, 1, loop.tables.section[again == 1 ? 0 : 1],
-                        loop.tables.section[again == 1 ? 1 : 2], start_of_step(again), loop.schedule.h, angles);
+            sweeps.step(loop.tables, &target, 1, rows_of_step(loop.tables, again), start_of_step(again),
+                        loop.schedule.h, angles);
         finish(start_of_step(k - 1), true, copies, scratch, angles);
         auto earlier = finite(size, copies);
         if (square > 0) earlier = earlier & finite(square, copies + 2 * size);
@@ -126,8 +126,8 @@ struct FlowLanes : RowsTarget<A, A, C> {
             std::copy_n(group.at, 2 * square, element);
         }
         const RowsTarget<A, A, C>* const target = &copy;
-        (rotated ? sweeps.step : sweeps.of_momenta)(loop.tables, &target, 1, loop.tables.section[2],
-                                                    loop.tables.section[3], t, loop.schedule.h, angles);
+        (rotated ? sweeps.step : sweeps.of_momenta)(loop.tables, &target, 1, finishing_rows(loop.tables), t,
+                                                    loop.schedule.h, angles);
     }
 
     // To be called after the `rows` of step k: stop lanes that are not finite, and record the others.
@@ -189,11 +189,11 @@ void advance_lanes(const FlowLoop& loop, const LaneSweeps<A, C>& sweeps, const M
     for (int64_t k = loop.k0 + 1; k <= loop.k1; ++k) {
         loop.interrupts.after(work);
         const A t(schedule.t0 + double(k - 1) * schedule.h);
-        const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
-        sweeps.step(tables, targets, used, from, to, t, schedule.h, angles);
+        const RowRange rows = rows_of_step(tables, k);
+        sweeps.step(tables, targets, used, rows, t, schedule.h, angles);
         int64_t left = 0;
         for (int b = 0; b < used; ++b) {
-            lane_groups[b]->after(k, to - from, t, copies.at, scratch.at, angles);
+            lane_groups[b]->after(k, rows.size(), t, copies.at, scratch.at, angles);
             left += lane_groups[b]->left;
         }
         if (left == 0) break;

@@ -291,11 +291,26 @@ struct RowsTarget {
     const A* start;
 };
 
-// Apply the rows first to last - 1, each of them to all targets.
+// The rows first to last - 1 of a program.
+struct RowRange {
+    uint32_t first, last;
+    int64_t size() const { return int64_t(last) - first; }
+};
+
+// The rows of step k: those that open a run, or those that all other steps repeat.
+INLINE RowRange rows_of_step(const FlowTables& tables, int64_t k) {
+    const uint32_t* const edges = tables.section + (k == 1 ? 0 : 1);
+    return {edges[0], edges[1]};
+}
+
+// The rows that finish a state.
+INLINE RowRange finishing_rows(const FlowTables& tables) { return {tables.section[2], tables.section[3]}; }
+
+// Apply some rows, each of them to all targets.
 template <Summation summation, bool with_group, class A, class G, class C>
 NOINLINE void sweep_groups(const FlowTables& tables, const RowsTarget<A, G, C>* const* targets, int count,
-                           uint32_t first, uint32_t last, const A& t, double h, AngleWorkspace<A>& workspace) {
-    for (uint32_t r = first; r < last; ++r)
+                           RowRange rows, const A& t, double h, AngleWorkspace<A>& workspace) {
+    for (uint32_t r = rows.first; r < rows.last; ++r)
         for (int b = 0; b < count; ++b) {
             const RowsTarget<A, G, C>& target = *targets[b];
             workspace.partial_step = target.partial_step;
@@ -305,13 +320,13 @@ NOINLINE void sweep_groups(const FlowTables& tables, const RowsTarget<A, G, C>* 
 }
 
 template <Summation summation, bool with_group, class A, class G, class C>
-NOINLINE void sweep(const FlowTables& tables, const C& constants, uint32_t first, uint32_t last, const Vectors<A>& x,
+NOINLINE void sweep(const FlowTables& tables, const C& constants, RowRange rows, const Vectors<A>& x,
                     const Vectors<G>& group, const A& t, double h, AngleWorkspace<A>& workspace) {
     if constexpr (Numbers<A>::lanes > 1) {
         const RowsTarget<A, G, C> target{constants, x, group, workspace.partial_step, nullptr}, *const targets = &target;
-        sweep_groups<summation, with_group>(tables, &targets, 1, first, last, t, h, workspace);
+        sweep_groups<summation, with_group>(tables, &targets, 1, rows, t, h, workspace);
     } else {
-        for (uint32_t r = first; r < last; ++r)
+        for (uint32_t r = rows.first; r < rows.last; ++r)
             apply_row<summation, with_group>(tables, constants, r, x, group, t, h, workspace);
     }
 }
@@ -324,8 +339,7 @@ constexpr int64_t CHECKPOINT_INTERVAL = 64;
 // The number of rows of the program that the steps k0 + 1 to k apply.
 inline int64_t rows_applied(const FlowTables& tables, int64_t k0, int64_t k) {
     const int64_t taken = k - k0, start = k0 == 0 && taken > 0;
-    return start * (int64_t(tables.section[1]) - tables.section[0]) +
-           (taken - start) * (int64_t(tables.section[2]) - tables.section[1]);
+    return start * rows_of_step(tables, 1).size() + (taken - start) * rows_of_step(tables, 2).size();
 }
 
 // Approximate number of multiplications of some rows for one vector, without their angles.

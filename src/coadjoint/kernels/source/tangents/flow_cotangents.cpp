@@ -48,9 +48,9 @@ class StepsBackward {
           work(Numbers<A>::lanes * work_of_flows(tables)) {
         if constexpr (Numbers<A>::lanes == 1) angles.use_properties(tables);
         FlowsOfRows<N, C> flows_of(tables, constants, run.square > 0, true);
-        opening = flows_of(tables.section[0], tables.section[1]);
-        repeated = flows_of(tables.section[1], tables.section[2]);
-        finish = flows_of(tables.section[2], tables.section[3]);
+        opening = flows_of(rows_of_step(tables, 1));
+        repeated = flows_of(rows_of_step(tables, 2));
+        finish = flows_of(finishing_rows(tables));
         longest = std::max(opening.size(), repeated.size());
         rotations.clear(run.undone ? 0 : steps * longest);
         read(x.at, run.momenta), read(x.at + size, run.errors), read(cotangents.at, run.cotangents);
@@ -74,9 +74,8 @@ class StepsBackward {
                     apply_and_store<summation, with_group>(tables, constants, flow, momentum, element,
                                                            rotations_of(k) + position);
                 else
-                    row_forward<summation>(flow.row, momentum, element, t);
-            for (uint32_t r = tables.section[k == 1 ? 0 : 1]; flows.empty() && r < tables.section[k == 1 ? 1 : 2]; ++r)
-                row_forward<summation>(r, momentum, element, t);
+                    rows_forward<summation>({flow.row, flow.row + 1}, momentum, element, t);
+            if (flows.empty()) rows_forward<summation>(rows_of_step(tables, k), momentum, element, t);
             store(k - run.k0);
             shared_steps.end();
         }
@@ -100,8 +99,8 @@ class StepsBackward {
                 const Vectors<A> copy{finished.at, nullptr, 1, scratch.at};
                 const Vectors<G> copied{copies.at, copies.at + square, rows, group_scratch.at};
                 std::fill_n(copied.errors, square, G(0.0));
-                for (uint32_t r = tables.section[2]; r < tables.section[3]; ++r) row_forward<PLAIN>(r, copy, copied, t);
-                backward.sweep(tables.section[2], tables.section[3], finish,
+                rows_forward<PLAIN>(finishing_rows(tables), copy, copied, t);
+                backward.sweep(finishing_rows(tables), finish,
                                {finished.at, added.at, copied, {group_added.at, nullptr, rows, group_scratch.at}}, t, run.h);
                 share(size, [&](int64_t low, int64_t high) {
                     for (int64_t i = low; i < high; ++i) cotangents.at[i] += added.at[i];
@@ -112,7 +111,7 @@ class StepsBackward {
                 shared_copy(state, size, x.at);
                 std::copy_n(after, square, group.at);
             }
-            backward.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated,
+            backward.sweep(rows_of_step(tables, k), k == 1 ? opening : repeated,
                            {x.at, cotangents.at, {group.at, nullptr, rows, group_scratch.at},
                             {group_cotangents.at, nullptr, rows, group_scratch.at}}, t, run.h, rotations_of(k));
             if (run.deviations && !run.undone) compare_with(states.at + (k - 1 - run.k0) * size);
@@ -168,12 +167,14 @@ class StepsBackward {
 
     // A row of the program, unless it is the added one.
     template <Summation summation>
-    NOINLINE void row_forward(uint32_t r, const Vectors<A>& momentum, const Vectors<G>& element, const A& t) {
-        if (int64_t(tables.part[r]) == all.added) return;
-        if (d > 0)
-            sweep<summation, true>(tables, constants, r, r + 1, momentum, element, t, run.h, angles);
-        else
-            sweep<summation, false>(tables, constants, r, r + 1, momentum, element, t, run.h, angles);
+    NOINLINE void rows_forward(RowRange range, const Vectors<A>& momentum, const Vectors<G>& element, const A& t) {
+        for (uint32_t r = range.first; r < range.last; ++r) {
+            if (int64_t(tables.part[r]) == all.added) continue;
+            if (d > 0)
+                sweep<summation, true>(tables, constants, {r, r + 1}, momentum, element, t, run.h, angles);
+            else
+                sweep<summation, false>(tables, constants, {r, r + 1}, momentum, element, t, run.h, angles);
+        }
     }
 
     // Entries (i, r) of a group element are at i * rows + r, or in its lanes.

@@ -45,10 +45,10 @@ class RowsBackward {
           scratch(3 * size), units(3 * size), of_angles(tables.base.longest), of_groups(ROWS * tables.base.longest), hessians(tables.base.terms),
           by_column(tables.base.terms) {}
 
-    // Undo the rows last - 1 to first of a step from t of length h; `flows` are their elementary flows, if there are any,
-    // and `applied` their rotations if they are known.
-    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<Flow>& flows,
-                        const Covector<A, G>& at, const A& t, double h, const AppliedRotations<A>* applied = nullptr) {
+    // Undo some rows, the last one first, of a step from t of length h; `flows` are their elementary flows, if there are
+    // any, and `applied` their rotations if they are known.
+    NOINLINE void sweep(RowRange range, const std::vector<Flow>& flows, const Covector<A, G>& at, const A& t, double h,
+                        const AppliedRotations<A>* applied = nullptr) {
         const auto whole = [&](uint32_t r) {
             if (added.simple && int64_t(tables.part[r]) == all.added)
                 added.template add<A, G>(tables.terms, tables.tau[r], at, with_group, of_angles.at, coefficients.offset,
@@ -57,7 +57,7 @@ class RowsBackward {
                 row(r, at, t, h);
         };
         if (flows.empty())
-            for (uint32_t r = last; r-- > first;) whole(r);
+            for (uint32_t r = range.last; r-- > range.first;) whole(r);
         for (size_t position = flows.size(); position-- > 0;) {
             const Flow& flow = flows[position];
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))

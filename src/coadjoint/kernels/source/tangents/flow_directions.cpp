@@ -37,9 +37,9 @@ static void run_members(const FlowCotangents& all, const C& constants, const For
     V* const of_coefficients = members.read_directions(directions.at, coefficients, run) ? directions.at : nullptr;
     const FurtherTangents<A, V> further{square > 0 ? group.at : nullptr, of_group.at, of_coefficients, all.added};
     FlowsOfRows<typename C::template Constant<A>, C> flows_of(tables, constants, square > 0, true);
-    const auto opening = flows_of(tables.section[0], tables.section[1]);
-    const auto repeated = flows_of(tables.section[1], tables.section[2]);
-    const auto finish = flows_of(tables.section[2], tables.section[3]);
+    const auto opening = flows_of(rows_of_step(tables, 1));
+    const auto repeated = flows_of(rows_of_step(tables, 2));
+    const auto finish = flows_of(finishing_rows(tables));
     const int64_t work = (2 + 4 * rows) * Numbers<A>::lanes * work_of_flows(tables);
     int64_t mark = 0;
     SharedSteps shared_steps(of_members ? 1 : run.threads, size);
@@ -47,15 +47,15 @@ static void run_members(const FlowCotangents& all, const C& constants, const For
         interrupts.after(work);
         shared_steps.begin();
         const A t(run.t0 + double(k - 1) * run.h);
-        tangents.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], k == 1 ? opening : repeated, x.at,
-                       x.at + size, vectors.at, t, run.h, further);
+        tangents.sweep(rows_of_step(tables, k), k == 1 ? opening : repeated, x.at, x.at + size,
+                       vectors.at, t, run.h, further);
         shared_steps.end();
         if (mark == run.marked || run.marks[mark] != k) continue;
         std::copy_n(x.at, 2 * size, finished.at);
         std::copy_n(vectors.at, size * rows, copies.at);
         std::copy_n(group.at, square, finished_group.at);
         std::copy_n(of_group.at, square * rows, copies_of_group.at);
-        tangents.sweep(tables.section[2], tables.section[3], finish, finished.at, finished.at + size, copies.at, t, run.h,
+        tangents.sweep(finishing_rows(tables), finish, finished.at, finished.at + size, copies.at, t, run.h,
                        {square > 0 ? finished_group.at : nullptr, copies_of_group.at, of_coefficients, all.added});
         const int64_t saved = mark++ * run.members * run.carried;
         each_component(copies.at, size, write_entries(run.at_points + saved * size));

@@ -40,8 +40,8 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
     for (; k <= loop.k1 && !failed && !parallel; ++k) {
         loop.interrupts.after(work);
         alone.shared_steps.begin();
-        tangent_state.sweep(tables.section[k == 1 ? 0 : 1], tables.section[k == 1 ? 1 : 2], momentum.at,
-                            momentum.errors, bundle.held(), start_of(schedule, member, k), schedule.h);
+        tangent_state.sweep(rows_of_step(tables, k), momentum.at, momentum.errors, bundle.held(),
+                            start_of(schedule, member, k), schedule.h);
         if (!finite(size, momentum.at)) {
             failed = alone.step_that_failed(k);
             break;
@@ -57,7 +57,7 @@ static void advance_member(const FlowTangentLoop& loop, int64_t member) {
             [&](TangentLanes* vectors) {
                 AlignedArray<double> copies(2 * size);
                 std::copy_n(momentum.at, 2 * size, copies.at);
-                tangent_state.sweep(tables.section[2], tables.section[3], copies.at, copies.at + size, vectors,
+                tangent_state.sweep(finishing_rows(tables), copies.at, copies.at + size, vectors,
                                     start_of(schedule, member, loop.k1), schedule.h);
             });
     alone.end(failed ? failed : parallel ? k - 1 : 0, failed ? OVERFLOWED : PARALLEL);
@@ -86,14 +86,14 @@ static void advance_lanes(const FlowTangentLoop& loop, const int64_t* members, i
     for (int64_t k = loop.k0 + 1; k <= loop.k1 && lane_group.left > 0; ++k) {
         loop.interrupts.after(work);
         const A t = lane_group.start_of_step(k);
-        const uint32_t from = tables.section[k == 1 ? 0 : 1], to = tables.section[k == 1 ? 1 : 2];
-        tangent_state.sweep(from, to, lane_group.momentum.at, lane_group.momentum.errors, bundle.held(), t, schedule.h);
-        lane_group.after(k, to - from, t, copies.at, scratch.at, angles);
+        const RowRange rows = rows_of_step(tables, k);
+        tangent_state.sweep(rows, lane_group.momentum.at, lane_group.momentum.errors, bundle.held(), t, schedule.h);
+        lane_group.after(k, rows.size(), t, copies.at, scratch.at, angles);
         lane_group.stop_where_not(bundle.after(k), k, PARALLEL);
     }
     bundle.end(int(count), memory_of, [&](A* vectors) {
         std::copy_n(lane_group.momentum.at, 2 * size, copies.at);
-        tangent_state.sweep(tables.section[2], tables.section[3], copies.at, copies.at + size, vectors,
+        tangent_state.sweep(finishing_rows(tables), copies.at, copies.at + size, vectors,
                             lane_group.start_of_step(loop.k1), schedule.h);
     });
 }

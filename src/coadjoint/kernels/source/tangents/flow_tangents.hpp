@@ -75,15 +75,15 @@ struct FlowTangentState {
           wide(3 * size * rows), wide_group(3 * side * side * rows),
           changes(tables.longest * rows), angles(tables.longest), workspace(tables.terms) {}
 
-    NOINLINE void sweep(uint32_t first, uint32_t last, A* x, A* dx, V* vectors, const A& t, double h,
+    NOINLINE void sweep(RowRange range, A* x, A* dx, V* vectors, const A& t, double h,
                         const FurtherTangents<A, V>& further = {nullptr, nullptr, nullptr, -1}) {
-        for (uint32_t r = first; r < last; ++r) row(r, x, dx, vectors, t, h, further);
+        for (uint32_t r = range.first; r < range.last; ++r) row(r, x, dx, vectors, t, h, further);
     }
 
     // The same with elementary flows, if there are any, of the rows.
-    NOINLINE void sweep(uint32_t first, uint32_t last, const std::vector<ElementaryFlow<N>>& flows, A* x, A* dx,
-                        V* vectors, const A& t, double h, const FurtherTangents<A, V>& further) {
-        if (flows.empty()) return sweep(first, last, x, dx, vectors, t, h, further);
+    NOINLINE void sweep(RowRange range, const std::vector<ElementaryFlow<N>>& flows, A* x, A* dx, V* vectors,
+                        const A& t, double h, const FurtherTangents<A, V>& further) {
+        if (flows.empty()) return sweep(range, x, dx, vectors, t, h, further);
         for (const ElementaryFlow<N>& flow : flows)
             if (__builtin_expect(flow.kind != WHOLE_ROW, 1))
                 rows == 1 ? follow(std::integral_constant<int64_t, 1>(), flow, x, dx, vectors, further)
