@@ -226,6 +226,16 @@ def flow_cotangents(
     )
 
 
+class RungeKuttaCotangents(NamedTuple):
+    """Tables of a Runge-Kutta method with the terms of derivatives; see `source/boundary/tables.hpp`."""
+
+    base: RungeKuttaTables
+    hessians: NDArray[np.int64]
+    derivative: NDArray[np.int64]
+    added: Terms
+    functions: NDArray[np.int64]
+
+
 def runge_kutta_cotangents(
     loop: CompiledLoop, system: System, added: Terms, functions: Sequence[FunctionDerivative]
 ) -> CompiledTables:
@@ -237,14 +247,7 @@ def runge_kutta_cotangents(
     derivative, owners = derivative_of_structure(system)
     by_coefficients, others = addresses_by_coefficients(functions, added.size)
     return CompiledTables(
-        filled(
-            "RungeKuttaCotangents",
-            base=base,
-            hessians=hessians,
-            derivative=derivative,
-            added=added,
-            functions=by_coefficients,
-        ),
+        RungeKuttaCotangents(base, hessians, derivative, added, by_coefficients),
         (*loop.keepalive, *keepalive, *owners, *others),
     )
 
