@@ -73,6 +73,7 @@ from .runs.results.solution import Solution as Solution
 from .runs.stepper import stepper as stepper
 from .systems import forces as forces
 from .systems.batch import batch as batch
+from .systems.fluids.carried_fields import TwoLayerSystem as TwoLayerSystem
 from .systems.hamiltonians.hamiltonian import Hamiltonian as Hamiltonian
 from .systems.hamiltonians.hamiltonian import formula as formula
 from .systems.hamiltonians.quadratic import Quadratic as Quadratic
@@ -80,7 +81,6 @@ from .systems.hamiltonians.split_hamiltonian import Separable as Separable
 from .systems.hamiltonians.split_hamiltonian import SplitHamiltonian as SplitHamiltonian
 from .systems.lie_poisson import LiePoissonSystem as LiePoissonSystem
 from .systems.matrices.matrix_system import MatrixSystem as MatrixSystem
-from .systems.matrices.two_layer_system import TwoLayerSystem as TwoLayerSystem
 from .systems.poisson import PoissonSystem as PoissonSystem
 from .systems.system import System as System
 

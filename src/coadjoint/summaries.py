@@ -8,8 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from coadjoint.algebra.brackets import count_of_brackets, format_brackets
-from coadjoint.algebra.catalogue import families, get, names
-from coadjoint.algebra.families.low_dimensional import entries
+from coadjoint.algebra.catalogue import entries, families, get, names
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.errors import in_one_line
 from coadjoint.methods.registry import suggested_scheme

@@ -18,8 +18,8 @@ from coadjoint.algebra.constants import (
 )
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.monomials import names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
 from coadjoint.keyword_hints import suggest_keywords, unknown_constructor

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples, both_orders
-from coadjoint.algebra.exact.components import strongly_connected
+from coadjoint.algebra.exact.elimination import generic_rank
 from coadjoint.algebra.exact.numbers import exact_numbers
-from coadjoint.algebra.exact.ranks import generic_rank
-from coadjoint.algebra.exact.sparse_sums import Integers, expand, groups
+from coadjoint.algebra.exact.sparse_sums import Integers, expand, groups, strongly_connected
+from coadjoint.algebra.polynomials.monomials import names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.validation import not_numbers_error, read_integer, to_array
 
@@ -213,8 +212,8 @@ class Structure:
 
         Constants are interpreted as simple fractions (q <= 10^6), or as exact floats. If they then fulfil the Jacobi
         identity exactly, the rank is the larger of two, modulo random 62-bit primes at seeded random points: never too
-        large, and too small with probability below 2^-60 (Schwartz and Zippel; `coadjoint.algebra.exact.ranks`). For
-        constants known only to round-off, singular values decide the rank.
+        large, and too small with probability below 2^-60 (Schwartz and Zippel; `coadjoint.algebra.exact.elimination`).
+        For constants known only to round-off, singular values decide the rank.
 
         Returns
         -------
@@ -286,7 +285,7 @@ class Structure:
         They can be more than ``dim - generic_rank()``, with relations between them (A5,2 has C1 ... C4 for
         three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
 
-        If the constants round simple fractions (`coadjoint.algebra.exact.ranks`), the equations are solved
+        If the constants round simple fractions (`coadjoint.algebra.exact.elimination`), the equations are solved
         exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
         clear gap (`coadjoint.algebra.invariants.casimir_equations`), and the coefficients are floats. Direct summands
         visible in the basis are solved separately, equal ones once.

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.components import summands
+from coadjoint.algebra.constants import summands
 from coadjoint.systems.evaluation import scatter
 
 Floats = NDArray[np.float64]

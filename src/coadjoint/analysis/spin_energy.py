@@ -161,7 +161,7 @@ def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
         return scipy.sparse.csr_matrix(rows, shape=(n, n)), form.linear, form.constant
     if isinstance(function, DipolarFunction):
         check_available_memory(BYTES_PER_ENTRY * n**2, f"dipolar couplings of {n} coordinates, each with each,")
-        return scipy.sparse.csr_matrix(function.dipoles.matrix()), np.zeros(n), 0.0
+        return scipy.sparse.csr_matrix(function.matrix()), np.zeros(n), 0.0
     return None
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-from coadjoint.algebra.polynomials.polynomial_format import GREEK, latex_name
+from coadjoint.algebra.polynomials.monomials import GREEK, latex_name
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short

@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.components import connected
-from coadjoint.algebra.exact.sparse_sums import Integers, chunks, distinct, expand
+from coadjoint.algebra.exact.sparse_sums import Integers, chunks, connected, distinct, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.long_operations import warn_if_long
 from coadjoint.memory import check_available_memory, format_bytes

@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.components import connected, parts
-from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.exact.sparse_sums import Integers, connected, parts
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.blocks import Turn

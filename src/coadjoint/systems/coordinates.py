@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import direct_sum
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
-from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
+from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
+from coadjoint.algebra.polynomials.monomials import names_of_basis
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_finite

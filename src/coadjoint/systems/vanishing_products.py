@@ -13,9 +13,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.numbers import exact_number
-from coadjoint.algebra.exact.sparse_sums import expand
+from coadjoint.algebra.exact.sparse_sums import connected, expand
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.systems.hamiltonians.separated_function import recorded_function

@@ -9,7 +9,7 @@ import pytest
 
 import coadjoint as co
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact import ranks
+from coadjoint.algebra.exact import elimination
 from coadjoint.algebra.exact.free_algebra import (
     expand_bracket,
     exponential,
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.thinned(1)
 
 def test_elimination_agrees_with_itself():
     rng = np.random.default_rng(0)
-    prime = ranks.random_prime(rng)
+    prime = elimination.random_prime(rng)
     for size in (2, 5, 9, 12):
         matrix = rng.integers(0, prime, (size, size)).astype(object)
         matrix[:, size // 2 :] = 0
@@ -36,12 +36,14 @@ def test_elimination_agrees_with_itself():
         first, second = np.nonzero(matrix)
         rows = [{b: int(v) for b, v in enumerate(row) if v} for row in (matrix - matrix.T) % prime]
         entries = [int(v) for v in matrix[first, second]]
-        assert ranks.skew_rank(first, second, entries, size, prime) == ranks.sparse_rank(rows, prime) <= size
+        assert (
+            elimination.skew_rank(first, second, entries, size, prime) == elimination.sparse_rank(rows, prime) <= size
+        )
 
 
 def test_primes_are_primes_of_62_bits():
     rng = np.random.default_rng(1)
-    drawn = [ranks.random_prime(rng) for _ in range(20)]
+    drawn = [elimination.random_prime(rng) for _ in range(20)]
     assert len(set(drawn)) == 20
     assert all(2**61 < p < 2**62 and all(pow(a, p - 1, p) == 1 for a in (2, 3, 5, 7, 11)) for p in drawn)
 
@@ -56,31 +58,31 @@ def test_simple_fractions():
         (1 / 10**6, Fraction(1, 10**6)),
         ((2.0**28 + 1) / 2.0**16, Fraction(2**28 + 1, 2**16)),
     ):
-        assert ranks.as_fraction(value) == meant
+        assert elimination.as_fraction(value) == meant
     for value in (np.sqrt(2.0), np.pi * 1e5, 2.0**-30, 1 / (10**6 + 1), (2.0**30 + 1) / 2.0**16):
-        assert ranks.as_fraction(value) is None
+        assert elimination.as_fraction(value) is None
 
 
 def test_fractions_must_fulfil_the_jacobi_identity():
     i, j, k, c = co.algebras.so(4).triples
-    assert ranks.rational_constants(Triples(i, j, k, c / 3), 6) is not None
+    assert elimination.rational_constants(Triples(i, j, k, c / 3), 6) is not None
     wrong = c.copy()
     wrong[0] = np.nextafter(1.0, 2.0) * c[0]
-    assert ranks.rational_constants(Triples(i, j, k, wrong), 6) is None
+    assert elimination.rational_constants(Triples(i, j, k, wrong), 6) is None
     whole = np.array([int(v) * 10**9 for v in c], dtype=object)
-    assert ranks.jacobi_exact(Triples(i, j, k, c), whole, 6)
+    assert elimination.jacobi_exact(Triples(i, j, k, c), whole, 6)
     whole[0] += 1
-    assert not ranks.jacobi_exact(Triples(i, j, k, c), whole, 6)
+    assert not elimination.jacobi_exact(Triples(i, j, k, c), whole, 6)
 
 
 def test_a_rank_needs_a_gap():
     """Singular values are zero up to round-off, and not clear up to 2^10 of it."""
-    assert ranks.rank_from_gap(np.array([1.0, 1e-3, 1e-17]), 1e-15, "A") == 2
-    assert ranks.rank_from_gap(np.zeros(3), 1e-15, "A") == 0
+    assert elimination.rank_from_gap(np.array([1.0, 1e-3, 1e-17]), 1e-15, "A") == 2
+    assert elimination.rank_from_gap(np.zeros(3), 1e-15, "A") == 0
     for ratio, rank in ((0.5, 1), (2.0, None), (2.0**9, None), (2.0**11, 2)):
         values = np.array([1.0, ratio * 1e-15])
         with nullcontext() if rank else refused(ValueError, "rank of A", "singular value"):
-            assert ranks.rank_from_gap(values, 1e-15, "A") == rank
+            assert elimination.rank_from_gap(values, 1e-15, "A") == rank
 
 
 def test_large_blocks_of_equations_are_refused():

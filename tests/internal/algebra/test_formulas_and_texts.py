@@ -13,7 +13,7 @@ from coadjoint.algebra.invariants.casimirs import embedded
 from coadjoint.algebra.invariants.invariant import LogarithmicSum
 from coadjoint.algebra.polynomials.exact_polynomials import SymbolicPolynomial
 from coadjoint.algebra.polynomials.formulas import condition_holds, parse_formula
-from coadjoint.algebra.polynomials.polynomial_format import latex, plain, readable, readable_latex, rounded_if_long
+from coadjoint.algebra.polynomials.monomials import latex, plain, readable, readable_latex, rounded_if_long
 from refusals import refused
 
 pytestmark = pytest.mark.thinned(1)

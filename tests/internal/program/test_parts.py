@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 
 import coadjoint as co
 from catalogue_cases import EXAMPLES
-from coadjoint.algebra.families.low_dimensional import entries
+from coadjoint.algebra.catalogue import entries
 from coadjoint.program.commutation import coupled_pairs, first_fit
 from coadjoint.program.interpreter import Interpreter
 from coadjoint.program.parts import quadratic_atoms

@@ -6,7 +6,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import coadjoint as co
-from coadjoint.algebra.exact.components import strongly_connected
+from coadjoint.algebra.exact.sparse_sums import strongly_connected
 from coadjoint.systems.coordinates import CoordinateGroups, coordinate_names, coordinates_of
 
 

@@ -15,10 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact.components import connected, parts_and_rows, positions
+from coadjoint.algebra.exact.elimination import random_prime, rank_from_gap, residues
 from coadjoint.algebra.exact.numbers import rational
-from coadjoint.algebra.exact.ranks import random_prime, rank_from_gap, residues
-from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats, Integers, expand, group_max_abs, groups
+from coadjoint.algebra.exact.sparse_sums import (
+    DEFECT_FACTOR,
+    Floats,
+    Integers,
+    connected,
+    expand,
+    group_max_abs,
+    groups,
+    parts_and_rows,
+    positions,
+)
 from coadjoint.long_operations import note_progress
 from coadjoint.rounding import UNIT_ROUNDOFF
 

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact.components import summands
-from coadjoint.algebra.exact.ranks import clear_denominators, generic_rank, rational_constants
+from coadjoint.algebra.constants import Triples, summands
+from coadjoint.algebra.exact.elimination import clear_denominators, generic_rank, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.invariants.casimir_equations import (
     Vector,

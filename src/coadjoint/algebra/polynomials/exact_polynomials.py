@@ -12,9 +12,8 @@ import numpy as np
 
 from coadjoint.algebra.exact.numbers import exact_numbers, fraction, rational, read_exact
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.monomials import Coefficient, Exponents
+from coadjoint.algebra.polynomials.monomials import Coefficient, Exponents, coordinate_names, latex, plain, sympy_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names, latex, plain, sympy_of
 
 Exact = Any
 """An element of the ring: `flint.fmpq_mpoly`, with its own +, -, *, / by numbers and ==."""

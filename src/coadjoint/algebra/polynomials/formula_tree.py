@@ -10,8 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from coadjoint.algebra.exact.numbers import MAX_DIGITS, NUMBER, Constant, parse_number
-from coadjoint.algebra.polynomials.monomials import read_coefficient
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names
+from coadjoint.algebra.polynomials.monomials import coordinate_names, read_coefficient
 from coadjoint.errors import in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short, short_rest

@@ -17,15 +17,13 @@ from coadjoint.algebra.polynomials.monomials import (
     Coefficient,
     Exponents,
     ProductSum,
+    coordinate_names,
     differentiated,
     exponents_of,
-    read_coefficient,
-    read_monomials,
-)
-from coadjoint.algebra.polynomials.polynomial_format import (
-    coordinate_names,
     latex,
     plain,
+    read_coefficient,
+    read_monomials,
     read_names,
     special_names,
     sympy_of,

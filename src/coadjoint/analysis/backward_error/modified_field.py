@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.exact_polynomials import Exact
-from coadjoint.algebra.polynomials.monomials import ProductSum
+from coadjoint.algebra.polynomials.monomials import ProductSum, readable_latex
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import readable_latex
 from coadjoint.analysis.backward_error.field_at_points import Floats, ModifiedField
 from coadjoint.analysis.backward_error.step_series import (
     ExactSystem,

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
+from coadjoint.algebra.polynomials.monomials import readable, readable_latex
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import readable, readable_latex
 from coadjoint.analysis.backward_error.scheme_terms import (
     MAX_POWER,
     ErrorTerm,

@@ -23,8 +23,12 @@ from coadjoint.experiments.reich1993.statements import (
     SPIRAL_END,
     SPIRAL_STEP,
     SPLITTING,
-    BodyRun,
+    attitude_error,
+    attitude_of,
     body_run,
+    index_of_time,
+    precession_drift,
+    precession_lead,
 )
 from coadjoint.methods.protocol.method import Method
 from coadjoint.pictures.analysis_figures import draw_deviations, with_error
@@ -126,15 +130,13 @@ def attitude_figure(method: Method, number: int, scheme: str) -> Figure:
     return figure
 
 
-def _draw_attitude(axes: Any, run: BodyRun, end: float, scheme: str) -> None:
-    attitude = run.solution.attitude
-    assert attitude is not None
-    last = run.at(end) + 1
+def _draw_attitude(axes: Any, run: Solution, end: float, scheme: str) -> None:
+    attitude, last = attitude_of(run), index_of_time(run, end) + 1
     times = np.arange(0.0, end + DENSE_SPACING / 2, DENSE_SPACING)
     exact = paper_rigid_body().exact(BODY_START, times, attitude=True)[1][:, 0, 0]
     long = end > BODY_END
     axes.plot(
-        run.solution.t[:last],
+        run.t[:last],
         attitude[:last, 0, 0],
         color=colour(0),
         linestyle="-",
@@ -173,10 +175,10 @@ def long_time_figure(phase_end: float, steps: int) -> Figure:
     for number, (name, (method, style)) in enumerate(LONG_RUN_SCHEMES.items()):
         line: dict[str, Any] = {"color": colour(number), "linestyle": style, "linewidth": 1.2, "label": name}
         run = body_run(method, CALM_START, phase_end, CALM_STEP, 10)
-        angle.plot(run.solution.t[1:], run.angle[1:], **line)
+        angle.plot(run.t[1:], attitude_error(run)[1:], **line)
         if method is SPLITTING:
-            drift = run.drift
-            phase.plot(run.solution.t, run.phase, **{**line, "linewidth": 0.9})
+            drift = precession_drift(run)
+            phase.plot(run.t, precession_lead(run), **{**line, "linewidth": 0.9})
             phase.plot(drift.t, drift.intercept + drift.slope * drift.t, color=INK, linestyle=":", linewidth=1.2)
             fitted = f"{drift.growth}, slope {with_error(drift.slope, drift.uncertainty)}"
         _draw_drift(energy, casimir, method, steps, line)

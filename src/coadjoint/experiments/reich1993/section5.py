@@ -26,10 +26,15 @@ from coadjoint.experiments.reich1993.statements import (
     SPIRAL_START,
     SPIRAL_STEP,
     SPLITTING,
-    BodyRun,
     Statement,
+    attitude_error,
+    attitude_of,
     body_run,
+    exact_attitude,
+    index_of_time,
     judge,
+    precession_drift,
+    precession_lead,
     roundoff,
     within,
 )
@@ -191,16 +196,13 @@ def body_statements(long_time: float = 500.0) -> list[Statement]:
     ]
 
 
-def _momentum_defect(run: BodyRun) -> float:
-    attitude = run.solution.attitude
-    assert attitude is not None
-    momentum = np.einsum("kij,kj->ki", attitude, run.solution.x)
+def _momentum_defect(run: Solution) -> float:
+    momentum = np.einsum("kij,kj->ki", attitude_of(run), run.x)
     return float(np.max(np.linalg.norm(momentum - momentum[0], axis=1)))
 
 
-def _orthogonality_defect(run: BodyRun) -> float:
-    attitude = run.solution.attitude
-    assert attitude is not None
+def _orthogonality_defect(run: Solution) -> float:
+    attitude = attitude_of(run)
     products = np.swapaxes(attitude, 1, 2) @ attitude
     return float(np.max(np.linalg.norm(products - np.eye(3), axis=(1, 2))))
 
@@ -227,7 +229,7 @@ def _attitude_order() -> Statement:
     methods = {**CONSERVING_SCHEMES, "Gauss, 2 stages": GaussLegendre(2)}
     for name, method in methods.items():
         steps = [2.0 / count for count in (32, 64, 128, 256, 512)]
-        errors = [float(body_run(method, CALM_START, 2.0, h).angle[-1]) for h in steps]
+        errors = [float(attitude_error(body_run(method, CALM_START, 2.0, h))[-1]) for h in steps]
         slopes[name] = fit_order(steps, errors, [roundoff(2.0 / h, 1.0) for h in steps]).order
     return judge(
         "attitude_order",
@@ -242,7 +244,7 @@ def _attitude_order() -> Statement:
 
 def _energy_by_gauss() -> Statement:
     gauss, modified = (
-        body_run(m, BODY_START, BODY_LATER, BODY_STEP).solution.drift(relative=False) for m in (MIDPOINT, MODIFIED)
+        body_run(m, BODY_START, BODY_LATER, BODY_STEP).drift(relative=False) for m in (MIDPOINT, MODIFIED)
     )
     bound = roundoff(BODY_LATER / BODY_STEP, float(gauss["energy"].initial))
     return judge(
@@ -259,7 +261,7 @@ def _energy_by_gauss() -> Statement:
 
 def _reference() -> Statement:
     run = body_run(GaussLegendre(2), BODY_START, BODY_LATER, 0.001, 100)
-    error = float(np.max(run.angle))
+    error = float(np.max(attitude_error(run)))
     return judge(
         "reference_solution",
         "section 5.2",
@@ -276,12 +278,10 @@ def _runge() -> Statement:
         name: body_run(m, BODY_START, BODY_END, BODY_STEP) for name, m in {"Runge": RUNGE, **CONSERVING_SCHEMES}.items()
     }
 
-    def error(run: BodyRun) -> float:
-        attitude = run.solution.attitude
-        assert attitude is not None
-        return float(np.max(np.abs(attitude[:, 0, 0] - run.exact[:, 0, 0])))
-
-    errors = {name: error(run) for name, run in runs.items()}
+    errors = {
+        name: float(np.max(np.abs(attitude_of(run)[:, 0, 0] - exact_attitude(run)[:, 0, 0])))
+        for name, run in runs.items()
+    }
     orthogonality = _orthogonality_defect(runs["Runge"])
     return judge(
         "runge_unacceptable",
@@ -303,9 +303,15 @@ def _small_phase_errors() -> Statement:
         for name in ("modified midpoint", "splitting")
     }
     times = (1.0, 2.0, 5.0, 10.0, 20.0)
-    shown = {name: [float(run.angle[run.at(t)]) for t in times] for name, run in runs.items()}
-    early = all(float(np.max(run.angle[: run.at(2.0) + 1])) <= SMALL_ANGLE for run in runs.values())
-    later = all(float(np.max(run.angle[: run.at(BODY_END) + 1])) <= SMALL_ANGLE for run in runs.values())
+    angles = {name: attitude_error(run) for name, run in runs.items()}
+    shown = {name: [float(angles[name][index_of_time(run, t)]) for t in times] for name, run in runs.items()}
+
+    def small_until(end: float) -> bool:
+        return all(
+            float(np.max(angles[name][: index_of_time(run, end) + 1])) <= SMALL_ANGLE for name, run in runs.items()
+        )
+
+    early, later = small_until(2.0), small_until(BODY_END)
     return judge(
         "small_phase_errors",
         "figures 4, 5",
@@ -320,9 +326,9 @@ def _small_phase_errors() -> Statement:
     )
 
 
-def _growing_phase(calm: dict[str, BodyRun]) -> Statement:
-    drifts = {name: calm[name].drift for name in ("implicit midpoint", "modified midpoint")}
-    end = calm["implicit midpoint"].solution.t[-1]
+def _growing_phase(calm: dict[str, Solution]) -> Statement:
+    drifts = {name: precession_drift(calm[name]) for name in ("implicit midpoint", "modified midpoint")}
+    end = calm["implicit midpoint"].t[-1]
     return judge(
         "growing_phase",
         "section 5.2",
@@ -341,13 +347,12 @@ def _slope(drift: PhaseDrift) -> str:
     return f"{drift.growth}, slope {drift.slope:.3g} +- {drift.uncertainty:.1g} rad per unit of time"
 
 
-def _oscillating_phase(calm: dict[str, BodyRun]) -> Statement:
+def _oscillating_phase(calm: dict[str, Solution]) -> Statement:
     run, midpoint = calm["splitting"], calm["implicit midpoint"]
-    drift, momentum = run.drift, phase_drift(run.solution)
-    late = run.solution.t >= run.solution.t[-1] / 30
-    changes = int(np.sum(np.diff(np.sign(run.phase[late])) != 0))
-    end = run.solution.t[-1]
-    ratio = float(midpoint.angle[-1] / run.angle[-1])
+    drift, momentum = precession_drift(run), phase_drift(run)
+    end = run.t[-1]
+    changes = int(np.sum(np.diff(np.sign(precession_lead(run)[run.t >= end / 30])) != 0))
+    ratio = float(attitude_error(midpoint)[-1] / attitude_error(run)[-1])
     return judge(
         "oscillating_phase",
         "section 5.2",

@@ -219,38 +219,37 @@ def four_dimensional_trial() -> ReferenceProblem:
     return reference_problem(four_dimensional_body(), np.array([0.9, -0.4, 0.7, 0.5, 1.1, -0.6]), 2.0)
 
 
-class BodyRun(NamedTuple):
-    """A run of the rigid body with attitude, and the exact attitude (k, 3, 3) at the saved times."""
-
-    solution: Solution
-    exact: Floats
-
-    @property
-    def angle(self) -> Floats:
-        """Angle between computed and exact attitude in radians, shape (k,)."""
-        attitude = self.solution.attitude
-        assert attitude is not None
-        return np.asarray(attitude_angle(attitude, self.exact))
-
-    @property
-    def phase(self) -> Floats:
-        """Phase lead of the computed body about the constant spatial momentum, in radians, signed, shape (k,)."""
-        attitude = self.solution.attitude
-        assert attitude is not None
-        return np.asarray(precession_error(attitude, self.exact, self.solution.x[0]))
-
-    @property
-    def drift(self) -> PhaseDrift:
-        """Growth of the phase of the attitude, in radians."""
-        return drift_of_series(self.solution.t, self.phase, ANGLES)
-
-    def at(self, time: float) -> int:
-        """Return the index of a saved time."""
-        return int(np.argmin(np.abs(self.solution.t - time)))
-
-
-def body_run(method: Method, x0: tuple[float, ...], end: float, step: float, save_every: int = 1) -> BodyRun:
+def body_run(method: Method, x0: tuple[float, ...], end: float, step: float, save_every: int = 1) -> Solution:
     """Integrate the paper's rigid body from the body angular momentum x0 and attitude I."""
-    body = paper_rigid_body()
-    solution = integrate(body, x0, (0.0, end), step, method, attitude=True, save_every=save_every)
-    return BodyRun(solution, body.exact(x0, solution.t, attitude=True)[1])
+    return integrate(paper_rigid_body(), x0, (0.0, end), step, method, attitude=True, save_every=save_every)
+
+
+def attitude_of(run: Solution) -> Floats:
+    """Return the attitude (k, 3, 3) of a run that carries it."""
+    assert run.attitude is not None
+    return run.attitude
+
+
+def exact_attitude(run: Solution) -> Floats:
+    """Return the exact attitude (k, 3, 3) of the rigid body at the saved times."""
+    return np.asarray(paper_rigid_body().exact(run.x[0], run.t, attitude=True)[1])
+
+
+def attitude_error(run: Solution) -> Floats:
+    """Return the angle between computed and exact attitude in radians, shape (k,)."""
+    return np.asarray(attitude_angle(attitude_of(run), exact_attitude(run)))
+
+
+def precession_lead(run: Solution) -> Floats:
+    """Return the phase lead of the computed body about the constant spatial momentum, in radians, signed, (k,)."""
+    return np.asarray(precession_error(attitude_of(run), exact_attitude(run), run.x[0]))
+
+
+def precession_drift(run: Solution) -> PhaseDrift:
+    """Return the growth of the phase of the attitude, in radians."""
+    return drift_of_series(run.t, precession_lead(run), ANGLES)
+
+
+def index_of_time(run: Solution, time: float) -> int:
+    """Return the index of a saved time."""
+    return int(np.argmin(np.abs(run.t - time)))

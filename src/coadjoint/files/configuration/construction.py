@@ -18,9 +18,8 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
 from coadjoint.algebra.polynomials.formula_tree import names_in, read_parameters
 from coadjoint.algebra.polynomials.formulas import add_term, too_high
-from coadjoint.algebra.polynomials.monomials import Exponents
+from coadjoint.algebra.polynomials.monomials import Exponents, names_of_basis
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import names_of_basis
 from coadjoint.errors import ConfigurationError, in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from inspect import formatannotation
 from typing import Any
 
-from coadjoint.algebra.catalogue import families
-from coadjoint.algebra.families.low_dimensional import entries, parameters_of
+from coadjoint.algebra.catalogue import entries, families, parameters_of
 from coadjoint.methods import registry
 from coadjoint.optional_packages import require_packages
 from coadjoint.systems.description import documented_parameters, summary_of

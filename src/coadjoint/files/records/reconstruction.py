@@ -21,6 +21,7 @@ from coadjoint.runs.events import Event
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name
 from coadjoint.systems.coordinates import coordinates_of
+from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -29,7 +30,6 @@ from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MAX_POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants, DiagonalSolve, Inverse, Weights
-from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
 from coadjoint.systems.system import System
 from coadjoint.validation import from_description, read_integer
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
+from coadjoint.algebra.polynomials.monomials import plain as text_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.algebra.polynomials.polynomial_format import coordinate_names as default_names
-from coadjoint.algebra.polynomials.polynomial_format import plain as text_of
 from coadjoint.files.records.entries import CASIMIR, ENERGY, EXACT, INTEGRAL, STREAM
 from coadjoint.files.records.reconstruction import system_of
 from coadjoint.runs.events import Event

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.components import connected
-from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.exact.sparse_sums import Integers, connected
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.program.commutation import has_noncommuting, noncommuting
 from coadjoint.program.generators import check_products

@@ -11,8 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from coadjoint.algebra.exact.components import connected
-from coadjoint.algebra.exact.sparse_sums import distinct
+from coadjoint.algebra.exact.sparse_sums import connected, distinct
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.commutation import few_parts, first_noncommuting
@@ -24,7 +23,7 @@ from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE, Pattern, SparseRows
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names, in_coordinates_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.separated_function import NotSeparable, separated
+from coadjoint.systems.hamiltonians.separated_function import separated
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, QuadraticTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import TracingError
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -167,19 +166,20 @@ def separated_terms(system: LiePoissonSystem, term: FunctionTerm) -> tuple[Term,
     cache = _SEPARATED_CACHE.setdefault(system, {})
     if id(term.value) not in cache:
         found: tuple[Term, ...] = ()
-        refused = None
+        refused: str | None = None
+        refusal = partial(_not_splittable, system, "a function in it")
         try:
-            found = separated(term, system.dim, partial(first_noncommuting, system.algebra))
-        except NotSeparable as reason:
-            refused = _not_splittable(system, "a function in it", reason.noncommuting)
+            found = separated(term, system.dim, partial(first_noncommuting, system.algebra), refusal)
+        except NotSplittable as reason:
+            refused = str(reason)
         except TracingError as reason:
             noncommuting = first_noncommuting(system.algebra, term.coordinates.tolist())
             assert noncommuting is not None
-            refused = _not_splittable(system, "a function in it", noncommuting, str(reason))
+            refused = str(refusal(noncommuting, str(reason)))
         cache[id(term.value)] = term.value, found, refused
     _, found, refused = cache[id(term.value)]
     if refused is not None:
-        raise NotSplittable(str(refused))
+        raise NotSplittable(refused)
     return found
 
 
@@ -194,7 +194,7 @@ def separated_functions(system: LiePoissonSystem) -> dict[int, tuple[Term, ...]]
 
 
 # Systems are immutable. Functions are stored with their identities, so that these stay unique.
-Separated = tuple[Any, tuple[Term, ...], NotSplittable | None]
+Separated = tuple[Any, tuple[Term, ...], str | None]
 _SEPARATED_CACHE: WeakKeyDictionary[LiePoissonSystem, dict[int, Separated]] = WeakKeyDictionary()
 
 

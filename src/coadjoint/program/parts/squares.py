@@ -13,9 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.exact.components import connected
 from coadjoint.algebra.exact.numbers import rational
-from coadjoint.algebra.exact.sparse_sums import Integers
+from coadjoint.algebra.exact.sparse_sums import Integers, connected
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.program.parts.part import GradientShare, Parts
 from coadjoint.program.sparse_rows import SparseRows, sparse_row

@@ -14,7 +14,13 @@ from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import copies, direct_sum, semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.systems.bodies.body_systems import BodySystem
-from coadjoint.systems.bodies.inertia import energy_with_rotors, inverse_of_moving, read_body_inertia, read_rotors
+from coadjoint.systems.bodies.inertia import (
+    energy_with_rotors,
+    inverse_of_moving,
+    names_of_rotors,
+    read_body_inertia,
+    read_rotors,
+)
 from coadjoint.systems.bodies.rigid_body import rotations
 from coadjoint.systems.closed_forms.closed_form import move_state
 from coadjoint.systems.closed_forms.free_rigid_body import exact_solution, free_motion
@@ -23,7 +29,7 @@ from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.registry import ready_made
 from coadjoint.systems.system_checks import KnownInvariants
-from coadjoint.validation import read_bool, read_integer
+from coadjoint.validation import as_tuples, read_bool, read_integer
 
 AXES = ("X", "Y", "Z")
 MAX_RECORDED_BODIES = 64
@@ -238,14 +244,16 @@ def body(
     found = read_body_inertia(inertia)
     if not found.tensor.any():
         raise ValueError("inertia is zero: a point does not rotate; use co.systems.bodies for points with positions")
-    rotors, attitude = read_rotors(wheels, gyros, found), read_bool(attitude, "attitude")
+    turning, steering = read_rotors(wheels, gyros, found)
+    attitude = read_bool(attitude, "attitude")
     held = read_integer(held, "held", 0, MAX_HELD)
     parameters = {"inertia": found.given, "attitude": attitude}
-    parameters |= dict(zip(("wheels", "gyros"), rotors.given, strict=True)) | {"held": held}
-    names = (*rotors.names, *(f"held{i + 1}" for i in range(held)))
+    parameters |= {"wheels": as_tuples(turning), "gyros": as_tuples(steering), "held": held}
+    carried = names_of_rotors(turning, steering)
+    names = (*carried, *(f"held{i + 1}" for i in range(held)))
     algebra = with_carried(attitude_algebra() if attitude else rotations(), names)
-    if rotors.names:
-        (M,) = _energy(found.tensor, rotors.wheels, gyros=rotors.gyros, attitude=attitude, held=held)
+    if carried:
+        (M,) = _energy(found.tensor, turning, gyros=steering, attitude=attitude, held=held)
     else:
         M = _in_state(found.inverse, algebra.dim)
     return BodySystem(
@@ -255,8 +263,9 @@ def body(
         casimirs=axis_products(1, algebra.dim, alone=True) if attitude else None,
         integrals=momentum_in_space(1, algebra.dim, alone=True) if attitude else None,
         parameters=parameters,
-        exact=None if rotors.names else _closed_form(found.inverse, algebra.dim, attitude),
-        rotors=rotors,
+        exact=None if carried else _closed_form(found.inverse, algebra.dim, attitude),
+        wheels=turning,
+        gyros=steering,
         held=held,
         sign=-1,
         name="body",

@@ -11,7 +11,14 @@ from coadjoint.algebra.representation import ORTHOGONALITY, is_rotation, matrice
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.bodies.inertia import NO_ROTORS, BodyInertia, Rotors, without_wheels
+from coadjoint.systems.bodies.inertia import (
+    NO_GYROS,
+    NO_WHEELS,
+    BodyInertia,
+    momenta_of_rotors,
+    moments_of_wheels,
+    without_wheels,
+)
 from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
@@ -221,13 +228,20 @@ class BodySystem(Bodies):
     """One body; `body` makes it."""
 
     def __init__(
-        self, inertia: BodyInertia, *arguments: Any, rotors: Rotors = NO_ROTORS, held: int = 0, **named: Any
+        self,
+        inertia: BodyInertia,
+        *arguments: Any,
+        wheels: Floats = NO_WHEELS,
+        gyros: Floats = NO_GYROS,
+        held: int = 0,
+        **named: Any,
     ) -> None:
         super().__init__(*arguments, **named)
-        has_attitude = self.dim - len(rotors.names) - held > 3
-        set_fields(self, inertias=(inertia,), rotors=rotors, held=held, has_attitude=has_attitude)
+        has_attitude = self.dim - len(wheels) - 2 * len(gyros) - held > 3
+        set_fields(self, inertias=(inertia,), wheels=wheels, gyros=gyros, held=held, has_attitude=has_attitude)
 
-    rotors: Rotors
+    wheels: Floats
+    gyros: Floats
     held: int
 
     @property
@@ -248,15 +262,15 @@ class BodySystem(Bodies):
         return cast(BodySystem, ready_made_systems()[self.name](**{**parameters, "held": count}))
 
     def _velocities(self, x: Any) -> Floats:
-        if not self.rotors.names:
+        if not len(self.wheels) + len(self.gyros):
             return super()._velocities(x)
-        momenta = np.einsum("...q,qi->...i", self._carried(x), self.rotors.momenta)
-        inverse = without_wheels(self.inertias[0].tensor, self.rotors.wheels)
+        momenta = np.einsum("...q,qi->...i", self._carried(x), momenta_of_rotors(self.wheels, self.gyros))
+        inverse = without_wheels(self.inertias[0].tensor, self.wheels)
         return np.asarray(np.einsum("ij,...j->...i", inverse, read_states(self, x)[..., :3] - momenta))[..., None, :]
 
     def _carried(self, x: Any) -> Floats:
         first = self.first_carried
-        return read_states(self, x)[..., first : first + len(self.rotors.names)]
+        return read_states(self, x)[..., first : first + len(self.wheels) + 2 * len(self.gyros)]
 
     def wheel_speeds(self, x: npt.ArrayLike) -> Floats:
         """Return the speeds of the reaction wheels relative to the body, in radians per time.
@@ -270,7 +284,7 @@ class BodySystem(Bodies):
         -------
         ndarray, shape (..., m)
         """
-        wheels, moments = self.rotors.wheels, self.rotors.moments
+        wheels, moments = self.wheels, moments_of_wheels(self.wheels)
         along = np.einsum("mi,...i->...m", wheels / moments[:, None], self._velocities(x)[..., 0, :])
         return np.asarray(self._carried(x)[..., : len(wheels)] / moments - along)
 
@@ -286,7 +300,7 @@ class BodySystem(Bodies):
         -------
         ndarray, shape (..., g)
         """
-        gimbals = self._carried(x)[..., len(self.rotors.wheels) :]
+        gimbals = self._carried(x)[..., len(self.wheels) :]
         return np.asarray(np.arctan2(gimbals[..., 1::2], gimbals[..., ::2]))
 
     @suggest_keywords
@@ -351,16 +365,16 @@ class BodySystem(Bodies):
             )
         L = self._momentum(omega[..., None, :], "angular_velocity")[..., 0, :]
         unit = np.pi / 180.0 if degrees else 1.0
-        count, gimbals = len(self.rotors.wheels), len(self.rotors.gyros)
-        speeds = unit * _read_rotors(wheel_speeds, "wheel_speeds", count)
-        angles = unit * _read_rotors(gimbal_angles, "gimbal_angles", gimbals)
-        along = np.einsum("mi,...i->...m", self.rotors.momenta[:count], omega)
+        speeds = unit * _read_rotors(wheel_speeds, "wheel_speeds", len(self.wheels))
+        angles = unit * _read_rotors(gimbal_angles, "gimbal_angles", len(self.gyros))
+        moments = moments_of_wheels(self.wheels)
+        along = np.einsum("mi,...i->...m", self.wheels / moments[:, None], omega)
         L, speeds, along, angles = over_members((L, 1), (speeds, 1), (along, 1), (angles, 1))
         turns = joined(np.stack([np.cos(angles), np.sin(angles)], axis=-1))
-        momenta = np.einsum("...q,qi->...i", turns, self.rotors.momenta[count:])
-        L = L + np.einsum("...m,mi->...i", speeds, self.rotors.wheels) + momenta
+        momenta = np.einsum("...q,qi->...i", turns, self.gyros.reshape(-1, 3))
+        L = L + np.einsum("...m,mi->...i", speeds, self.wheels) + momenta
         axes = np.zeros(0) if A is None else joined(A)
-        rows = (L, axes, self.rotors.moments * (speeds + along), turns, np.zeros(self.held))
+        rows = (L, axes, moments * (speeds + along), turns, np.zeros(self.held))
         return np.concatenate(over_members(*((row, 1) for row in rows)), axis=-1)
 
 

@@ -287,40 +287,18 @@ GYRO_TOLERANCE = 1e-9
 """Largest relative difference of the two momenta of a gyro, and of their angle from a right one, that is rounding."""
 
 
-class Rotors(NamedTuple):
-    """Wheels, each its moment times its axis, (m, 3), and gyros, each two momenta, (g, 2, 3)."""
-
-    # A state carries the momentum of each wheel about its axis, then the cosine and the sine of each gimbal angle.
-
-    wheels: Floats
-    gyros: Floats
-
-    @property
-    def momenta(self) -> Floats:
-        """Momentum in the body frame for a unit of each number that the state carries, (m + 2 g, 3)."""
-        return _momenta(self.wheels, self.gyros)
-
-    @property
-    def moments(self) -> Floats:
-        """Moment of inertia of each wheel about its axis, (m,)."""
-        return _moments(self.wheels)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the numbers that the state carries."""
-        gimbals = tuple(f"{name}{k + 1}" for k in range(len(self.gyros)) for name in ("cos", "sin"))
-        return (*(f"k{i + 1}" for i in range(len(self.wheels))), *gimbals)
-
-    @property
-    def given(self) -> tuple[Any, Any]:
-        """Wheels and gyros as nested tuples."""
-        return as_tuples(self.wheels), as_tuples(self.gyros)
+# Wheels, (m, 3), are moments times axes, and gyros, (g, 2, 3), two momenta each. A state carries the momentum of
+# each wheel about its axis, then the cosine and the sine of each gimbal angle.
+NO_WHEELS, NO_GYROS = np.zeros((0, 3)), np.zeros((0, 2, 3))
 
 
-NO_ROTORS = Rotors(np.zeros((0, 3)), np.zeros((0, 2, 3)))
+def names_of_rotors(wheels: Floats, gyros: Floats) -> tuple[str, ...]:
+    """Return the names of the numbers that the state carries."""
+    gimbals = tuple(f"{name}{k + 1}" for k in range(len(gyros)) for name in ("cos", "sin"))
+    return (*(f"k{i + 1}" for i in range(len(wheels))), *gimbals)
 
 
-def read_rotors(wheels: Any, gyros: Any, inertia: BodyInertia) -> Rotors:
+def read_rotors(wheels: Any, gyros: Any, inertia: BodyInertia) -> tuple[Floats, Floats]:
     """Validate wheels and gyros of a body."""
     turning, steering = read_finite(wheels, "wheels"), read_finite(gyros, "gyros")
     turning = turning.reshape(0, 3) if turning.shape == (0,) else turning
@@ -337,7 +315,7 @@ def read_rotors(wheels: Any, gyros: Any, inertia: BodyInertia) -> Rotors:
         if len(zero):
             raise ValueError(f"{what}[{zero[0, 0]}] has a vector that is zero; leave it out")
     for k, (first, second) in enumerate(steering):
-        a, b = _moments(steering[k])
+        a, b = moments_of_wheels(steering[k])
         if abs(a - b) > GYRO_TOLERANCE * a or abs((first * second).sum()) > GYRO_TOLERANCE * a * b:
             raise ValueError(
                 f"gyros[{k}] is {short(steering[k].tolist())}; its momenta at the gimbal angles 0 and 90 degrees must "
@@ -347,12 +325,12 @@ def read_rotors(wheels: Any, gyros: Any, inertia: BodyInertia) -> Rotors:
         raise ValueError("inertia is that of a rod, which carries no wheels or gyros; give three positive moments")
     if len(turning):
         without_wheels(inertia.tensor, turning)
-    return Rotors(turning, steering)
+    return turning, steering
 
 
 def without_wheels(tensor: npt.NDArray[Any], wheels: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the inverse of an inertia tensor without the moments of the wheels about their axes; real or complex."""
-    inner = tensor - np.einsum("mi,mj->ij", wheels / _moments(wheels)[:, None], wheels)
+    inner = tensor - np.einsum("mi,mj->ij", wheels / moments_of_wheels(wheels)[:, None], wheels)
     try:
         return inverse_of(inner, "inertia")
     except ValueError:
@@ -367,20 +345,22 @@ def energy_with_rotors(
     """Return the matrix of the energy of body and rotors, whose numbers in the state begin at `first`."""
     # With the momentum L of all and R y of the rotors, ``(L - R y) . M (L - R y) / 2`` and that of the wheels, y^2 over
     # twice the moment, y the momentum about the axis in space.
-    M, R = without_wheels(tensor, wheels), _momenta(wheels, gyros)
+    M, R = without_wheels(tensor, wheels), momenta_of_rotors(wheels, gyros)
     matrix = np.zeros((dim, dim), dtype=np.result_type(M, R))
     crossed = np.einsum("ij,qj->iq", M, R)
     end, count = first + len(R), len(wheels)
     matrix[:3, :3] = M
     matrix[:3, first:end], matrix[first:end, :3] = -crossed, -crossed.T
     matrix[first:end, first:end] = np.einsum("pi,iq->pq", R, crossed)
-    matrix[range(first, first + count), range(first, first + count)] += 1.0 / _moments(wheels)
+    matrix[range(first, first + count), range(first, first + count)] += 1.0 / moments_of_wheels(wheels)
     return matrix
 
 
-def _moments(wheels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def moments_of_wheels(wheels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the moment of inertia of each wheel about its axis, (m,)."""
     return np.asarray(np.sqrt((wheels * wheels).sum(axis=-1)))
 
 
-def _momenta(wheels: npt.NDArray[Any], gyros: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return np.concatenate([wheels / _moments(wheels)[:, None], gyros.reshape(-1, 3)])
+def momenta_of_rotors(wheels: npt.NDArray[Any], gyros: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the momentum in the body frame for a unit of each number that the state carries, (m + 2 g, 3)."""
+    return np.concatenate([wheels / moments_of_wheels(wheels)[:, None], gyros.reshape(-1, 3)])

@@ -1,26 +1,227 @@
-"""Quantized fluids with a second field that they carry: reduced magnetohydrodynamics, and a passive scalar."""
+"""Two matrices, a vorticity and a field carried by its flow: reduced magnetohydrodynamics, a passive scalar."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.short_repr import short
 from coadjoint.systems.fluids.sphere_euler import sphere_euler
 from coadjoint.systems.fluids.torus_euler import torus_euler
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-from coadjoint.systems.matrices.two_layer_system import TwoLayerSystem
+from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
+from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
+from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_choice
+from coadjoint.validation import read_choice, to_array
+
+Matrix = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
 
 SURFACES: dict[str, Callable[..., FluidSystem]] = {"sphere": sphere_euler, "torus": torus_euler}
 PICTURES: dict[str, Any] = {
     "pictures": (Picture("vorticity", at=1.0), Picture("vorticity", part="carried", at=1.0), Picture("eigenvalues")),
     "components": Picture("energy by scale"),
 }
+
+
+@suggest_keywords
+class TwoLayerSystem(MatrixSystem):
+    """Two matrices, a carried field Theta and a vorticity W: ``Theta' = [P, Theta]``, ``W' = [P, W] + [J, Theta]``.
+
+    P = stream(W) and J = second_stream(Theta), or zero if the field is passive. A state is an array (2, N, N),
+    ``[0]`` Theta and ``[1]`` W: the Lie-Poisson equation of the semidirect product of the algebra with its dual. With
+    dual numbers, eps^2 = 0, X = Theta + eps W and Y = P + eps J, it is ``X' = [Y, X]``. So the spectrum of Theta and
+    ``tr W Theta^k`` are preserved; for a passive field also the spectrum of W.
+
+    Parameters
+    ----------
+    algebra : MatrixAlgebra
+        The algebra of both matrices, skew-Hermitian.
+    stream : Stream
+        A symmetric linear map from W to P.
+    second_stream : Stream, optional
+        A symmetric linear map from Theta to J; omit it for a passive field.
+    energy_sign : {1, -1}
+        Sign of the energy ``energy_sign (<P, W> + <J, Theta>)/2``.
+    name, parameters, powers
+        As for `MatrixSystem`; `powers` is the number of invariants of each kind to record.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument of the wrong type, or an algebra that is not skew-Hermitian.
+
+    Notes
+    -----
+    K. Modin, M. Roop, "Spatio-temporal Lie-Poisson discretization for incompressible magnetohydrodynamics on the
+    sphere" (2023).
+
+    Examples
+    --------
+    >>> from coadjoint.systems.matrices.streams import Weights
+    >>> half = Weights(np.full((3, 3), 0.5))
+    >>> s = TwoLayerSystem(MatrixAlgebra("u", 3), half, half)
+    >>> s.shape, list(s.casimirs)[:3]
+    ((2, 3, 3), ['tr Theta^2', 'tr W Theta', 'tr Theta^3'])
+    """
+
+    def __init__(
+        self,
+        algebra: MatrixAlgebra,
+        stream: Stream,
+        second_stream: Stream | None = None,
+        *,
+        energy_sign: int = 1,
+        name: str = "two-layer system",
+        parameters: Mapping[str, Any] | None = None,
+        powers: int = POWERS,
+    ) -> None:
+        super().__init__(algebra, stream, energy_sign=energy_sign, name=name, parameters=parameters, powers=powers)
+        if not algebra.skew or algebra.blocks:
+            raise ValueError(f"algebra is {algebra}; two layers need skew-Hermitian matrices of one block")
+        traces = traces_of(algebra, self.powers, self.matrices, self.to_vector)
+        self._followed = tuple(trace.power for trace in traces.values() if trace.power > 1)
+        self.second_stream = None if second_stream is None else as_stream(second_stream, algebra, "second_stream")
+        for what, one in (("stream", self.stream), ("second_stream", self.second_stream)):
+            if one is not None and one.kind == "BY_FUNCTION":
+                raise TypeError(f"{what} is a function; two layers need a Stream, such as Weights(w)")
+        if self.second_stream is not None:
+            self._check_stream(self.second_stream)
+        self.shape = self.matrix_shape = (2, *algebra.shape)
+        self.dim = 2 * self.dim
+        self.hamiltonian = MatrixEnergy(self)
+
+    _fluid: Any = None
+
+    @property
+    def fluid(self) -> Any:
+        return self._fluid
+
+    @cached_property
+    def casimirs(self) -> dict[str, Any]:
+        """Name to function of states (..., 2, N, N)."""
+        return {name: _Invariant(self, name) for name in self._names}
+
+    @property
+    def quadratic_casimirs(self) -> tuple[str, ...]:
+        """Names of the quadratic Casimirs, first in order, for which runs with forces keep balances."""
+        return self._names[:2]
+
+    @property
+    def _names(self) -> tuple[str, ...]:
+        vorticity_names = [] if self.second_stream is not None else [f"tr W^{k}" for k in self._followed]
+        return (*(name for k in self._followed for name in (f"tr Theta^{k}", mixed(k))), *vorticity_names)
+
+    def casimirs_at(self, x: Any) -> dict[str, Any]:
+        """Return the invariants of states (..., 2, N, N), of -i Theta and -i W if these are complex."""
+        X = self.matrices(x)
+        base = -1j * X if self.complex else X
+        theta, W = base[..., 0, :, :], base[..., 1, :, :]
+        values = {}
+        for k, power in self._powers(theta):
+            values[f"tr Theta^{k}"], values[mixed(k)] = _trace(power, theta), _trace(power, W)
+        if self.second_stream is None:
+            values |= {f"tr W^{k}": _trace(power, W) for k, power in self._powers(W)}
+        return values
+
+    def _powers(self, A: Matrix) -> list[tuple[int, Matrix]]:
+        """Return the pairs (k, power k - 1 of matrices)."""
+        powers, power, below = [], A, 1
+        for k in self._followed:
+            while below < k - 1:
+                power, below = power @ A, below + 1
+            powers.append((k, power))
+        return powers
+
+    def slope_of(self, W: Matrix, t: float = 0.0) -> Matrix:
+        """Return P and J of states (..., 2, N, N), in this order."""
+        P = self.stream(W[..., 1, :, :])
+        J = np.zeros_like(P) if self.second_stream is None else self.second_stream(W[..., 0, :, :])
+        return np.stack([P, J], axis=-3)
+
+    def dual(self, Y: Matrix) -> Matrix:
+        """Return (J, P) of (P, J): J is the derivative by the carried field, and P that by the vorticity."""
+        return Y[..., ::-1, :, :]
+
+    def pairing(self, Y: Matrix, X: Matrix) -> Any:
+        return np.sum(np.conj(self.dual(Y)) * X, axis=(-3, -2, -1)).real
+
+    def spectrum(self, x: Any) -> Floats:
+        """Return the eigenvalues of -i Theta, real and ascending, of states (..., 2, N, N)."""
+        return np.asarray(np.linalg.eigvalsh(-1j * self.matrices(x)[..., 0, :, :]), dtype=np.float64)
+
+    def generic_rank(self) -> int:
+        """Return the rank of J at a generic state; each Casimir of the algebra gives two of the layers."""
+        return 2 * self.algebra.generic_rank()
+
+    def bracket(self, Y: Matrix, X: Matrix) -> Matrix:
+        """Return the commutator of dual numbers, states (..., 2, N, N)."""
+        bracket = self.algebra.bracket
+        P, J, theta, W = Y[..., 0, :, :], Y[..., 1, :, :], X[..., 0, :, :], X[..., 1, :, :]
+        return np.stack([bracket(P, theta), bracket(P, W) + bracket(J, theta)], axis=-3)
+
+    def matrices(self, x: Any) -> Matrix:
+        """Return states (..., 2, N, N) unchanged, and vectors as the nearest states."""
+        if np.shape(x)[-1:] == (self.dim,):
+            return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
+        X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
+        if X.shape[-3:] != self.matrix_shape:
+            raise ValueError(f"a state has the shape {X.shape}; it must be {self.matrix_shape}, or ({self.dim},)")
+        return X
+
+    def read_matrices(self, given: Any, what: str) -> Matrix:
+        state = to_array(given, what, "iufc")
+        if state.shape[-3:] != self.shape or state.ndim > 4:
+            raise ValueError(
+                f"{what} has the shape {state.shape}; it must be {self.shape}, the carried field and the vorticity, or "
+                f"(members, {str(self.shape)[1:]}"
+            )
+        layers = [self.algebra.read(state[..., k, :, :], f"{what}, layer {k},") for k in range(2)]
+        return np.stack(layers, axis=-3)
+
+    def to_vector(self, W: Any) -> Floats:
+        """Return states (..., 2, N, N) as vectors: layer by layer, entry by entry."""
+        X = np.ascontiguousarray(W, dtype=np.complex128 if self.complex else np.float64)
+        if X.shape[-3:] != self.matrix_shape:
+            raise ValueError(f"a state is {short(W)}; it must have the shape {self.matrix_shape}")
+        return X.view(np.float64).reshape(*X.shape[:-3], self.dim)
+
+
+def mixed(k: int) -> str:
+    """Return the name of the invariant of degree k that is linear in W."""
+    return "tr W Theta" if k == 2 else f"tr W Theta^{k - 1}"
+
+
+def _trace(A: Matrix, B: Matrix) -> Any:
+    return np.einsum("...ij,...ji->...", A, B).real
+
+
+class _Invariant:
+    def __init__(self, system: TwoLayerSystem, name: str) -> None:
+        self._system, self._name = system, name
+
+    def __repr__(self) -> str:
+        return self._name
+
+    def __call__(self, x: Any) -> Any:
+        return self._system.casimirs_at(x)[self._name]
+
+    def sum_of_absolute_terms(self, x: Any) -> Any:
+        """Return the sum of the products of the singular values, since eigenvalues may cancel."""
+        singular = np.linalg.svd(self._system.matrices(x), compute_uv=False)
+        theta, W = singular[..., 0, :], singular[..., 1, :]
+        power = int(self._name.rpartition("^")[2]) if "^" in self._name else 1
+        if self._name.startswith(mixed(2)):
+            return np.sum(W * theta**power, axis=-1)
+        return np.sum((W if self._name.startswith("tr W") else theta) ** power, axis=-1)
 
 
 def _two_vortices() -> npt.NDArray[np.complex128]:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.systems.bodies.inertia import inverse_of
+from coadjoint.systems.bodies.inertia import inverse_of, moments_of_wheels
 from coadjoint.systems.forces.body_torque import read_limits
 from coadjoint.systems.forces.sampled import Sampled
 from coadjoint.systems.user_functions import callable_from_compiled
@@ -69,7 +69,7 @@ class ReactionWheels(Sampled):
     _limits = dict.fromkeys(("max_torque", "max_momentum"), partial(read_limits, shape=()))
 
     def _count(self, system: Any) -> int:
-        count = len(system.rotors.wheels)
+        count = len(system.wheels)
         if not count:
             raise TypeError(f"{system.name} has no wheels; make it with co.systems.body(inertia, wheels=...)")
         for name in ("max_torque", "max_momentum"):
@@ -81,7 +81,8 @@ class ReactionWheels(Sampled):
         return count
 
     def _command(self, system: Any) -> Callable[..., Any]:
-        share, count = _shares(system.rotors.momenta[: len(system.rotors.wheels)]), self._count(system)
+        wheels, count = system.wheels, self._count(system)
+        share = _shares(wheels / moments_of_wheels(wheels)[:, None])
         most = np.array(np.broadcast_to(np.inf if self.max_torque is None else self.max_torque, count))
         limited = self.max_torque is not None
 
@@ -177,12 +178,12 @@ class ControlMomentGyros(Sampled):
         self._read(regularization=read_positive)
 
     def _count(self, system: Any) -> int:
-        if not len(system.rotors.gyros):
+        if not len(system.gyros):
             raise TypeError(f"{system.name} has no gyros; make it with co.systems.body(inertia, gyros=...)")
-        return len(system.rotors.gyros)
+        return len(system.gyros)
 
     def _command(self, system: Any) -> Callable[..., Any]:
-        gyros, count, wheels = system.rotors.gyros, self._count(system), len(system.rotors.wheels)
+        gyros, count, wheels = system.gyros, self._count(system), len(system.wheels)
         begin, limit = system.first_carried + wheels, super()._command(system)
         limited, most = callable_from_compiled(limit), np.inf if self.max_rate is None else self.max_rate
         at_zero, at_right = (np.ascontiguousarray(gyros[:, k]) for k in (0, 1))
@@ -211,7 +212,7 @@ class ControlMomentGyros(Sampled):
         return command
 
     def _act(self, system: Any, begin: int) -> Callable[..., None]:
-        count, start = self._count(system), system.first_carried + len(system.rotors.wheels)
+        count, start = self._count(system), system.first_carried + len(system.wheels)
         turned = callable_from_compiled(rotated)
 
         def act(y: Any, t: Any, tau: Any) -> None:

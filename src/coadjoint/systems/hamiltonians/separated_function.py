@@ -189,18 +189,16 @@ class RecordedFunction:
         return value, first, graph.function(curvatures, f"np.array(({{0}},)).reshape({shape})")
 
 
-class NotSeparable(ValueError):
-    """A summand of a function depends on coordinates that do not commute, and is no polynomial of them."""
-
-    def __init__(self, noncommuting: Pair) -> None:
-        super().__init__("a summand of a function depends on coordinates that do not commute")
-        self.noncommuting = noncommuting
-
-
 def separated(
-    term: FunctionTerm, n: int, first_noncommuting: Callable[[Collection[int]], Pair | None]
+    term: FunctionTerm,
+    n: int,
+    first_noncommuting: Callable[[Collection[int]], Pair | None],
+    refusal: Callable[[Pair], ValueError],
 ) -> tuple[Term, ...]:
-    """Return a function of n coordinates as a polynomial and functions of commuting coordinates, which add up to it."""
+    """Return a function of n coordinates as a polynomial and functions of commuting coordinates, which add up to it.
+
+    Raise `refusal` of the coordinates if a summand of noncommuting ones is no polynomial.
+    """
     # Constants and functions of the time alone are omitted. Monomials, quadratic functions, and summands of
     # noncommuting coordinates are part of the polynomial.
     recorded = RecordedFunction(term.value, len(term.coordinates), term.timed)
@@ -218,7 +216,7 @@ def separated(
                 placed = tuple(sorted(places[k] for k in key))
                 total[placed] = total.get(placed, 0) + factor * value
         elif noncommuting is not None:
-            raise NotSeparable(noncommuting)
+            raise refusal(noncommuting)
         elif coordinates:
             functions.setdefault(local, []).append((factor, summand))
     terms: list[Term] = []

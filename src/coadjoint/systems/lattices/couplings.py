@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -187,73 +186,18 @@ MAX_HESSIAN_SITES = 341  # largest number of spins with second derivatives, whic
 
 
 @dataclass(frozen=True, eq=False)
-class Dipoles:
-    """Sums over dipoles on an open lattice, as convolutions padded with zeros."""
+class DipolarFunction:
+    """The dipolar energy of an open lattice, or its derivative of order 1 or 2; the loops call it in Python.
 
-    # `strength` times the sum over pairs of ``(S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``, r in distances of
-    # neighbours.
+    The energy is `strength` times the sum over pairs of ``(S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``, r in distances
+    of neighbours: a convolution, padded with zeros, with `tensors`, the transforms of (1 - 3 e e) / r^3.
+    """
 
     lattice: str
     sizes: tuple[int, ...]
     strength: float
-
-    @cached_property
-    def kernel(self) -> npt.NDArray[np.complex128]:
-        """Transforms of the tensors (1 - 3 e e) / r^3 between sites of cells, (s, s', 3, 3, padded axes)."""
-        import scipy.fft
-
-        edges, sites = (_in_space(part) for part in CELLS[self.lattice][:2])
-        # Index k of an axis is the displacement k, or k - size where that is negative.
-        steps = [np.fft.fftfreq(size, 1.0 / size) for size in self.padded]
-        cells = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1) @ edges
-        r = cells + (sites[:, None] - sites).reshape(len(sites), len(sites), *(1,) * len(steps), 3)
-        square = np.sum(r**2, axis=-1)
-        with np.errstate(divide="ignore"):
-            inverse = np.where(square > 0.25, square**-1.5, 0.0)
-        axes = np.where(square > 0.25, square, 1.0)
-        tensors = (np.eye(3) - 3.0 * r[..., :, None] * r[..., None, :] / axes[..., None, None]) * inverse[
-            ..., None, None
-        ]
-        return np.asarray(scipy.fft.rfftn(np.moveaxis(tensors, (-2, -1), (2, 3)), axes=self._axes))
-
-    @cached_property
-    def padded(self) -> tuple[int, ...]:
-        """Sizes of the axes with zeros, so that the ends do not meet."""
-        import scipy.fft
-
-        return tuple(scipy.fft.next_fast_len(2 * size - 1, real=True) for size in self.sizes)
-
-    @property
-    def _axes(self) -> tuple[int, ...]:
-        return tuple(range(-len(self.sizes), 0))
-
-    def field(self, x: Floats) -> Floats:
-        """Return the gradient of the energy, shape (n,)."""
-        import scipy.fft
-
-        spins = np.moveaxis(x.reshape(*self.sizes, -1, 3), (-2, -1), (0, 1))
-        waves = scipy.fft.rfftn(spins, self.padded, axes=self._axes)
-        sums = np.einsum("stab...,tb...->sa...", self.kernel, waves, optimize=True)
-        inside = (slice(None), slice(None), *map(slice, self.sizes))
-        result = scipy.fft.irfftn(sums, self.padded, axes=self._axes)[inside]
-        return np.asarray(self.strength * np.moveaxis(result, (0, 1), (-2, -1)).reshape(-1))
-
-    def matrix(self) -> Floats:
-        """Return the second derivatives, (n, n), by the direct sum."""
-        positions = _in_space(lattice_positions(self.lattice, self.sizes))
-        r = positions[:, None] - positions
-        square = np.sum(r**2, axis=-1) + np.eye(len(r))
-        tensors = np.eye(3) - 3.0 * r[..., :, None] * r[..., None, :] / square[..., None, None]
-        tensors *= (self.strength * (square**-1.5 - np.eye(len(r))))[..., None, None]
-        return np.asarray(np.swapaxes(tensors, 1, 2).reshape(3 * len(r), -1))
-
-
-@dataclass(frozen=True, eq=False)
-class DipolarFunction:
-    """The dipolar energy, or its derivative of order 1 or 2, as a function of x that the loops call in Python."""
-
-    dipoles: Dipoles
     order: int
+    tensors: npt.NDArray[np.complex128] = field(repr=False)
 
     called_in_python: ClassVar[bool] = True
 
@@ -268,11 +212,59 @@ class DipolarFunction:
         if y.dtype.kind not in "fc":
             raise TypeError(f"the dipolar energy is computed by FFT, of floats or complex numbers, not of {y.dtype}")
         if self.order == 2:
-            return self.dipoles.matrix()
-        field = self.dipoles.field(np.ascontiguousarray(y.real, dtype=np.float64))
+            return self.matrix()
+        gradient = self._gradient(np.ascontiguousarray(y.real, dtype=np.float64))
         if y.dtype.kind == "c":
-            field = field + 1j * self.dipoles.field(np.ascontiguousarray(y.imag, dtype=np.float64))
-        return field if self.order else 0.5 * np.sum(y * field)
+            gradient = gradient + 1j * self._gradient(np.ascontiguousarray(y.imag, dtype=np.float64))
+        return gradient if self.order else 0.5 * np.sum(y * gradient)
+
+    def _gradient(self, x: Floats) -> Floats:
+        import scipy.fft
+
+        axes, padded = _axes(self.sizes), _padded(self.sizes)
+        spins = np.moveaxis(x.reshape(*self.sizes, -1, 3), (-2, -1), (0, 1))
+        waves = scipy.fft.rfftn(spins, padded, axes=axes)
+        sums = np.einsum("stab...,tb...->sa...", self.tensors, waves, optimize=True)
+        inside = (slice(None), slice(None), *map(slice, self.sizes))
+        result = scipy.fft.irfftn(sums, padded, axes=axes)[inside]
+        return np.asarray(self.strength * np.moveaxis(result, (0, 1), (-2, -1)).reshape(-1))
+
+    def matrix(self) -> Floats:
+        """Return the second derivatives, (n, n), by the direct sum."""
+        positions = _in_space(lattice_positions(self.lattice, self.sizes))
+        r = positions[:, None] - positions
+        square = np.sum(r**2, axis=-1) + np.eye(len(r))
+        tensors = np.eye(3) - 3.0 * r[..., :, None] * r[..., None, :] / square[..., None, None]
+        tensors *= (self.strength * (square**-1.5 - np.eye(len(r))))[..., None, None]
+        return np.asarray(np.swapaxes(tensors, 1, 2).reshape(3 * len(r), -1))
+
+
+def _transformed_tensors(lattice: str, sizes: tuple[int, ...]) -> npt.NDArray[np.complex128]:
+    """Return the transforms of (1 - 3 e e) / r^3 between sites of cells, (s, s', 3, 3, padded axes)."""
+    import scipy.fft
+
+    edges, sites = (_in_space(part) for part in CELLS[lattice][:2])
+    # Index k of an axis is the displacement k, or k - size where that is negative.
+    steps = [np.fft.fftfreq(size, 1.0 / size) for size in _padded(sizes)]
+    cells = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1) @ edges
+    r = cells + (sites[:, None] - sites).reshape(len(sites), len(sites), *(1,) * len(steps), 3)
+    square = np.sum(r**2, axis=-1)
+    with np.errstate(divide="ignore"):
+        inverse = np.where(square > 0.25, square**-1.5, 0.0)
+    axes = np.where(square > 0.25, square, 1.0)
+    tensors = (np.eye(3) - 3.0 * r[..., :, None] * r[..., None, :] / axes[..., None, None]) * inverse[..., None, None]
+    return np.asarray(scipy.fft.rfftn(np.moveaxis(tensors, (-2, -1), (2, 3)), axes=_axes(sizes)))
+
+
+def _padded(sizes: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the sizes of the axes with zeros, so that the ends do not meet."""
+    import scipy.fft
+
+    return tuple(scipy.fft.next_fast_len(2 * size - 1, real=True) for size in sizes)
+
+
+def _axes(sizes: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(range(-len(sizes), 0))
 
 
 def dipolar_energy(lattice: str, shape: Any, periodic: Any, strength: float) -> Hamiltonian:
@@ -292,8 +284,10 @@ def dipolar_energy(lattice: str, shape: Any, periodic: Any, strength: float) -> 
     check_available_memory(
         BYTES_PER_POINT * points, f"the dipolar energy of a {lattice} lattice of {short(shape)} cells"
     )
-    dipoles = Dipoles(lattice, sizes, strength)
-    derivatives: list[Callable[..., Any]] = [DipolarFunction(dipoles, order) for order in range(3)]
+    tensors = _transformed_tensors(lattice, sizes)
+    derivatives: list[Callable[..., Any]] = [
+        DipolarFunction(lattice, sizes, strength, order, tensors) for order in range(3)
+    ]
     dense = cell * math.prod(sizes) <= MAX_HESSIAN_SITES
     return Hamiltonian(*derivatives[: 3 if dense else 2])
 
