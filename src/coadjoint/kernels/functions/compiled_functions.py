@@ -34,12 +34,12 @@ class CompiledFunction:
         from coadjoint.kernels.functions.compilation import callback_of
 
         self._callback = callback_of(function, size, results, scalar, flat, timed, what)
-        self._arguments = function, size, results, scalar, flat, timed, what
+        self.remade = function, size, results, scalar, flat, timed, what
         self.address: int = self._callback.address
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that compile the function again in another process."""
-        function, *others = self._arguments
+        function, *others = self.remade
         return _recompiled, (picklable_function(function), *others)
 
 
@@ -63,10 +63,12 @@ CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_voi
 class CalledInPython:
     """A function called in Python by its C address, of a ctypes `prototype`: `call` with its arguments, whose exception
     is raised again in the thread of the run. If the prototype has a result, it is 1 after an exception and else 0.
+    `remade` are the arguments of its pickle, if it has one.
     """
 
-    def __init__(self, prototype: Any, call: Callable[..., None]) -> None:
+    def __init__(self, prototype: Any, call: Callable[..., None], remade: tuple[Any, ...] = ()) -> None:
         self._raised: BaseException | None = None
+        self.remade = remade
 
         def guarded(*arguments: Any) -> int:
             try:
@@ -89,6 +91,10 @@ class CalledInPython:
         error, self._raised = self._raised, None
         return error
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return arguments that make the function callable in another process."""
+        return self.remade
+
 
 MAX_WARNED = 256
 _WARNED: dict[Any, Any] = {}
@@ -109,25 +115,19 @@ def warn_once(function: Any, message: str) -> None:
     warnings.warn(message, RuntimeWarning, stacklevel=2)
 
 
-class PythonCallback(CalledInPython):
-    """A function of (y, t), y an array of `size` numbers, called in Python; it returns `results` numbers."""
+def python_callback(function: Callable[..., Any], size: int, results: int) -> CalledInPython:
+    """Return a function of (y, t), y an array of `size` numbers, called in Python; it returns `results` numbers."""
+    block, result_block = ctypes.c_double * size, ctypes.c_double * results
 
-    def __init__(self, function: Callable[..., Any], size: int, results: int = 1) -> None:
-        self._arguments = function, size, results
-        block, result_block = ctypes.c_double * size, ctypes.c_double * results
+    def call(y: int, t: float, out: int) -> None:
+        values = result_block.from_address(out)
+        values[0] = float("nan")  # stops the loop
+        callback.check()
+        result = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
+        values[:] = np.ravel(result).tolist()
 
-        def call(y: int, t: float, out: int) -> None:
-            values = result_block.from_address(out)
-            values[0] = float("nan")  # stops the loop
-            self.check()
-            result = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
-            values[:] = np.ravel(result).tolist()
-
-        super().__init__(CALLBACK, call)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return arguments that make the function callable in another process."""
-        return PythonCallback, self._arguments
+    callback: CalledInPython = CalledInPython(CALLBACK, call, (python_callback, (function, size, results)))
+    return callback
 
 
 # System, state, time, length, new state.

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Forms
 from coadjoint.kernels.functions.compiled_functions import (
+    CalledInPython,
     CompiledFunction,
-    PythonCallback,
+    python_callback,
     warn_slow_compilation,
 )
 from coadjoint.kernels.interface import check_fields, kernel_interface, limit
@@ -200,12 +201,12 @@ class FunctionTable:
     """
 
     def __init__(self, table: Any, remade: tuple[Any, ...], odd: bool = False) -> None:
-        self._table, self._remade = table, remade
+        self._table, self.remade = table, remade
         self.address: int = -ctypes.addressof(table) - odd
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that build the table again in another process."""
-        return self._remade
+        return self.remade
 
 
 def formula_table(forms: Forms) -> FunctionTable:
@@ -219,7 +220,7 @@ def share_table(share: CompiledFunction, shares: int, results: int) -> FunctionT
     return FunctionTable(table, (share_table, (share, shares, results)), odd=True)
 
 
-Owner = CompiledFunction | FunctionTable | PythonCallback
+Owner = CompiledFunction | FunctionTable | CalledInPython
 Owners = tuple[Owner, ...]
 """Owners of the objects that addresses point to: they must live as long as the addresses are in use."""
 
@@ -256,7 +257,7 @@ class CompiledTables:
     @property
     def is_picklable(self) -> bool:
         """Whether all objects that the addresses point to can be rebuilt in another process."""
-        return not self.referenced and all(isinstance(owner, Owner) for owner in self.keepalive)
+        return not self.referenced and all(getattr(owner, "remade", ()) for owner in self.keepalive)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle tables that are `is_picklable` with the objects at their addresses, without the sources."""
@@ -324,7 +325,7 @@ def _owner_of(term: FunctionTerm, derivative: str, owner: str) -> Owner:
         return formula_table(forms)
     results = size ** ORDERS[derivative]
     if is_called_in_python(function):
-        return PythonCallback(function, size, results)
+        return python_callback(function, size, results)
     shared = isinstance(function, SumOfShares)
     compiled = CompiledFunction(
         function.share if shared else function,
