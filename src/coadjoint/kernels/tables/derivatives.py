@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.functions.compiled_functions import compiled_function
 from coadjoint.kernels.interface import codes, limit
 from coadjoint.kernels.loop import CompiledLoop, kernel_loop, loop_over, raise_outcome
 from coadjoint.kernels.tables.compiled import (
@@ -95,7 +95,7 @@ def derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
     if system.algebra is not None:
         return np.zeros(0, dtype=np.int64), ()
     assert system.derivative_function is not None
-    compiled = CompiledFunction(
+    compiled = compiled_function(
         system.derivative_function,
         system.dim,
         system.dim**3,

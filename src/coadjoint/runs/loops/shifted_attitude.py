@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from ctypes import addressof
 from functools import cached_property
 from itertools import pairwise, product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,29 +35,16 @@ LARGEST_BLOCK = 16  # largest matrix whose exponential is differentiated in all 
 MAX_PRODUCTS = 2e7
 
 
-class Unshifted(NamedTuple):
-    """The part of a run to process: addresses of its arrays for `members` members, and ranges of members and points. X
-    is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and member,
-    instead of those of a schedule.
-    """
-
-    momenta: int
-    initial: int
-    held: int
-    out: int
-    members: int
-    first: int
-    last: int
-    k0: int
-    k1: int
-    rate: float
-    elapsed: int = 0
+UNSHIFTED = ("momenta", "initial", "held", "out", "members", "first", "last", "k0", "k1", "rate", "elapsed")
+"""Fields of the part of a run to process: addresses of its arrays for `members` members, and ranges of members and
+points. X is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and
+member, instead of those of a schedule."""
 
 
 def unshifting(tables: UnshiftTables) -> Callable[..., None]:
     """Return the function that multiplies elements by the factor of a shift with these tables."""
     structure, width = as_structure(tables), max(np.diff(tables.begin).tolist(), default=0)
-    address, packed, kernel = ctypes.byref(structure), packer(Unshifted), kernels().unshift
+    address, packed, kernel = ctypes.byref(structure), packer("Unshifted", UNSHIFTED), kernels().unshift
     products = tables.size**3 + 30 * width**3
 
     def fill(
