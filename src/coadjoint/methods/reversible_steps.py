@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.kernels.tables.recording import invariants_table
+from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE

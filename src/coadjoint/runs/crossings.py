@@ -59,7 +59,7 @@ class WatchedEvents:
     """Events compiled for a system, and their location; `coordinates` is empty for matrices."""
 
     def __init__(self, system: System | Batch, events: Sequence[Event], x0: Floats, t0: float) -> None:
-        from coadjoint.kernels.tables.recording import invariants_table
+        from coadjoint.kernels.tables.invariants import invariants_table
 
         plain_system = system.unforced
         self.system, self.events = system, tuple(events)

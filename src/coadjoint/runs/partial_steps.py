@@ -61,7 +61,7 @@ class PartialSteps:
     """Steps of any lengths by the scheme of a run, without history; the bits of a row depend on that row only."""
 
     def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
-        from coadjoint.kernels.tables.recording import invariants_table
+        from coadjoint.kernels.tables.invariants import invariants_table
 
         reject_noise(system)
         self.method, self.loops, self.workers = method, loops, workers

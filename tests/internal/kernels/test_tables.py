@@ -14,7 +14,8 @@ from coadjoint.algebra.invariants import invariant
 from coadjoint.algebra.invariants.invariant import LogarithmicInvariant
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.compiled import NotWritable, unrecorded
-from coadjoint.kernels.tables.recording import invariants_table, values_along, watch_tables
+from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
+from coadjoint.kernels.tables.recording import values_along
 from coadjoint.kernels.tables.writable import WritableTables
 from drawn_matrices import full
 from refusals import refused

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.tables.recording import invariants_table, values_along
+from coadjoint.kernels.tables.invariants import invariants_table
+from coadjoint.kernels.tables.recording import values_along
 from coadjoint.systems.coefficients import linear_of, with_linear
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of

@@ -15,7 +15,7 @@ from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.compiled import CompiledTables, as_structure
-from coadjoint.kernels.tables.recording import watch_tables
+from coadjoint.kernels.tables.invariants import watch_tables
 from coadjoint.kernels.tables.steps import (
     INNER_LOOP_INDEX,
     STEP_LOOP,

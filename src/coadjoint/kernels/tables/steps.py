@@ -29,7 +29,8 @@ from coadjoint.kernels.tables.field import (
     substeps,
     terms_of_field,
 )
-from coadjoint.kernels.tables.recording import Watch, invariants_table, watch_tables
+from coadjoint.kernels.tables.invariants import invariants_table, watch_tables
+from coadjoint.kernels.tables.recording import Watch
 from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.program.generators import given_matrices
 from coadjoint.program.group_correction import unshift_tables

@@ -30,8 +30,9 @@ from coadjoint.program.parts.decompose import (
     remember,
     sample_points,
 )
+from coadjoint.program.parts.joint_orders import joint_sizes, smallest
 from coadjoint.program.parts.part import COMPUTED, Parts
-from coadjoint.program.parts.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians, joint_sizes, smallest
+from coadjoint.program.parts.second_order import IMPROVEMENT_FACTOR, MAX_PERMUTED, has_hessians
 from coadjoint.program.parts.split import split
 from coadjoint.program.sources import Sources, sources_of_parts
 from coadjoint.program.sparse_rows import MAX_PATTERN_SIZE

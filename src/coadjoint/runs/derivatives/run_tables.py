@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.tables.compiled import CompiledTables, NotWritable, as_structure
 from coadjoint.kernels.tables.derivatives import FlowCotangents
-from coadjoint.kernels.tables.recording import invariants_table
+from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.derivative_tables import EXACT, DerivativeTables

@@ -361,7 +361,7 @@ def loops_of_members(systems: Sequence[System], compiled: Sequence[CompiledLoop]
 
 def _watch_of(system: System, loop: CompiledLoop, tracked: Mapping[str, Any], compact: bool = False) -> CompiledTables:
     """Return the tables of the energy and the tracked invariants, with accounts also of their balances."""
-    from coadjoint.kernels.tables.recording import balance_tables, watch_tables
+    from coadjoint.kernels.tables.invariants import balance_tables, watch_tables
 
     if system.has_matrices:
         count = (1 + len(tracked)) * (2 if loop.accounts else 1) - 1

@@ -46,7 +46,7 @@ def is_formula(quantity: Any) -> bool:
 
 def observed_quantities(system: System, observe: Mapping[str, Any], x0: Floats) -> Observed:
     """Return the function for quantities at saved points; those of the user are called once at x0 for validation."""
-    from coadjoint.kernels.tables.recording import watch_tables
+    from coadjoint.kernels.tables.invariants import watch_tables
 
     matrices = system.unforced if system.has_matrices else None
     if matrices is not None:
