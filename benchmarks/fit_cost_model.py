@@ -30,7 +30,7 @@ from coadjoint.choosing.accuracy import _fits_with_acceptable_roundoff, _target_
 from coadjoint.choosing.candidates import supported_candidates
 from coadjoint.choosing.fitting import StepFit, confirmed_fit, fit, fit_of_tolerance
 from coadjoint.choosing.pilot import Pilot, short_run
-from coadjoint.methods.numerics.short_orbit import rate_at
+from coadjoint.methods.numerics.tuned_parts import rate_at
 from coadjoint.methods.protocol import cost_model
 from coadjoint.methods.registry import candidate_schemes
 from coadjoint.systems.registry import gallery_entry_of, ready_made_systems

@@ -53,11 +53,11 @@ from .methods.commutator_free import CommutatorFree as CommutatorFree
 from .methods.composition import Composition as Composition
 from .methods.explicit_runge_kutta import ExplicitRungeKutta as ExplicitRungeKutta
 from .methods.gauss_legendre import GaussLegendre as GaussLegendre
+from .methods.gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
+from .methods.gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
 from .methods.isospectral_gauss import IsospectralGauss as IsospectralGauss
-from .methods.iterated_gauss_legendre import IteratedGaussLegendre as IteratedGaussLegendre
 from .methods.kahan import Kahan as Kahan
 from .methods.line_splitting import LineSplitting as LineSplitting
-from .methods.modified_gauss_legendre import ModifiedGaussLegendre as ModifiedGaussLegendre
 from .methods.projected import Projected as Projected
 from .methods.radau_energy import RadauEnergy as RadauEnergy
 from .methods.reversible_steps import ReversibleSteps as ReversibleSteps

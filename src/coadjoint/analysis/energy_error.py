@@ -22,7 +22,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
-from coadjoint.methods.numerics.short_orbit import MIN_STEPS, RELATIVE_STEP, orbit_overflow_error, rate_at
+from coadjoint.methods.numerics.tuned_parts import MIN_STEPS, RELATIVE_STEP, orbit_overflow_error, rate_at
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.registry import reference_scheme
 from coadjoint.runs.integrate import integrate

@@ -13,8 +13,7 @@ from jax import lax
 from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
-from coadjoint.jax.numpy_arrays import on_jax
-from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps
+from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps, on_jax
 from coadjoint.jax.table_steps import product
 from coadjoint.methods.forced import Forced, substeps_of
 from coadjoint.systems.forces.base import Noise

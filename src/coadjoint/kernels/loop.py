@@ -146,20 +146,9 @@ class CompiledLoop(CompiledTables):
     accounts: tuple[tuple[str, str], ...] = ()
 
 
-class StopFlag:
-    """A flag with which another thread stops the loops of a run."""
-
-    def __init__(self) -> None:
-        self.flag = ctypes.c_int64(0)
-        self.address = ctypes.byref(self.flag)
-
-    def request(self) -> None:
-        """Stop all loops with this flag, within a fraction of a second."""
-        self.flag.value = 1
-
-
-NEVER_STOPPED = StopFlag()
-"""Flag of runs in the calling thread, which no other thread stops."""
+NEVER_STOPPED = ctypes.c_int64(0)
+"""Flag of runs in the calling thread; a value of 1 in that of other runs stops all their loops within a fraction of a
+second."""
 
 
 class MemberBatch:
@@ -200,14 +189,21 @@ class MemberBatch:
         return batch
 
     def advance(
-        self, layout: Layout, schedule: Any, saved: NamedArrays, state: NamedArrays, k0: int, k1: int, stop: StopFlag
+        self,
+        layout: Layout,
+        schedule: Any,
+        saved: NamedArrays,
+        state: NamedArrays,
+        k0: int,
+        k1: int,
+        stop: ctypes.c_int64,
     ) -> int:
         """Take the steps k0 + 1 to k1, and save the start if k0 is 0; return the number of failed members, with those
         of a last energy that is not finite. An exception of a signal, such as KeyboardInterrupt, invalidates the arrays
         of the batch.
         """
         failed_count: int = self._advance(
-            layout.address, schedule, saved.address, state.address, as_int64(k0), as_int64(k1), stop.address
+            layout.address, schedule, saved.address, state.address, as_int64(k0), as_int64(k1), ctypes.byref(stop)
         )
         return failed_count if failed_count >= 0 else raise_outcome(failed_count)
 
@@ -216,7 +212,7 @@ class MemberBatch:
         run, for many calls. It returns the number of failed members, all if a momentum is not finite, or a negative
         outcome.
         """
-        pointed = *self._pointed_tables, layout.table, schedule, NEVER_STOPPED.flag
+        pointed = *self._pointed_tables, layout.table, schedule, NEVER_STOPPED
         tables, watch, extent, schedule_address, stop = map(ctypes.addressof, pointed)
         members, first, last, stride = (int(position.value or 0) for position in self._positions)
         run = WholeRun(tables, watch, members, first, last, stride, extent, schedule_address, stop)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,39 +32,34 @@ if TYPE_CHECKING:
 TYPICAL_DEGREE = 10  # typical degree of the series of an exponential, for estimates of work
 
 
-class Exponentials(NamedTuple):
-    """Coefficients of a scheme whose stages are exponentials of combinations of the previous gradients."""
-
-    # Stage i + 1 is stage `stages[i][0]` moved by combination `stages[i][1]`; `out` moves the old state, in order.
-
-    stages: list[tuple[int, list[Fraction]]]
-    out: list[list[Fraction]]
-
-    @property
-    def nodes(self) -> list[Fraction]:
-        """Time of each stage, in units of the step."""
-        nodes = [Fraction(0)]
-        for start, combination in self.stages:
-            nodes.append(nodes[start] + sum(combination))
-        return nodes
-
-
 def _as_fractions(denominator: int, *numerators: int) -> list[Fraction]:
     return [Fraction(numerator, denominator) for numerator in numerators]
 
 
 SCHEMES = {
-    2: Exponentials([(0, _as_fractions(2, 1))], [_as_fractions(1, 0, 1)]),
-    3: Exponentials(
+    2: ([(0, _as_fractions(2, 1))], [_as_fractions(1, 0, 1)]),
+    3: (
         [(0, _as_fractions(3, 1)), (0, _as_fractions(3, 0, 2))],
         [_as_fractions(3, 1, 0, 0), _as_fractions(12, -1, 0, 9)],
     ),
-    4: Exponentials(
+    4: (
         [(0, _as_fractions(2, 1)), (0, _as_fractions(2, 0, 1)), (1, _as_fractions(2, -1, 0, 2))],
         [_as_fractions(12, 3, 2, 2, -1), _as_fractions(12, -1, 2, 2, 3)],
     ),
 }
-"""Order -> the midpoint, Heun's third-order and the classical Runge-Kutta method, on a group."""
+"""Order -> the midpoint, Heun's third-order and the classical Runge-Kutta method, on a group: stages and final moves.
+
+Stage i + 1 is stage `stages[i][0]` moved by the exponential of the combination `stages[i][1]` of the previous
+gradients; the final combinations move the old state, in order.
+"""
+
+
+def _nodes(stages: Sequence[tuple[int, Sequence[Fraction]]]) -> list[Fraction]:
+    """Return the time of each stage, in units of the step."""
+    nodes = [Fraction(0)]
+    for start, combination in stages:
+        nodes.append(nodes[start] + sum(combination))
+    return nodes
 
 
 @dataclass(frozen=True)
@@ -135,11 +130,11 @@ class CommutatorFree(CompiledStepMethod):
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
         """Return the number of stages; and the number of final exponentials, the nodes, and all combinations."""
-        scheme = SCHEMES[self.order]
-        stages = len(scheme.stages) + 1
-        combinations = [*scheme.stages, *((0, combination) for combination in scheme.out)]
-        rows = [[start, *map(float, row), *[0.0] * (stages - len(row))] for start, row in combinations]
-        return [stages], [len(scheme.out), *map(float, scheme.nodes), *(a for row in rows for a in row)]
+        stages, out = SCHEMES[self.order]
+        count = len(stages) + 1
+        combinations = [*stages, *((0, combination) for combination in out)]
+        rows = [[start, *map(float, row), *[0.0] * (count - len(row))] for start, row in combinations]
+        return [count], [len(out), *map(float, _nodes(stages)), *(a for row in rows for a in row)]
 
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
@@ -184,13 +179,13 @@ class CommutatorFree(CompiledStepMethod):
         self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
     ) -> tuple[NDArray[Any], Any]:
         """Return the new state, and its derivative if that of x is given."""
-        scheme, point = SCHEMES[self.order], np.asarray(x)
+        (stages, out), point = SCHEMES[self.order], np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
         states: list[Any] = [(point if point.dtype.kind == "c" else array_of(number, point), tangent)]
         gradients: list[Any] = []
-        for i, node in enumerate(scheme.nodes):
+        for i, node in enumerate(_nodes(stages)):
             if i > 0:
-                start, combination = scheme.stages[i - 1]
+                start, combination = stages[i - 1]
                 states.append(
                     apply_exponential(orbit, states[start], combined(combination, gradients, h), number, degree)
                 )
@@ -199,17 +194,17 @@ class CommutatorFree(CompiledStepMethod):
             gradient_change = None if change is None else orbit.gradient_change(state, change, time)
             gradients.append((orbit.gradient(state, time), gradient_change))
         end = states[0]
-        for combination in scheme.out:
+        for combination in out:
             end = apply_exponential(orbit, end, combined(combination, gradients, h), number, degree)
         return end
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the products in its series."""
-        scheme = SCHEMES[self.order]
-        products = TYPICAL_DEGREE * (len(scheme.stages) + len(scheme.out))
+        stages, out = SCHEMES[self.order]
+        products = TYPICAL_DEGREE * (len(stages) + len(out))
         if system.has_matrices:
             return work_of_products(system, substeps * products)
-        return work_of_evaluations(system, substeps * (len(scheme.nodes) + products), self.explicit)
+        return work_of_evaluations(system, substeps * (len(stages) + 1 + products), self.explicit)
 
 
 def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any]], h: Any) -> tuple[Any, Any]:

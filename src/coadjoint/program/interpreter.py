@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class Interpreter:
             part = int(table.part[r])
             tau, moment = table.coefficient[r] * h, t + table.moment[r] * h
             if self._is_body_flow[part]:
-                apply_body_flow(self, part, tau, FlowState(x, group, tangent))
+                apply_body_flow(self, part, tau, (x, group, tangent))
                 continue
             theta = [tau * angle for angle in self.angles(part, x, moment)]
             tangents = None if tangent is None else [tau * d for d in self._angle_tangents(part, x, moment, tangent)]
@@ -250,18 +250,14 @@ PIECE = 0.25  # largest norm of tau times the generator in one series
 MAX_TERMS = 4096  # of a series, which converges after some hundred in thousands of digits
 
 
-class FlowState(NamedTuple):
-    """State of a flow, or a term of its series: momentum, and optionally a group element (rows) and tangent vectors."""
-
-    x: Vectors
-    group: Vectors | None
-    tangent: Vectors | None
+FlowState = tuple[Vectors, Vectors | None, Vectors | None]
+"""State of a flow, or a term of its series: momentum, and optionally a group element (rows) and tangent vectors."""
 
 
 def apply_body_flow(interpreter: Interpreter, part: int, tau: Any, state_of_flow: FlowState) -> None:
     """Apply the flow of free bodies over `tau` in place, by its time series, for angles that are not large."""
     body = _MovingBodies(interpreter.program, part)
-    count = interpreter.substeps(lambda: abs(tau) * body.speed(state_of_flow.x) / PIECE)
+    count = interpreter.substeps(lambda: abs(tau) * body.speed(state_of_flow[0]) / PIECE)
     for _ in range(count):
         terms = [state_of_flow]
         while len(terms) <= MAX_TERMS:
@@ -302,17 +298,18 @@ class _MovingBodies:
         n = len(terms)
         sums: list[Any] = [None if item is None else 0 * item for item in terms[0]]
         for k, term in enumerate(terms):
-            before, rates = terms[n - 1 - k], self.rates(term.x)
+            momentum, _, directions = term
+            before, rates = terms[n - 1 - k], self.rates(momentum)
             for slot, generators in enumerate((self.state, self.group, self.state)):
                 vectors = before[slot]
                 if vectors is not None and generators is not None:
                     sums[slot] = sums[slot] + _turned(generators, rates, vectors)
-            if term.tangent is not None:
-                changes, state = self.rates(term.tangent), self.state
-                np.add.at(sums[2], state.row, (state.value * before.x[state.column])[:, None] * changes[state.angle])
+            if directions is not None:
+                changes, state = self.rates(directions), self.state
+                np.add.at(sums[2], state.row, (state.value * before[0][state.column])[:, None] * changes[state.angle])
         x, group, tangent = (None if item is None else item * tau / n for item in sums)
         assert x is not None
-        return FlowState(x, group, tangent)
+        return x, group, tangent
 
 
 def _generators(action: Action, part: int, angles: Sequence[int]) -> Generators:

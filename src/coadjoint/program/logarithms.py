@@ -47,17 +47,11 @@ MAX_EXACT_DIGITS = 30
 """Decimal texts with fewer digits are exact; longer ones were rounded, to half a unit in the last digit."""
 
 
-class Letter(NamedTuple):
-    """A letter h^weight Y: of a sweep, or of the first or last part where two sweeps meet."""
-
-    weight: int
-    origin: str = "sweep"
-
-
 class Coordinates(NamedTuple):
-    """Lie series of a step: of_weight[w] maps Lyndon words of `Letter` to nonzero `flint.fmpq` or `flint.arb`;
+    """Lie series of a step: of_weight[w] maps Lyndon words of letters to nonzero `flint.fmpq` or `flint.arb`;
     `neglected` is the largest coefficient set to zero because an order condition holds only up to rounding; `exact`:
-    all are rational.
+    all are rational. A letter (k, origin) is h^k Y, with the origin "sweep", or "first" or "last" for the part where
+    two sweeps meet.
     """
 
     of_weight: tuple[Mapping[Word, Any], ...]
@@ -92,9 +86,9 @@ def composition_logarithm(
             processor = _sweep_product(after, highest, single_part, rational)
             series = product(product(_inverse(processor), series), processor)
         element = logarithm(series)
-        letters = {letter: letter.weight for term in element for word in term for letter in word}
+        letters = {letter: letter[0] for term in element for word in term for letter in word}
         count, scale = len(sweeps) + len(after), max([1.0, *(abs(float(s.coefficient)) for s in (*sweeps, *after))])
-        of_weight: list[Mapping[Word, Any]] = [{}, {(Letter(1),): 1}]
+        of_weight: list[Mapping[Word, Any]] = [{}, {((1, "sweep"),): 1}]
         neglected, exact = 0.0, True
         for weight in range(2, highest + 1):
             # Rounding of the coefficients changes a condition by u times the sum of its terms.
@@ -141,7 +135,7 @@ def _sweep_product(sweeps: Sequence[Sweep], highest: int, single_part: bool, rat
 
 
 def _letters(coefficients: Mapping[int, Any], origin: str, highest: int) -> Series:
-    return [{(Letter(k, origin),): coefficients[k]} if k in coefficients else {} for k in range(highest + 1)]
+    return [{((k, origin),): coefficients[k]} if k in coefficients else {} for k in range(highest + 1)]
 
 
 def _inverse(series: Series) -> Series:

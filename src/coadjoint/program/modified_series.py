@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,17 +108,6 @@ def _rounded(balls: Mapping[tuple[int, ...], Any], largest: float) -> tuple[dict
     return coefficients, radius, neglected
 
 
-class ModifiedTerms(NamedTuple):
-    """Terms of a modified Hamiltonian, {power of h: polynomial}, nonzero ones only. The polynomials are in the
-    coordinates, then the symbols of a ring. `radius` is the largest relative error of a coefficient before rounding to
-    float64 (0 if exact), `neglected` a bound of the coefficients set to zero.
-    """
-
-    of_power: dict[int, Polynomial]
-    radius: float
-    neglected: float
-
-
 def coordinates_of(program: Program, sweeps: list[Sweep], after: list[Sweep], highest: int, order: int) -> Coordinates:
     """Return the Lie series of a step by a program; for the arguments see `composition_logarithm`."""
     rational = bool(np.any(program.frequency != 0))
@@ -133,8 +122,10 @@ def modified_terms(
     weights: Iterable[int],
     H: Polynomial | None = None,
     factors: Mapping[Exponents, Exact] = MappingProxyType({}),
-) -> ModifiedTerms:
-    """Return the terms of the given weights (>= 2); the power of h is the weight minus one. If `H` is given, the
+) -> tuple[dict[int, Polynomial], float, float]:
+    """Return the nonzero terms of the given weights (>= 2) by the power of h, the weight minus one, as polynomials in
+    the coordinates, then the symbols of the ring; the largest relative error of a coefficient before rounding to
+    float64 (0 if exact); and a bound of the coefficients set to zero. If `H` is given, the
     coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors` (see
     `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
     """
@@ -143,7 +134,7 @@ def modified_terms(
     if highest > 1:
         _check_cost(system, program, highest)
     elif not factors:
-        return ModifiedTerms({}, 0.0, coordinates.neglected)
+        return {}, 0.0, coordinates.neglected
     polynomials = [ring.about_point(piece) for piece in part_polynomials(ring, program.parts)]
     if H is not None and not program.shift:
         polynomials = with_hamiltonian_coefficients(ring, program.parts, polynomials, H, factors)
@@ -157,7 +148,7 @@ def modified_terms(
         radius, neglected = max(radius, rounding), max(neglected, dropped)
         if polynomial.monomials:
             of_power[weight - 1] = polynomial
-    return ModifiedTerms(of_power, radius, neglected)
+    return of_power, radius, neglected
 
 
 def _check_cost(system: LiePoissonSystem, program: Program, highest: int) -> None:
@@ -249,5 +240,5 @@ def leading_term(system: LiePoissonSystem, method: Swept, order: int) -> Polynom
     """Return H_p of a scheme of order p, whose step is the flow of H + h^p H_p + ..."""
     program = build_program(system, method)
     coordinates = coordinates_of(program, *exact_sweeps(method), order + 1, order)
-    terms = modified_terms(ExactPolynomials(system.algebra), system, program, coordinates, [order + 1])
-    return terms.of_power.get(order, Polynomial({}, dim=system.dim))
+    terms, _, _ = modified_terms(ExactPolynomials(system.algebra), system, program, coordinates, [order + 1])
+    return terms.get(order, Polynomial({}, dim=system.dim))

@@ -51,14 +51,8 @@ class Crossings(NamedTuple):
         return Crossings(*(array[selection] for array in self))
 
 
-class MemberFailure(NamedTuple):
-    """Failure of a member during the location of its crossings: the arguments of `Run.mark_failed`."""
-
-    member: int
-    step: int
-    status: str
-    residual: float = float("nan")
-    reason: str = ""
+Failures = dict[int, tuple[int, tuple[str, float, str]]]
+"""Members that failed during the location of crossings: their step, and status, residual and reason of the failure."""
 
 
 class WatchedEvents:
@@ -85,9 +79,7 @@ class WatchedEvents:
         values_along(self.compiled.tables, states[:, None], t, out)
         return out[:, 0]
 
-    def locate(
-        self, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float
-    ) -> tuple[Crossings, list[MemberFailure]]:
+    def locate(self, flagged: FlaggedSteps, parts: PartialSteps, t0: float, h: float) -> tuple[Crossings, Failures]:
         """Return the crossings in the flagged steps, by member and time, and the members that failed."""
         # Crossings of failed members are dropped from the step of the failure on.
         if (raised := self.compiled.raised()) is not None:
@@ -114,15 +106,15 @@ class WatchedEvents:
         failed = self._failed(flagged, search, t0, h)
         if failed:
             last = dict.fromkeys(flagged.members.tolist(), np.iinfo(np.int64).max)
-            last |= {failure.member: failure.step for failure in failed}
+            last |= {member: step for member, (step, _) in failed.items()}
             crossings = crossings.select(steps < np.array([last[m] for m in members.tolist()], dtype=np.int64))
         return crossings, failed
 
-    def _failed(self, flagged: FlaggedSteps, search: _Search, t0: float, h: float) -> list[MemberFailure]:
+    def _failed(self, flagged: FlaggedSteps, search: _Search, t0: float, h: float) -> Failures:
         """Return the first failure of each member that failed."""
         undefined = flagged.codes == codes("Crossing")["UNDEFINED"]
         rows = np.flatnonzero(undefined.any(axis=1) | (search.status != 0))
-        failures: dict[int, MemberFailure] = {}
+        failures: Failures = {}
         for row in rows[np.argsort(flagged.steps[rows], kind="stable")].tolist():
             member, step = int(flagged.members[row]), int(flagged.steps[row])
             if member in failures:
@@ -131,11 +123,11 @@ class WatchedEvents:
                 name = self.names[int(np.argmax(undefined[row]))]
                 when = distinct(t0 + step * h, t0 + (step - 1) * h)[0]
                 reason = f"the event {name} is not a number at t = {when}; its function is undefined there"
-                failures[member] = MemberFailure(member, step, "UNDEFINED", reason=reason)
+                failures[member] = step, ("UNDEFINED", np.nan, reason)
             else:
                 status, residual = status_name(search.status[row]), float(search.residual[row])
-                failures[member] = MemberFailure(member, step, status, residual)
-        return list(failures.values())
+                failures[member] = step, (status, residual, "")
+        return failures
 
 
 class _Search:

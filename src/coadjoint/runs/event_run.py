@@ -11,7 +11,7 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import EventArrays, FlaggedSteps
 from coadjoint.long_operations import progress_bar
 from coadjoint.memory import check_available_memory
-from coadjoint.runs.crossings import Crossings, MemberFailure, WatchedEvents
+from coadjoint.runs.crossings import Crossings, Failures, WatchedEvents
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.run import Run
@@ -47,7 +47,7 @@ class EventRun:
         self._crossings: list[Crossings] = []
         self._packed_members = members
         self._pending: FlaggedSteps | None = None  # flags of steps beyond the current chunk
-        self._failed: dict[int, MemberFailure] = {}
+        self._failed: Failures = {}
         run.plan = run.plan.with_events(self.arrays.address)
         self._checkpoint = run.state.copy(), self.arrays.copy()  # state before the steps not yet searched
 
@@ -119,10 +119,10 @@ class EventRun:
             np.lexsort((crossings.which, crossings.t * np.sign(self.run.times.h), crossings.members))
         )
         last = self._record_crossings(crossings)
-        for failure in failed:
-            if failure.step - 1 <= last[failure.member]:
-                last[failure.member] = failure.step - 1
-                self._failed[failure.member] = failure
+        for member, (step, failure) in failed.items():
+            if step - 1 <= last[member]:
+                last[member] = step - 1
+                self._failed[member] = step, failure
         if (last < self._limits()).any():
             # A member ended or failed within a step, undetected by the loops: repeat the steps with its limit set.
             ends = np.minimum(self._limits(), last)
@@ -180,8 +180,8 @@ class EventRun:
         ended = limits < state.number
         failed = state["status"] != status["DONE"]
         state["status"][ended & ~(failed & (state["step"] <= limits))] = status["ENDED"]
-        for failure in self._failed.values():
-            self.run.mark_failed(*failure)
+        for member, (step, failure) in self._failed.items():
+            self.run.mark_failed(member, step, *failure)
 
     @property
     def found(self) -> Crossings:

@@ -16,7 +16,7 @@ from coadjoint.methods.forced import check_steps, check_supports, effective_sche
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
-from coadjoint.runs.derivatives.run_tables import INPUTS, StepTangents, compiled_tangents
+from coadjoint.runs.derivatives.run_tables import INPUTS, StepTangents, compiled_tangents, step_tangents
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import any_momenta_of, is_attitude_kind, momenta_of
@@ -275,7 +275,7 @@ class Stepper:
         if by_inputs:
             assert prepared.inputs is not None
             tables = DifferentiableRun(prepared).tables(self.h, (INPUTS,))
-            return StepTangents(tables, n, self.h, prepared.inputs.changing.tolist())
+            return step_tangents(tables, n, self.h, prepared.inputs.changing.tolist())
         return compiled_tangents(scheme, system, self.h, inputs=prepared.inputs)
 
     @ignore_overflow

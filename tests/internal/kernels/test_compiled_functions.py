@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from coadjoint.kernels.functions import compilation
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.functions.compiled_functions import compiled_function
 from coadjoint.kernels.tables import steps
 from coadjoint.systems.user_functions import MultipleOf
 from refusals import refused
@@ -19,7 +19,7 @@ CALL = ctypes.CFUNCTYPE(None, ctypes.POINTER(ctypes.c_double), ctypes.c_double, 
 
 def compile_and_call(function, y, t=0.0, results=1, **how):
     how = {"scalar": False, "flat": False, "timed": False, **how}
-    compiled = CompiledFunction(function, len(y), results, what="the test function", **how)
+    compiled = compiled_function(function, len(y), results, what="the test function", **how)
     arguments, out = (ctypes.c_double * len(y))(*y), (ctypes.c_double * (results + 1))()
     out[results] = -77.0
     CALL(compiled.address)(arguments, t, out)
@@ -62,7 +62,7 @@ def test_division_by_zero_follows_ieee():
 )
 def test_what_cannot_be_compiled_is_refused_in_one_line(function):
     with refused(TypeError, "the test function", "Numba") as refusal:
-        CompiledFunction(function, 1, 1, scalar=False, flat=False, timed=False, what="the test function")
+        compiled_function(function, 1, 1, scalar=False, flat=False, timed=False, what="the test function")
     assert "\n" not in str(refusal.value) and len(str(refusal.value)) < 500
 
 
@@ -84,7 +84,7 @@ def test_every_way_of_calling_gives_no_number(function, how, place):
     """The numbers beside the array are finite: they are never the result."""
     how = {"scalar": False, "flat": False, "timed": False, "results": 1, **how}
     results = how.pop("results")
-    compiled = CompiledFunction(function, 1 if how["scalar"] else 3, results, what="the test function", **how)
+    compiled = compiled_function(function, 1 if how["scalar"] else 3, results, what="the test function", **how)
     numbers = (ctypes.c_double * 16)(*np.arange(16.0))
     start = ctypes.addressof(numbers) + 8 * 6  # six numbers before the array, and seven after it
     given, out = (ctypes.c_double * 3).from_address(start), (ctypes.c_double * 3)()

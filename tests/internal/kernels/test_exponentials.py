@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.kernels.tables.casimir_shift import unshifting
 from coadjoint.kernels.tables.recording import schedule_of
 from coadjoint.program.group_correction import unshift_tables
 from coadjoint.program.parts.casimir_shifts import quadratic_casimirs
+from coadjoint.runs.loops.shifted_attitude import unshifting
 
 pytestmark = pytest.mark.thinned(3)
 

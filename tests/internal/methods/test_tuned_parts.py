@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint.methods.numerics.short_orbit import rate_at, short_orbit
-from coadjoint.methods.numerics.tuned_parts import propagated_brackets
+from coadjoint.methods.numerics.tuned_parts import propagated_brackets, rate_at, short_orbit
 from coadjoint.program.modified_series import leading_term
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.second_order import (

@@ -357,8 +357,8 @@ def test_rounding_does_not_choose_between_orders_that_are_equal():
 
 def elements(algebra, carried, shift, x, time, exactly=True):
     """exp(t X) of the library and in 60 digits."""
-    from coadjoint.kernels.tables.casimir_shift import unshifting
     from coadjoint.kernels.tables.recording import schedule_of
+    from coadjoint.runs.loops.shifted_attitude import unshifting
 
     tables = unshift_tables(algebra, carried, -1, shift)
     held, out = np.tile(np.eye(tables.size).reshape(1, 1, -1), (2, 1, 1)), np.empty((2, 1, tables.size, tables.size))

@@ -376,7 +376,7 @@ class ModifiedEnergyAtPoints:
             degree = self._weights[-1] - 1
             ring = ExactPolynomials(self._system.algebra, point=x.tolist(), degree=degree)
             program = replace(self._program, parts=parts_at(self._program.parts, x, degree))
-            terms = modified_terms(ring, self._system, program, self._coordinates, self._weights).of_power
+            terms, _, _ = modified_terms(ring, self._system, program, self._coordinates, self._weights)
             for power in reversed(terms):
                 total += h**power * float(terms[power].monomials.get((0,) * self.dim, 0))
         return total + float(self._system.energy(x))

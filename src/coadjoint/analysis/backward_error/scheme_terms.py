@@ -77,11 +77,11 @@ class SchemeTerms:
         ring = ExactPolynomials(self.system.algebra, tuple(self.values))
         # The polynomials in symbols that represent the coefficients.
         factors = {e: ring.symbol_elements[name] / _divisor(e) for e, name in self.names.items()}
-        result = modified_terms(ring, self.system, self.program, coordinates, weights, self.polynomial, factors)
-        terms = {
-            power: in_coordinates_of(self.system, self._with_symbols(term)) for power, term in result.of_power.items()
-        }
-        return terms, result.radius, result.neglected
+        of_power, radius, neglected = modified_terms(
+            ring, self.system, self.program, coordinates, weights, self.polynomial, factors
+        )
+        terms = {power: in_coordinates_of(self.system, self._with_symbols(term)) for power, term in of_power.items()}
+        return terms, radius, neglected
 
     @property
     def values(self) -> dict[str, Any]:

@@ -23,9 +23,7 @@ from coadjoint.experiments.reich1993.statements import (
     step_matrix,
     within,
 )
-from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.iterated_gauss_legendre import IteratedGaussLegendre
-from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.gauss_legendre import GaussLegendre, IteratedGaussLegendre, ModifiedGaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.radau_energy import RadauEnergy
 from coadjoint.rounding import UNIT_ROUNDOFF

@@ -25,8 +25,7 @@ from coadjoint.experiments.reich1993.statements import (
     within,
 )
 from coadjoint.methods.composition import Composition
-from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.gauss_legendre import GaussLegendre, ModifiedGaussLegendre
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.stepper import stepper

@@ -25,7 +25,7 @@ from coadjoint.experiments.reich1993.statements import (
     within,
 )
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
-from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.gauss_legendre import ModifiedGaussLegendre
 from coadjoint.methods.splitting import Splitting
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.integrate import integrate

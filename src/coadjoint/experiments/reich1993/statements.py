@@ -15,8 +15,7 @@ from coadjoint.analysis.phase_drift import ANGLES, PhaseDrift, drift_of_series
 from coadjoint.analysis.phase_error import attitude_angle, precession_error
 from coadjoint.analysis.powers import OrderFit, fit_order
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
-from coadjoint.methods.gauss_legendre import GaussLegendre
-from coadjoint.methods.modified_gauss_legendre import ModifiedGaussLegendre
+from coadjoint.methods.gauss_legendre import GaussLegendre, ModifiedGaussLegendre
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.splitting import Splitting

@@ -257,12 +257,13 @@ def _missing_error(path: Path | str, what: str, stored: Mapping[str, Any]) -> Ar
 
 def fingerprint_of(value: Any) -> dict[str, Any]:
     """Return a fingerprint of a value and of everything its functions read, for `same_fingerprint`."""
-    contents, written = contents_of(value), contents_of(value, written=True)
+    contents, unknown = contents_of(value)
+    written, unknown_in_text = contents_of(value, written=True)
     return {
         "python": ".".join(platform.python_version_tuple()[:2]),
-        "contents": contents.digest,
-        "unknown": list(contents.unknown),
-        "written": written.digest if written.unknown == contents.unknown else None,
+        "contents": contents,
+        "unknown": list(unknown),
+        "written": written if unknown_in_text == unknown else None,
     }
 
 

@@ -42,20 +42,20 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
     that cannot be compared are compiled again on each call, with a warning. An interrupt waits for `make`: if it ended
     a generator of Numba's registries, Numba would compile nothing more in this process.
     """
-    contents = contents_of(value)
-    if contents.unknown:
+    digest, unknown = contents_of(value)
+    if unknown:
         with deferred():
             result = make()
         if what not in _warned:
             _warned.add(what)
             warnings.warn(
                 f"{what} is compiled again whenever it is prepared, since some values it reads cannot be compared: "
-                f"{', '.join(contents.unknown[:3])}",
+                f"{', '.join(unknown[:3])}",
                 UserWarning,
                 stacklevel=2,
             )
         return result
-    key = contents.digest, options
+    key = digest, options
     if key not in _COMPILED:
         with deferred():
             _cache(_COMPILED, key, make())
@@ -83,8 +83,8 @@ def _with_fresh_dispatchers(value: Any, fresh: dict[int, tuple[Any, Any]], compi
         return _with_fresh_dispatchers(numba.njit(value, error_model="numpy"), fresh, compiles)
     if not isinstance(value, numba.core.dispatcher.Dispatcher):
         return value
-    contents = contents_of(value)
-    if contents.unknown or contents.digest not in _FRESH:
+    digest, unknown = contents_of(value)
+    if unknown or digest not in _FRESH:
         new: Any = None
 
         def register_copy(copy: types.FunctionType) -> None:
@@ -97,10 +97,10 @@ def _with_fresh_dispatchers(value: Any, fresh: dict[int, tuple[Any, Any]], compi
             for signature in value.nopython_signatures:
                 new.compile(signature)
             new.disable_compile()
-        if contents.unknown:
+        if unknown:
             return new
-        _cache(_FRESH, contents.digest, new)
-    return _FRESH[contents.digest]
+        _cache(_FRESH, digest, new)
+    return _FRESH[digest]
 
 
 def _copied(

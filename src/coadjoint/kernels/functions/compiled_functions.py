@@ -14,33 +14,33 @@ from coadjoint.optional_packages import MissingPackageError, installed, require_
 from coadjoint.systems.hamiltonians.traced_function import picklable_function, restored_function
 
 
-class CompiledFunction:
-    """A user function compiled to a C address, of `size` numbers y, or of one if `scalar`, and the time if `timed`; it
-    returns a number, or if `flat` an array of `results` numbers. The object keeps the machine code alive.
+class KernelFunction:
+    """A function that the kernels call by its `address`, that of machine code, or evaluate from a table; the object
+    keeps what is there alive. `remade` returns the arguments of its pickle, if it has one.
     """
 
-    def __init__(
-        self,
-        function: Callable[..., Any],
-        size: int,
-        results: int,
-        *,
-        scalar: bool,
-        flat: bool,
-        timed: bool,
-        what: str,
-    ) -> None:
-        require_packages(f"{what}, a Python function,", "numba")
-        from coadjoint.kernels.functions.compilation import callback_of
-
-        self._callback = callback_of(function, size, results, scalar, flat, timed, what)
-        self._arguments = function, size, results, scalar, flat, timed, what
-        self.address: int = self._callback.address
+    def __init__(self, address: int, held: Any, remade: Callable[[], tuple[Any, ...]] | None = None) -> None:
+        self.address, self._held, self.remade = address, held, remade
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return arguments that compile the function again in another process."""
-        function, *others = self._arguments
-        return _recompiled, (picklable_function(function), *others)
+        """Return arguments that make the function again in another process."""
+        if self.remade is None:
+            raise TypeError("a function of this process, called in Python, cannot be pickled")
+        return self.remade()
+
+
+def compiled_function(
+    function: Callable[..., Any], size: int, results: int, *, scalar: bool, flat: bool, timed: bool, what: str
+) -> KernelFunction:
+    """Compile a user function of `size` numbers y, or of one if `scalar`, and the time if `timed`; it returns a number,
+    or if `flat` an array of `results` numbers.
+    """
+    require_packages(f"{what}, a Python function,", "numba")
+    from coadjoint.kernels.functions.compilation import callback_of
+
+    callback = callback_of(function, size, results, scalar, flat, timed, what)
+    others = size, results, scalar, flat, timed, what
+    return KernelFunction(callback.address, callback, lambda: (_recompiled, (picklable_function(function), *others)))
 
 
 def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
@@ -53,19 +53,21 @@ def warn_slow_compilation(functions: Iterable[Callable[..., Any]]) -> None:
 
 def _recompiled(function: Any, size: int, results: int, scalar: bool, flat: bool, timed: bool, what: str) -> Any:
     restored = restored_function(function)
-    return CompiledFunction(restored, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
+    return compiled_function(restored, size, results, scalar=scalar, flat=flat, timed=timed, what=what)
 
 
 CALLBACK = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p)
 """A function of (y, t), whose values are written to the last address; matrices are in C order."""
 
 
-class CalledInPython:
+class CalledInPython(KernelFunction):
     """A function called in Python by its C address, of a ctypes `prototype`: `call` with its arguments, whose exception
     is raised again in the thread of the run. If the prototype has a result, it is 1 after an exception and else 0.
     """
 
-    def __init__(self, prototype: Any, call: Callable[..., None]) -> None:
+    def __init__(
+        self, prototype: Any, call: Callable[..., None], remade: Callable[[], tuple[Any, ...]] | None = None
+    ) -> None:
         self._raised: BaseException | None = None
 
         def guarded(*arguments: Any) -> int:
@@ -76,8 +78,8 @@ class CalledInPython:
                 return 1
             return 0
 
-        self._callback = prototype(guarded)
-        self.address: int = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+        callback = prototype(guarded)
+        super().__init__(ctypes.cast(callback, ctypes.c_void_p).value or 0, callback, remade)
 
     def check(self) -> None:
         """Raise the exception of an earlier call, if there was one."""
@@ -109,25 +111,19 @@ def warn_once(function: Any, message: str) -> None:
     warnings.warn(message, RuntimeWarning, stacklevel=2)
 
 
-class PythonCallback(CalledInPython):
-    """A function of (y, t), y an array of `size` numbers, called in Python; it returns `results` numbers."""
+def python_callback(function: Callable[..., Any], size: int, results: int) -> CalledInPython:
+    """Return a function of (y, t), y an array of `size` numbers, called in Python; it returns `results` numbers."""
+    block, result_block = ctypes.c_double * size, ctypes.c_double * results
 
-    def __init__(self, function: Callable[..., Any], size: int, results: int = 1) -> None:
-        self._arguments = function, size, results
-        block, result_block = ctypes.c_double * size, ctypes.c_double * results
+    def call(y: int, t: float, out: int) -> None:
+        values = result_block.from_address(out)
+        values[0] = float("nan")  # stops the loop
+        callback.check()
+        result = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
+        values[:] = np.ravel(result).tolist()
 
-        def call(y: int, t: float, out: int) -> None:
-            values = result_block.from_address(out)
-            values[0] = float("nan")  # stops the loop
-            self.check()
-            result = function(np.frombuffer(memoryview(block.from_address(y))).copy(), t)
-            values[:] = np.ravel(result).tolist()
-
-        super().__init__(CALLBACK, call)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Return arguments that make the function callable in another process."""
-        return PythonCallback, self._arguments
+    callback: CalledInPython = CalledInPython(CALLBACK, call, lambda: (python_callback, (function, size, results)))
+    return callback
 
 
 # System, state, time, length, new state.

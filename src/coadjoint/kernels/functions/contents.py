@@ -13,7 +13,7 @@ import types
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -34,18 +34,13 @@ IGNORED_ATTRIBUTES = frozenset(
 )
 
 
-class Contents(NamedTuple):
-    """The digest of a value, equal in all processes of one version of Python; `unknown` names parts without one."""
-
-    digest: str
-    unknown: tuple[str, ...]
-
-
-def contents_of(value: Any, written: bool = False) -> Contents:
-    """Return the digest of a value and of all that functions in it read, if `written` of their source text."""
+def contents_of(value: Any, written: bool = False) -> tuple[str, tuple[str, ...]]:
+    """Return the digest of a value and of all that functions in it read, if `written` of their source text, equal in
+    all processes of one version of Python; and the names of parts without one.
+    """
     walk = _Digester(written)
     walk.add(value)
-    return Contents(walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown)))
+    return walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown))
 
 
 class _Digester:
@@ -130,8 +125,8 @@ class _Digester:
 
     def _add_unordered(self, values: Iterable[Any]) -> None:
         contents = [contents_of(value, self._written) for value in values]
-        self._update(*sorted(content.digest for content in contents))
-        self.unknown += [what for content in contents for what in content.unknown]
+        self._update(*sorted(digest for digest, _ in contents))
+        self.unknown += [what for _, unknown in contents for what in unknown]
 
     def _add_other(self, value: Any) -> None:
         """Add an object that Numba made from a function, a named object, or an instance of any class."""
@@ -309,8 +304,8 @@ OBJECTS: Mapping[type, Writer] = {
 
 def compilation_key(function: Any) -> Any:
     """Return a key that is equal for functions that compile to the same code; a unique object if that is unknown."""
-    contents = contents_of(function)
-    return object() if contents.unknown else contents.digest
+    digest, unknown = contents_of(function)
+    return object() if unknown else digest
 
 
 def _types_of_locals(compiler: Any) -> list[tuple[str, str]]:

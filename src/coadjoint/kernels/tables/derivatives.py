@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.functions.compiled_functions import compiled_function
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.loop import CompiledLoop, StopFlag, kernel_loop, loop_over, raise_outcome
+from coadjoint.kernels.loop import CompiledLoop, kernel_loop, loop_over, raise_outcome
 from coadjoint.kernels.tables.compiled import (
     CompiledTables,
     Owners,
@@ -95,7 +95,7 @@ def derivative_of_structure(system: System) -> tuple[NDArray[np.int64], Owners]:
     if system.algebra is not None:
         return np.zeros(0, dtype=np.int64), ()
     assert system.derivative_function is not None
-    compiled = CompiledFunction(
+    compiled = compiled_function(
         system.derivative_function,
         system.dim,
         system.dim**3,
@@ -269,14 +269,14 @@ def _marked_like(action: Action, marked: Action) -> Action:
     return mark_rational(action, np.diff(starts[marked.run]) > 0)
 
 
-def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop: StopFlag) -> bool:
+def advance_tables(name: str, tables: Any, run: Any, first: int, last: int, stop: ctypes.c_int64) -> bool:
     """Call a kernel for the members `first` to `last` - 1 of a run; return whether all equations were solved."""
     outcome = kernel_loop(name)(
         ctypes.byref(as_structure(tables)),
         ctypes.byref(as_structure(run)),
         ctypes.c_int64(first),
         ctypes.c_int64(last),
-        stop.address,
+        ctypes.byref(stop),
     )
     if outcome == codes("Outcome")["UNSOLVED"]:
         return False

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.functions.compiled_functions import compiled_function
 from coadjoint.kernels.tables.compiled import Owners, addresses_of, unrecorded
 from coadjoint.program.generators import given_matrices
 from coadjoint.program.sources import CoefficientNumbers, Sources, sources_of
@@ -84,7 +84,7 @@ def field_of(system: System, called: bool = False) -> tuple[Field, Owners]:
     if system.algebra is None and not called:
         n = system.dim
         check_structure(system)
-        compiled = CompiledFunction(
+        compiled = compiled_function(
             cast(Any, system.structure_function),
             n,
             n * n,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.kernels.functions.compiled_functions import CompiledFunction
+from coadjoint.kernels.functions.compiled_functions import KernelFunction, compiled_function
 from coadjoint.kernels.functions.contents import compilation_key
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.loop import CompiledLoop, loop_over
@@ -107,7 +107,7 @@ class _ForceTableBuilder:
         self.called: Callable[..., Any] | None = None
         self._compiles, self.n, self._accounts, self._order = compiles, system.dim, (account, accounts), order
         self._shape = (*system.matrix_shape, bool(system.complex)) if system.has_matrices else None
-        self.keepalive: tuple[CompiledFunction, ...] = ()
+        self.keepalive: tuple[KernelFunction, ...] = ()
 
     def _table(self, kind: str, rate: Any = 0.0, aim: Any = (), **more: Any) -> ForceTable:
         matrix, vector = np.array(rate, dtype=np.float64), np.array(aim, dtype=np.float64)
@@ -177,7 +177,7 @@ class _ForceTableBuilder:
         require_packages(f"{what}, a Python function,", "numba")
         timed = arguments != "x"
         adapted = _adapted_arguments(function, arguments, self._shape)
-        self.keepalive = (CompiledFunction(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
+        self.keepalive = (compiled_function(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
 
 
 def _adapted_arguments(

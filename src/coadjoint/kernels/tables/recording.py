@@ -16,6 +16,15 @@ ROWS_PER_STEP, SPARE_ROWS = 4, 2**14
 """Rows that can be recorded: `ROWS_PER_STEP` per step and member, plus `SPARE_ROWS`."""
 STEPS_BACK = 3
 """Number of past values of each event that a loop keeps."""
+_packed_schedule = packer(
+    "Schedule",
+    (
+        *("t0", "h", "steps", "save_every", "passed", "watching", "marked", "marks"),
+        *("starts", "lengths", "events", "threads"),
+    ),
+)
+"""Bytes of a schedule: the steps of a run, those after which states are saved or invariants computed, and the addresses
+of the steps of single members and of events, 0 if there are none, as in `boundary/tables.hpp`."""
 
 
 class Watch(NamedTuple):
@@ -33,25 +42,6 @@ class Watch(NamedTuple):
     longest: int
 
 
-class Schedule(NamedTuple):
-    """The steps of a run, those after which states are saved or invariants computed, and the addresses of the steps of
-    single members and of events, 0 if there are none, as in `boundary/tables.hpp`.
-    """
-
-    t0: float
-    h: float
-    steps: int
-    save_every: int
-    passed: int
-    watching: bool
-    marked: int
-    marks: int
-    starts: int = 0
-    lengths: int = 0
-    events: int = 0
-    threads: int = 1
-
-
 def schedule_of(
     t0: float,
     h: float,
@@ -63,9 +53,10 @@ def schedule_of(
     events: int = 0,
     threads: int = 1,
 ) -> bytes:
-    """Return a `Schedule` as bytes for the loops; the arrays of marks and events must live as long."""
+    """Return a schedule as bytes for the loops; the arrays of marks and events must live as long."""
     marked, address_of_marks = (0, 0) if marks is None else (len(marks), marks.ctypes.data)
-    return packer(Schedule)(t0, h, steps, save_every, passed, watching, marked, address_of_marks, 0, 0, events, threads)
+    run = t0, h, steps, save_every, passed, watching
+    return _packed_schedule(*run, marked, address_of_marks, 0, 0, events, threads)
 
 
 SCHEDULE_BYTES = len(schedule_of(0.0, 0.0, 0, 1, False))
@@ -73,11 +64,11 @@ SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
 
 
 def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float64]) -> bytes:
-    """Return a `Schedule` as bytes in which each member takes one step of its own and saves the result. The run does
+    """Return a schedule as bytes in which each member takes one step of its own and saves the result. The run does
     not end with this step, so that no energy is computed. The arrays must live as long.
     """
     addresses = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
-    return packer(Schedule)(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, 1)
+    return _packed_schedule(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, 1)
 
 
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,11 +30,10 @@ BYTES_PER_BOND = 8000  # peak memory of building the tables
 NO_BONDS = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
 
 
-class Triple(NamedTuple):
-    """Three coordinates whose basis elements span so(3); for the scale see `BodyShare`."""
-
-    coordinates: tuple[int, int, int]
-    scale: tuple[float, float, float]
+Triple = tuple[int, int, int]
+"""Three coordinates whose basis elements span so(3)."""
+Triples = dict[Triple, tuple[float, float, float]]
+"""Triples with their scales; see `BodyShare`."""
 
 
 def free_bodies(system: LiePoissonSystem) -> Parts:
@@ -43,18 +42,18 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     be an input.
     """
     form, before, after = _quadratic_term(system)
-    chosen = [] if form is None else _select_triples(system.algebra, form)
+    chosen = {} if form is None else _select_triples(system.algebra, form)
     if form is None or not chosen:
         raise NotSplittable(
             "no three coordinates that span so(3) have an energy that is quadratic in at least two of them; take "
             'parts="auto"'
         )
-    bodies = [_body(form, triple) for triple in chosen]
+    bodies = [_body(form, triple, scale) for triple, scale in chosen.items()]
     body = Parts.concatenate(bodies).joined(np.zeros(len(bodies), dtype=np.int64))
     triple_of = np.full(system.dim, -1)
     for number, triple in enumerate(chosen):
-        triple_of[list(triple.coordinates)] = number
-    axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple.coordinates)] != 0)]
+        triple_of[list(triple)] = number
+    axes = [fixed_axis(form, triple) for triple in chosen if np.any(form.linear[list(triple)] != 0)]
     remaining = ~((triple_of[form.rows] >= 0) & (triple_of[form.rows] == triple_of[form.indices]))
     remainder = _remainder(form, remaining, np.where(triple_of >= 0, 0.0, form.linear))
     rest = Parts.concatenate([*axes, atoms_of(system, [*before, *remainder, *after])])
@@ -92,7 +91,7 @@ def _by_degree(term: Term) -> Iterable[Term]:
     yield replace(term, polynomial=Polynomial(high))
 
 
-def _triples_of(algebra: LieAlgebra) -> list[Triple]:
+def _triples_of(algebra: LieAlgebra) -> Triples:
     """Return the triples of basis elements that span so(3), sorted by coordinates."""
     bracket: dict[tuple[int, int], list[tuple[int, float]]] = {}
     for i, j, k, c in zip(*(column.tolist() for column in algebra.triples), strict=True):
@@ -100,46 +99,47 @@ def _triples_of(algebra: LieAlgebra) -> list[Triple]:
             bracket.setdefault((i, j), []).append((k, c))
             bracket.setdefault((j, i), []).append((k, -c))
     single = {pair: sorted(set(entries))[0] for pair, entries in bracket.items() if len({k for k, _ in entries}) == 1}
-    triples = []
+    triples: Triples = {}
     for (i, j), (k, p) in sorted(single.items()):
         if not i < j < k:
             continue
         (target_i, q), (target_j, r) = single.get((j, k), (-1, 0.0)), single.get((k, i), (-1, 0.0))
         if (target_i, target_j) == (i, j) and min(p * q, q * r) > 0:
             first, second = 1.0 / math.sqrt(p * r), 1.0 / math.sqrt(p * q)
-            triples.append(Triple((i, j, k), (first, second, math.copysign(1.0 / math.sqrt(q * r), p))))
+            triples[i, j, k] = first, second, math.copysign(1.0 / math.sqrt(q * r), p)
     return triples
 
 
-def _select_triples(algebra: LieAlgebra, form: QuadraticTerm) -> list[Triple]:
+def _select_triples(algebra: LieAlgebra, form: QuadraticTerm) -> Triples:
     """Choose commuting triples with a quadratic energy, those with the most entries of M first."""
-    ranked = [(-np.count_nonzero(_block(form, triple)), triple) for triple in _triples_of(algebra)]
+    triples = _triples_of(algebra)
+    ranked = [(-np.count_nonzero(_block(form, triple)), triple) for triple in triples]
     chosen: list[Triple] = []
     start, entries = algebra.actions
     for count, triple in sorted(ranked):
         if count > -2:
             continue
-        coordinates = set(triple.coordinates)
+        coordinates = set(triple)
         coupled = {int(j) for i in coordinates for j in entries.j[start[i] : start[i + 1]]} | coordinates
-        if all(coupled.isdisjoint(other.coordinates) for other in chosen):
+        if all(coupled.isdisjoint(other) for other in chosen):
             chosen.append(triple)
-    return sorted(chosen)
+    return {triple: triples[triple] for triple in sorted(chosen)}
 
 
 def _block(form: QuadraticTerm, triple: Triple) -> np.ndarray[Any, np.dtype[np.float64]]:
     block = np.zeros((3, 3))
-    for a, i in enumerate(triple.coordinates):
+    for a, i in enumerate(triple):
         for entry in range(int(form.indptr[i]), int(form.indptr[i + 1])):
-            if int(form.indices[entry]) in triple.coordinates:
-                block[a, triple.coordinates.index(int(form.indices[entry]))] = form.values[entry]
+            if int(form.indices[entry]) in triple:
+                block[a, triple.index(int(form.indices[entry]))] = form.values[entry]
     return block
 
 
-def _body(form: QuadraticTerm, triple: Triple) -> Parts:
-    block, (i, j, k) = _block(form, triple), triple.coordinates
+def _body(form: QuadraticTerm, triple: Triple, scale: tuple[float, float, float]) -> Parts:
+    block, (i, j, k) = _block(form, triple), triple
     columns = [np.flatnonzero(row) for row in block]
     weights = SparseRows.of_lists(
-        [[], *([triple.coordinates[b] for b in column] for column in columns)],
+        [[], *([triple[b] for b in column] for column in columns)],
         [[], *([float(block[a, b]) for b in column] for a, column in enumerate(columns))],
     )
     matrix = tuple(tuple(row) for row in block.tolist())
@@ -151,13 +151,13 @@ def _body(form: QuadraticTerm, triple: Triple) -> Parts:
         {},
         np.array([0, 1]),
         np.array([False]),
-        bodies={0: BodyShare((i, j, k), matrix, triple.scale)},
+        bodies={0: BodyShare(triple, matrix, scale)},
     )
 
 
 def fixed_axis(form: QuadraticTerm, triple: Triple) -> Parts:
     """Build the part of a linear term on a triple: a rotation about its axis."""
-    axis = [(i, float(form.linear[i])) for i in triple.coordinates if form.linear[i] != 0]
+    axis = [(i, float(form.linear[i])) for i in triple if form.linear[i] != 0]
     coordinates, values = zip(*axis, strict=True)
     return Parts.linear(SparseRows.of_lists([coordinates], [values]), np.ones(1), SparseRows.empty(1), np.array([0, 1]))
 
@@ -172,7 +172,7 @@ def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, floa
     Also return the Casimirs subtracted; None if these have too many terms.
     """
     form, before, after = _quadratic_term(system)
-    spins = [] if form is None else _ideals(system.algebra)
+    spins = {} if form is None else _ideals(system.algebra)
     ends, strengths = _isotropic_couplings(form, spins) if form is not None and spins else NO_BONDS
     if form is None or not len(ends):
         raise NotSplittable(
@@ -186,7 +186,7 @@ def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, floa
     )
     colour = np.array(colours(ends.tolist(), len(spins)))
     coloured = _shares(ends, strengths, spins, colour)
-    axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple.coordinates)]) > 1]
+    axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple)]) > 1]
     remainder = _remainder_of_bonds(form, ends, spins, axes)
     rest = Parts.concatenate(
         [*(fixed_axis(form, triple) for triple in axes), atoms_of(system, [*before, *remainder, *after])]
@@ -210,19 +210,19 @@ def colours(edges: Sequence[Sequence[int]], count: int) -> list[int]:
     return assigned
 
 
-def _ideals(algebra: LieAlgebra) -> list[Triple]:
+def _ideals(algebra: LieAlgebra) -> Triples:
     """Return the triples that span so(3) and commute with all other coordinates."""
     start, entries = algebra.actions
-    return [
-        triple
-        for triple in _triples_of(algebra)
-        if all(np.isin(entries.j[start[i] : start[i + 1]], triple.coordinates).all() for i in triple.coordinates)
-    ]
+    return {
+        triple: scale
+        for triple, scale in _triples_of(algebra).items()
+        if all(np.isin(entries.j[start[i] : start[i + 1]], triple).all() for i in triple)
+    }
 
 
-def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> Bonds:
+def _isotropic_couplings(form: QuadraticTerm, spins: Triples) -> Bonds:
     """Return the isotropic couplings, multiples of the identity, between two triples of equal scale."""
-    triple_of, axis = _triple_of_coordinates(spins, len(form.linear))
+    (triple_of, axis), scales = _triple_of_coordinates(spins, len(form.linear)), list(spins.values())
     first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
     between = np.flatnonzero((first_triple >= 0) & (first_triple < second_triple))
     order = between[np.lexsort((axis[form.rows[between]], second_triple[between], first_triple[between]))]
@@ -234,33 +234,34 @@ def _isotropic_couplings(form: QuadraticTerm, spins: Sequence[Triple]) -> Bonds:
         entries = order[begin : begin + 3]
         rows, columns = axis[form.rows[entries]], axis[form.indices[entries]]
         first, second = pair[begin].tolist()
-        scale = spins[first].scale
+        scale = scales[first]
         rounding = 0.0 if scale == (1.0, 1.0, 1.0) else 8 * UNIT_ROUNDOFF  # scales are square roots, hence rounded
         strengths = form.values[entries] / np.array(scale) ** 2
         diagonal = np.array_equal(rows, [0, 1, 2]) and np.array_equal(columns, rows)
-        if diagonal and spins[second].scale == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
+        if diagonal and scales[second] == scale and np.ptp(strengths) <= rounding * abs(strengths[0]):
             found.append(([first, second], float(strengths[0])))
     ends = np.array([pair for pair, _ in found], dtype=np.int64).reshape(-1, 2)
     return ends, np.array([strength for _, strength in found], dtype=np.float64)
 
 
-def _triple_of_coordinates(spins: Sequence[Triple], dim: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _triple_of_coordinates(spins: Triples, dim: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the triple of each coordinate (-1 if none), and its index in the triple."""
     triple_of, axis = np.full(dim, -1), np.full(dim, -1)
-    inside = np.array([triple.coordinates for triple in spins])
+    inside = np.array(list(spins))
     triple_of[inside], axis[inside] = np.arange(len(spins))[:, None], np.arange(3)
     return triple_of, axis
 
 
 def _shares(
-    ends: NDArray[np.int64], strengths: NDArray[np.float64], spins: Sequence[Triple], colour: NDArray[np.int64]
+    ends: NDArray[np.int64], strengths: NDArray[np.float64], spins: Triples, colour: NDArray[np.int64]
 ) -> Parts:
     """Build one share per bond, and one part per colour."""
     order = np.argsort(colour, kind="stable")
     count, bonded = len(order), ends[order].tolist()
-    triples = np.array([triple.coordinates for triple in spins])[ends[order]]  # (bonds, 2, 3)
-    pairs = np.sort(triples, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # rows of a free body: axes 3, 1, 2, 3
-    squares = np.square([triple.scale for triple in spins])[ends[order, 0]]
+    triples, scales = list(spins), list(spins.values())
+    bonded_triples = np.array(triples)[ends[order]]  # (bonds, 2, 3)
+    pairs = np.sort(bonded_triples, axis=1).transpose(0, 2, 1)[:, [2, 0, 1, 2]]  # rows of a body: axes 3, 1, 2, 3
+    squares = np.square(scales)[ends[order, 0]]
     diagonals = strengths[order, None] * squares
     values = np.repeat(diagonals, 2, axis=1)
     weights = SparseRows(
@@ -269,12 +270,7 @@ def _shares(
         values.reshape(-1),
     )
     bodies = {
-        s: BodyShare(
-            spins[first].coordinates,
-            tuple(map(tuple, np.diag(diagonals[s]).tolist())),
-            spins[first].scale,
-            spins[second].coordinates,
-        )
+        s: BodyShare(triples[first], tuple(map(tuple, np.diag(diagonals[s]).tolist())), scales[first], triples[second])
         for s, (first, second) in enumerate(bonded)
     }
     begins = np.searchsorted(np.sort(colour), np.arange(int(colour.max()) + 2))
@@ -291,7 +287,7 @@ def _shares(
 
 
 def _remainder_of_bonds(
-    form: QuadraticTerm, ends: NDArray[np.int64], spins: Sequence[Triple], axes: Sequence[Triple]
+    form: QuadraticTerm, ends: NDArray[np.int64], spins: Triples, axes: Sequence[Triple]
 ) -> list[Term]:
     """Return the quadratic term without the bonds and the fixed axes."""
     triple_of, _ = _triple_of_coordinates(spins, len(form.linear))
@@ -300,12 +296,12 @@ def _remainder_of_bonds(
     first_triple, second_triple = triple_of[form.rows], triple_of[form.indices]
     remaining = ~((first_triple >= 0) & (second_triple >= 0) & np.isin(first_triple * count + second_triple, bonded))
     linear = form.linear.copy()
-    linear[[i for triple in axes for i in triple.coordinates]] = 0.0
+    linear[[i for triple in axes for i in triple]] = 0.0
     return _remainder(form, remaining, linear)
 
 
 def _subtracted_casimir(
-    ends: NDArray[np.int64], strengths: NDArray[np.float64], spins: Sequence[Triple], dim: int
+    ends: NDArray[np.int64], strengths: NDArray[np.float64], spins: Triples, dim: int
 ) -> Polynomial:
     """Return the Casimir subtracted by the bonds: the sum of -c (|z|^2 + |w|^2)/2."""
     total = np.zeros(len(spins))
@@ -313,8 +309,8 @@ def _subtracted_casimir(
     return quadratic(
         (
             (i, i, factor * length**2)
-            for triple, factor in zip(spins, total.tolist(), strict=True)
-            for i, length in zip(triple.coordinates, triple.scale, strict=True)
+            for (triple, scale), factor in zip(spins.items(), total.tolist(), strict=True)
+            for i, length in zip(triple, scale, strict=True)
             if factor != 0.0
         ),
         dim,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -67,8 +67,8 @@ def _decisions(stack: SystemStack, choice: Any) -> list[tuple[tuple[Any, ...], S
         casimirs = quadratic_casimirs(stack.first)
         if not factors.keys() <= casimirs.keys() or (factors and quadratic_position(stack.terms) is None):
             return []  # refused, with the name of the member
-        shifted = _Shifted(stack, casimirs, factors)
-        found = [(key, shifted.chosen(members)) for key, members in grouped(shifted.present)]
+        present, chosen = _shifted(stack, casimirs, factors)
+        found = [(key, chosen(members)) for key, members in grouped(present)]
         return [((key,), kept) for key, one in found for kept in _plain(one, casimirs, choice.shift)]
     if choice == "auto":
         return _automatic(stack)
@@ -82,45 +82,44 @@ def _plain(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], shift: Shi
     return [stack.take(kept)] if len(kept) else []
 
 
-class _Shifted:
-    """Coefficients of energies after multiples of Casimirs, `factors` (members,) by name, were subtracted. They are
-    those of `shifted_terms`, bit for bit. `present` (cells, members) are the entries of M that remain.
+def _shifted(
+    stack: SystemStack, casimirs: dict[str, QuadraticCasimir], factors: dict[str, NDArray[Any]]
+) -> tuple[Masks, Callable[[Integers], SystemStack]]:
+    """Subtract multiples of Casimirs, `factors` (members,) by name, from the energies. Return the entries of M that
+    remain, (cells, members), and the function that takes members for which these are the same. Their coefficients are
+    those of `shifted_terms`, bit for bit.
     """
+    by_member = np.array(list(factors.values()), dtype=np.float64).reshape(-1, stack.size)
 
-    def __init__(
-        self, stack: SystemStack, casimirs: dict[str, QuadraticCasimir], factors: dict[str, NDArray[Any]]
-    ) -> None:
-        self._stack = stack
-        self._factors = np.array(list(factors.values()), dtype=np.float64).reshape(-1, stack.size)
-        number = quadratic_position(stack.terms) if factors else None
-        if number is None:
-            self.present: Masks = np.zeros((0, stack.size), dtype=bool)
-            self._totals = None
-            return
-        counts, form = counts_of(stack.terms), stack.terms[number].form
-        assert form is not None
-        n, begin = len(form.linear), sum(counts[:number])
-        self._first, self._last = begin + n, begin + n + len(form.values)
-        own = form.rows * n + form.indices
-        codes = {name: casimirs[name].rows * n + casimirs[name].columns for name in factors}
-        cells = np.unique(np.concatenate([own, *codes.values()]))
-        total = np.zeros((len(cells), stack.size))
-        total[np.searchsorted(cells, own)] = stack.coefficients[self._first : self._last]
-        size = np.abs(total)
-        for name, factor in factors.items():
-            at, subtracted = np.searchsorted(cells, codes[name]), -factor * casimirs[name].values[:, None]
-            total[at] += subtracted
-            size[at] += np.abs(subtracted)
-        self.present, self._totals = np.abs(total) > ROUNDING * size, total
+    def taken(members: Integers) -> SystemStack:
+        return stack.take(members)._replace(factors=by_member[:, members])
 
-    def chosen(self, members: Integers) -> SystemStack:
-        """Return members with equal `present`."""
-        chosen = self._stack.take(members)._replace(factors=self._factors[:, members])
-        if self._totals is None:
-            return chosen
-        entries = self._totals[np.ix_(np.flatnonzero(self.present[:, members[0]]), members)]
-        before, after = chosen.coefficients[: self._first], chosen.coefficients[self._last :]
-        return chosen._replace(split=np.concatenate([before, entries, after]))
+    number = quadratic_position(stack.terms) if factors else None
+    if number is None:
+        return np.zeros((0, stack.size), dtype=bool), taken
+    counts, form = counts_of(stack.terms), stack.terms[number].form
+    assert form is not None
+    n, begin = len(form.linear), sum(counts[:number])
+    first, last = begin + n, begin + n + len(form.values)
+    own = form.rows * n + form.indices
+    codes = {name: casimirs[name].rows * n + casimirs[name].columns for name in factors}
+    cells = np.unique(np.concatenate([own, *codes.values()]))
+    total = np.zeros((len(cells), stack.size))
+    total[np.searchsorted(cells, own)] = stack.coefficients[first:last]
+    size = np.abs(total)
+    for name, factor in factors.items():
+        at, subtracted = np.searchsorted(cells, codes[name]), -factor * casimirs[name].values[:, None]
+        total[at] += subtracted
+        size[at] += np.abs(subtracted)
+    present = np.abs(total) > ROUNDING * size
+
+    def chosen(members: Integers) -> SystemStack:
+        stacked = taken(members)
+        entries = total[np.ix_(np.flatnonzero(present[:, members[0]]), members)]
+        before, after = stacked.coefficients[:first], stacked.coefficients[last:]
+        return stacked._replace(split=np.concatenate([before, entries, after]))
+
+    return present, chosen
 
 
 def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
@@ -135,14 +134,14 @@ def _automatic(stack: SystemStack) -> list[tuple[tuple[Any, ...], SystemStack]]:
     if len(rules) * max(len(casimirs), 1) > MAX_RULES or _may_be_singular(stack, casimirs, rules):
         return []
     factors = [_factors(stack, rule, number) for rule in rules]
-    shifts = [_Shifted(stack, casimirs, by_name) for by_name in factors]
+    remaining = [_shifted(stack, casimirs, by_name)[0] for by_name in factors]
     # Everything that `candidates` compares: factors that are zero or equal, and entries that remain.
     table = np.zeros((len(rules), len(casimirs), count))
     for row, by_name in zip(table, factors, strict=True):
         for name, values in by_name.items():
             row[list(casimirs).index(name)] = values
     equal = [np.all(a == b, axis=0) for k, b in enumerate(table) for a in table[:k]]
-    masks = [np.zeros((0, count), dtype=bool), (table != 0).reshape(-1, count), *(one.present for one in shifts)]
+    masks = [np.zeros((0, count), dtype=bool), (table != 0).reshape(-1, count), *remaining]
     if equal:
         masks.append(np.stack(equal))
     result = []
@@ -186,7 +185,8 @@ def _ordered(
         terms = shifted_terms(stack.terms, casimirs, shift)
         if np.any(split(system, "auto", terms).source == COMPUTED):
             return []
-        coefficients = _Shifted(stack, casimirs, {name: by_name[name] for name, _ in shift}).chosen(every).split
+        _, chosen = _shifted(stack, casimirs, {name: by_name[name] for name, _ in shift})
+        coefficients = chosen(every).split
         plain &= without_cancelling(system.algebra, terms, coefficients)
     if not plain.all():
         kept = np.flatnonzero(plain)
@@ -257,7 +257,7 @@ def _of_members(
                 break
         else:
             return None
-    chosen = _Shifted(stack, casimirs, by_name).chosen(np.arange(stack.size))
+    chosen = _shifted(stack, casimirs, by_name)[1](np.arange(stack.size))
     terms = shifted_terms(stack.terms, casimirs, shift)
     sources = sources_of_parts(term_table(parts).table(), parts, terms)
     if sources.computed:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,12 +89,8 @@ def _by_member(prepared: PreparedRun, given: Arguments) -> bool:
     return several
 
 
-class _Piece(NamedTuple):
-    """Members of a run that are differentiated together, by their numbers or the number of one, and their own run."""
-
-    members: Any
-    run: PreparedRun
-    given: Arguments
+_Piece = tuple[Any, PreparedRun, Arguments]
+"""Members of a run that are differentiated together, by their numbers or the number of one, and their own run."""
 
 
 def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Piece]]:
@@ -104,7 +100,7 @@ def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Pi
 
     def piece(members: Any, run: PreparedRun) -> _Piece:
         attitude = None if attitudes is None else attitudes[members]
-        return _Piece(members, run, given._replace(x0=solution.x0[members], attitude=attitude))
+        return members, run, given._replace(x0=solution.x0[members], attitude=attitude)
 
     together = [] if given.events or prepared.method.own_steps else _in_columns(prepared)
     alone = np.setdiff1d(np.arange(len(solution.x0)), np.concatenate([np.zeros(0, int), *(one for one, _ in together)]))
@@ -146,18 +142,17 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
         leading[name] = array
 
     def of_piece(piece: _Piece) -> Tangents:
-        of_each = {
-            name: leading[name][piece.members] if name in leading else value for name, value in directions.items()
-        }
-        return _tangents(piece.run, piece.given, of_each)[1]
+        members, run, own = piece
+        of_each = {name: leading[name][members] if name in leading else value for name, value in directions.items()}
+        return _tangents(run, own, of_each)[1]
 
     found, error = _of_each(of_piece, pieces)
     ended = ~np.isnan(solution.events.ends(count)) if solution.events is not None else np.zeros(count, dtype=bool)
 
     def stacked(name: str) -> Any:
         parts = [
-            _padded(getattr(one, name), points, bool(np.any(ended[piece.members])))
-            for piece, one in zip(pieces, found, strict=True)
+            _padded(getattr(one, name), points, bool(np.any(ended[members])))
+            for (members, *_), one in zip(pieces, found, strict=True)
         ]
         return _beside(pieces, parts, count, axis=1)
 
@@ -178,7 +173,7 @@ def _tangents_of_members(prepared: PreparedRun, given: Arguments, directions: An
 def _pullback_of_members(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback:
     """Return the function from cotangents of the outputs of a run of several members to a gradient."""
     solution, pieces = _pieces(prepared, given)
-    pullbacks = [_pullback(piece.run, piece.given, reverse) for piece in pieces]
+    pullbacks = [_pullback(run, own, reverse) for _, run, own in pieces]
     return Pullback(solution, partial(_gradient_of_members, prepared, solution, pieces, pullbacks))
 
 
@@ -192,8 +187,8 @@ def _gradient_of_members(
     events = solution.events
 
     def of_piece(part: tuple[_Piece, Pullback]) -> Gradient:
-        piece, pullback = part
-        mine = None if events is None else events.member == piece.members
+        (members, *_), pullback = part
+        mine = None if events is None else events.member == members
 
         def at_points(series: Any) -> Any:
             """Return the cotangents at the points of the member: zero at a crossing that has ended it."""
@@ -201,9 +196,9 @@ def _gradient_of_members(
                 return None
             points, crossings = len(pullback.solution.t), pullback.solution.events
             if crossings is None or np.isnan(crossings.ends(1)[0]):
-                return series[:, piece.members]
+                return series[:, members]
             # The last point of the member is its crossing, which the ensemble does not have.
-            own = series[:, piece.members]
+            own = series[:, members]
             return np.concatenate([own[: points - 1], np.zeros_like(own[:1])])
 
         return pullback._gradient(
@@ -232,10 +227,10 @@ def _gradient_of_members(
 def _beside(pieces: Sequence[_Piece], parts: Sequence[Any], count: int, axis: int) -> Any:
     """Return arrays of pieces as one, with an axis of all members."""
     shape = list(np.shape(parts[0]))
-    shape[axis : axis + (np.ndim(pieces[0].members) > 0)] = [count]
+    shape[axis : axis + (np.ndim(pieces[0][0]) > 0)] = [count]
     total = np.empty(shape, dtype=parts[0].dtype)
-    for piece, part in zip(pieces, parts, strict=True):
-        total[(slice(None),) * axis + (piece.members,)] = part
+    for (members, *_), part in zip(pieces, parts, strict=True):
+        total[(slice(None),) * axis + (members,)] = part
     return total
 
 

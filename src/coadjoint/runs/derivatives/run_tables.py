@@ -286,45 +286,45 @@ def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Ite
         yield NearbySystems(INPUTS, distance, moved)
 
 
-class StepTangents:
-    """The derivatives of a step of length h, (n, n) by the state or along `vectors`, and (n, k) by inputs."""
+StepTangents = Callable[[Floats, float, Floats | None], Floats | None]
+"""Derivatives of a step, (n, n) by the state and (n, k) by inputs, side by side, at a state, a time and values of the
+inputs; None if they are not finite."""
 
-    def __init__(
-        self, tables: DerivativeTables, n: int, h: float, inputs: Sequence[int] = (), vectors: Floats | None = None
-    ) -> None:
-        units = np.eye(n + len(inputs), n) if vectors is None else vectors
-        count = len(units)
-        self._tables, self._tangents, self._compiled = tables, np.zeros((1, count, n)), not callable(tables.forward)
-        self._units, self._momenta = units, np.zeros((1, n))
-        self._h, self._fixed = h, None
-        if INPUTS not in tables.coefficients:
-            self._fixed = self._prepared(tables.tables_at(h))
-        coefficients = np.zeros((count, tables.coefficient_count))
-        if len(inputs):
-            directions = np.zeros((count, 1 + max(inputs)))
-            directions[np.arange(n, count), inputs] = 1.0
-            coefficients += tables.coefficients[INPUTS].of_directions(directions, tables.coefficient_count)
-        step = Stretch.of_step(0.0, h, self._momenta, np.zeros((1, 0, 0)))
-        run = step.forward(self._tangents, np.zeros((1, count, 0, 0)), coefficients)
-        self._after, self._run = run.at_points, self._prepared(run)
 
-    def _prepared(self, table: Any) -> Any:
-        """Return a table as the compiled loop reads it, or itself for steps in Python."""
-        return as_structure(table) if self._compiled else table
+def step_tangents(
+    tables: DerivativeTables, n: int, h: float, inputs: Sequence[int] = (), vectors: Floats | None = None
+) -> StepTangents:
+    """Return the derivatives of a step of length h, by the state or along `vectors`, and by inputs."""
+    units = np.eye(n + len(inputs), n) if vectors is None else vectors
+    count, is_compiled = len(units), not callable(tables.forward)
+    # Compiled loops read structures, steps in Python the tables themselves.
+    prepared: Callable[[Any], Any] = as_structure if is_compiled else lambda table: table
+    momenta, tangents = np.zeros((1, n)), np.zeros((1, count, n))
+    fixed = None if INPUTS in tables.coefficients else prepared(tables.tables_at(h))
+    coefficients = np.zeros((count, tables.coefficient_count))
+    if len(inputs):
+        directions = np.zeros((count, 1 + max(inputs)))
+        directions[np.arange(n, count), inputs] = 1.0
+        coefficients += tables.coefficients[INPUTS].of_directions(directions, tables.coefficient_count)
+    forward = Stretch.of_step(0.0, h, momenta, np.zeros((1, 0, 0))).forward(
+        tangents, np.zeros((1, count, 0, 0)), coefficients
+    )
+    after, prepared_run = forward.at_points, prepared(forward)
 
-    def __call__(self, x: Floats, t: float, values: Floats | None) -> Floats | None:
-        """Return the derivatives side by side, (n, n + k), at values of the inputs; None if they are not finite."""
-        structure = self._fixed if values is None else self._tables.tables_at(self._h, values)
-        self._momenta[0], self._tangents[0] = x, self._units
-        run = self._run
-        if self._compiled:
+    def derivatives(x: Floats, t: float, values: Floats | None) -> Floats | None:
+        structure = fixed if values is None else tables.tables_at(h, values)
+        momenta[0], tangents[0] = x, units
+        run = prepared_run
+        if is_compiled:
             run.t0 = t
         else:
             run = run._replace(t0=t)
-        if not carry(self._tables, structure, run, 0, 1):
+        if not carry(tables, structure, run, 0, 1):
             return None
-        found = self._after[0, 0].T.copy()
+        found = after[0, 0].T.copy()
         return found if np.isfinite(found).all() else None
+
+    return derivatives
 
 
 def compiled_tangents(
@@ -338,4 +338,4 @@ def compiled_tangents(
         tables = method.derivative_tables(system, h, None, {})
     else:
         tables = tables_with_inputs(inputs, method, h, None, {})
-    return StepTangents(tables, system.dim, h, vectors=vectors)
+    return step_tangents(tables, system.dim, h, vectors=vectors)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from ctypes import c_int64
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import StopFlag
 from coadjoint.kernels.tables.compiled import raised_by
 from coadjoint.kernels.tables.derivatives import BackwardRun, ForwardRun, advance_tables
 from coadjoint.long_operations import note_progress
@@ -102,7 +102,7 @@ class Stretch(NamedTuple):
 def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: int, workers: int = 1) -> bool:
     """Carry the vectors of the members `first` to `last` - 1; return whether all linear equations were solved."""
     name: Kernel = tables.backward if hasattr(run, "cotangents") else tables.forward
-    stop, lanes = StopFlag(), limit("MOST_LANES")
+    stop, lanes = c_int64(0), limit("MOST_LANES")
     if callable(name):
         for start in range(first, last, lanes):
             name(structure, run, start, min(start + lanes, last))

@@ -6,6 +6,7 @@ import contextlib
 import os
 import threading
 from collections.abc import Callable, Hashable, Iterable, Sequence
+from ctypes import c_int64
 from dataclasses import replace
 from itertools import pairwise
 from queue import Empty, SimpleQueue
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import codes, limit
-from coadjoint.kernels.loop import NEVER_STOPPED, CompiledLoop, Layout, MemberBatch, NamedArrays, StopFlag
+from coadjoint.kernels.loop import NEVER_STOPPED, CompiledLoop, Layout, MemberBatch, NamedArrays
 from coadjoint.kernels.tables.compiled import as_structure, stacked, structure_of
 from coadjoint.kernels.tables.writable import WritableTables
 from coadjoint.methods.protocol.method import Method
@@ -237,7 +238,7 @@ def run_in_threads(
     def advance_all() -> int:
         if workers == 1:
             return sum(member_batch.advance(*arguments, NEVER_STOPPED) for member_batch in member_batches)
-        stop = StopFlag()
+        stop = c_int64(0)
         return sum_in_threads(
             lambda member_batch: member_batch.advance(*arguments, stop), member_batches, workers, stop
         )
@@ -258,7 +259,7 @@ def raise_reason(raised: Raised, error: BaseException) -> NoReturn:
 
 
 def sum_in_threads(
-    advance: Callable[[BatchT], int], member_batches: Sequence[BatchT], workers: int, stop: StopFlag
+    advance: Callable[[BatchT], int], member_batches: Sequence[BatchT], workers: int, stop: c_int64
 ) -> int:
     """Sum the results of `advance` over batches or ranges of members; the first error stops all, and is raised."""
     waiting, lock = list(reversed(member_batches)), threading.Lock()
@@ -281,7 +282,7 @@ def sum_in_threads(
         except BaseException as error:
             errors.append(error)
             waiting.clear()
-            stop.request()
+            stop.value = 1
 
     done: SimpleQueue[None] = SimpleQueue()
     try:
@@ -293,7 +294,7 @@ def sum_in_threads(
     except BaseException:
         with lock:
             waiting.clear()
-        stop.request()
+        stop.value = 1
         while advanced:
             with contextlib.suppress(Empty):
                 done.get(timeout=POLLING_SECONDS)
