@@ -15,7 +15,7 @@ from PIL import Image
 
 import coadjoint as co
 from coadjoint.files.output.output_files import check_speed, write_movie
-from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.curves import Globe
 from coadjoint.pictures.kinds import bodies as module
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.curves import PathUpdate, at_one_time
-from coadjoint.pictures.globe import Globe, view_frame, view_of
+from coadjoint.pictures.curves import Globe, PathUpdate, at_one_time, view_frame, view_of
 from coadjoint.pictures.kinds.directions import axis_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind

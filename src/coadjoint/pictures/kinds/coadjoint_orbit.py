@@ -13,8 +13,7 @@ from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
-from coadjoint.pictures.curves import MemberColours, PathUpdate
-from coadjoint.pictures.globe import FAR_ALPHA, towards_viewer
+from coadjoint.pictures.curves import FAR_ALPHA, MemberColours, PathUpdate, towards_viewer
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, ink, paper, path_style, set_title, setting, symbol
