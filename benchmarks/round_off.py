@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import coadjoint as co
-from coadjoint.analysis.round_off import RandomWalk, orthogonality, round_off, spatial_momentum
+from coadjoint.analysis.structure_defects import RandomWalk, orthogonality, round_off, spatial_momentum
 
 MEMBERS = 64
 DETAILS = "<!-- details -->"

@@ -20,7 +20,7 @@ from typing import Any, TextIO
 import click
 
 from coadjoint import __version__, run_commands
-from coadjoint.errors import ConfigurationError, in_one_line, unknown_name
+from coadjoint.errors import OneLineError, in_one_line, unknown_name
 from coadjoint.long_operations import LongWait
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
@@ -355,9 +355,6 @@ def perform(arguments: Sequence[str] | None, began: float | None = None) -> tupl
 
 
 def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
-    from coadjoint.files.archives.archive import ArchiveError
-    from coadjoint.files.output.output_files import OutputError
-
     try:
         # Replaces click's own `main`, which prints an empty line at an interrupt.
         with commands.make_context("coadjoint", arguments, obj=began) as context:
@@ -370,7 +367,7 @@ def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
         return error.exit_code, in_one_line(_wrong_usage(error))
     except click.ClickException as error:
         return error.exit_code, in_one_line(error.format_message())
-    except (ArchiveError, ConfigurationError, OutputError) as error:
+    except OneLineError as error:
         return 2, "\n".join(map(in_one_line, getattr(error, "error_lines", ()) or (str(error),)))
     except ImportError as error:
         # A package is missing or incompatible; the message names it.

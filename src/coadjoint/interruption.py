@@ -127,6 +127,7 @@ class _CompleteImports:
 
     def __init__(self) -> None:
         self._loading = False
+        self._loaders: dict[str, Loader] = {}
         self._interrupted: dict[str, ModuleType] = {}
 
     def find_spec(
@@ -141,20 +142,24 @@ class _CompleteImports:
             if finder is not self and hasattr(finder, "find_spec"):
                 spec = finder.find_spec(name, path, target)
                 if spec is not None:
-                    if hasattr(spec.loader, "exec_module"):
-                        spec.loader = _CompleteLoader(self, spec.loader)  # type: ignore[arg-type, assignment]
+                    if spec.loader is not None and hasattr(spec.loader, "exec_module"):
+                        self._loaders[name], spec.loader = spec.loader, self  # type: ignore[assignment]
                     return spec
         return None
 
-    def create_module(self, spec: ModuleSpec) -> None:
-        """Use Python's default module, which `exec_module` replaces."""
+    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
+        """Create a module by the loader that Python found; one that is restored is Python's default module."""
+        return None if spec.name in self._interrupted else self._loaders[spec.name].create_module(spec)
 
     def exec_module(self, module: ModuleType) -> None:
-        """Restore a module that was complete when an interrupt was raised, and that Python removed because of it."""
-        sys.modules[module.__name__] = self._interrupted.pop(module.__name__)
-
-    def load(self, loader: Loader, module: ModuleType) -> None:
+        """Load a module, or restore one that was complete when an interrupt was raised, and that Python removed."""
         name = module.__name__
+        if name in self._interrupted:
+            sys.modules[name] = self._interrupted.pop(name)
+            return
+        loader = module.__loader__ = self._loaders.pop(name)
+        if module.__spec__ is not None:
+            module.__spec__.loader = loader
         with deferred():
             self._loading = True
             try:
@@ -163,22 +168,6 @@ class _CompleteImports:
             finally:
                 self._loading = False
         del self._interrupted[name]  # not reached if a handler raises
-
-
-class _CompleteLoader:
-    """Loader of one module, wrapping the loader that Python found."""
-
-    def __init__(self, imports: _CompleteImports, loader: Loader) -> None:
-        self._imports, self._loader = imports, loader
-
-    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        return self._loader.create_module(spec)
-
-    def exec_module(self, module: ModuleType) -> None:
-        module.__loader__ = self._loader
-        if module.__spec__ is not None:
-            module.__spec__.loader = self._loader
-        self._imports.load(self._loader, module)
 
 
 _complete_imports = _CompleteImports()

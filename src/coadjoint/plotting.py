@@ -9,7 +9,7 @@ from __future__ import annotations
 from coadjoint.errors import refuse_others
 from coadjoint.pictures.analysis_figures import draw_modified_energy
 from coadjoint.pictures.gallery import gallery
-from coadjoint.pictures.level_surface import level_surface
+from coadjoint.pictures.kinds.coadjoint_orbit import level_surface
 from coadjoint.pictures.register import CannotShow, kind, kinds
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 

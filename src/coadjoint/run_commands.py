@@ -251,12 +251,11 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
 COMMANDS = (run_file, check_file, resume_archive, certify_file)
 
 
-class RunEnded(click.ClickException):
-    """A run failed, or its result could not be written (exit status 1), or it was interrupted (128 + the signal)."""
-
-    def __init__(self, message: str, status: int = 1) -> None:
-        super().__init__(message)
-        self.__dict__["exit_code"] = status
+def _run_ended(message: str, status: int = 1) -> click.ClickException:
+    """Return the error for a run that failed or was not written (exit status 1), or was interrupted (128 + signal)."""
+    error = click.ClickException(message)
+    error.__dict__["exit_code"] = status
+    return error
 
 
 @contextmanager
@@ -281,7 +280,7 @@ def reporting_write_errors(name: str, target: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, OutputError, MemoryError) as reason:
-        raise RunEnded(f"{name}: {_write_error(target, reason)}") from reason
+        raise _run_ended(f"{name}: {_write_error(target, reason)}") from reason
 
 
 def _write_error(target: Path, reason: BaseException) -> str:
@@ -291,19 +290,19 @@ def _write_error(target: Path, reason: BaseException) -> str:
 
 def _failure_error(
     name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any
-) -> RunEnded:
+) -> click.ClickException:
     """Write the solution so far and return the error to raise."""
     from coadjoint.files.datasets.export import failure_attributes
 
     written = "" if archive is None else f"; the archive {archive} holds the solution so far"
     if target is not None and error.partial is not None:
         written = _write(dataset(error.partial).assign_attrs(failure_attributes(error)), target)
-    return RunEnded(f"{name}: the run failed: {error}{written}")
+    return _run_ended(f"{name}: the run failed: {error}{written}")
 
 
 def _interruption_error(
     name: str, interrupt: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
-) -> RunEnded:
+) -> click.ClickException:
     from coadjoint.files.datasets.export import incomplete_attributes
 
     partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
@@ -315,7 +314,7 @@ def _interruption_error(
         reason = incomplete_attributes(interrupt.description, time)
         written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
     message = f"{name}: {interrupt.description}{written}" if written else f"coadjoint: {interrupt.description}"
-    return RunEnded(message, 128 + interrupt.number)
+    return _run_ended(message, 128 + interrupt.number)
 
 
 def _open_partial_run(archive: Path) -> Any:

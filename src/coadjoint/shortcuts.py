@@ -25,7 +25,7 @@ SHORTCUTS = {
     "draw_solution": "coadjoint.pictures.solution:draw_solution",
     "draw_structure_factor": "coadjoint.pictures.analysis_figures:draw_structure_factor",
     "error_at_end": "coadjoint.analysis.error_estimates:error_at_end",
-    "frames_of": "coadjoint.pictures.movie:frames_of",
+    "frames_of": "coadjoint.pictures.solution:frames_of",
     "jvp": "coadjoint.runs.derivatives.of_prepared_runs:jvp",
     "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",
     "parameters_of_run": "coadjoint.runs.derivatives.differentiable_run:parameters_of_run",

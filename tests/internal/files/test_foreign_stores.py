@@ -9,7 +9,7 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
 import coadjoint as co
-from coadjoint.files.datasets.loaded_solution import LoadError
+from coadjoint.errors import OneLineError
 from coadjoint.files.output.file_validation import check_zarr
 from coadjoint.memory import UNCHECKED_BYTES
 from refusals import refused
@@ -128,7 +128,7 @@ def test_text_of_excessive_length_is_not_decompressed(tmp_path, monkeypatch, ver
     monkeypatch.setattr(numcodecs.Blosc, "decode", lambda *args: pytest.fail("it is unpacked"))
     with refused(ValueError, "length"):
         check_zarr(tmp_path)
-    with pytest.raises(LoadError):
+    with pytest.raises(OneLineError):
         co.load(tmp_path)
 
 

@@ -19,9 +19,8 @@ from mpl_toolkits.mplot3d.proj3d import proj_transform
 import coadjoint as co
 from coadjoint.pictures.analysis_figures import with_error
 from coadjoint.pictures.artists import FadingLine, PanelLayout
-from coadjoint.pictures.curves import COLUMNS, draw_series, envelope
+from coadjoint.pictures.curves import COLUMNS, FAR_ALPHA, Globe, draw_series, envelope, towards_viewer, unit_vectors
 from coadjoint.pictures.gallery import SCENES, decaying_turbulence, piece
-from coadjoint.pictures.globe import FAR_ALPHA, Globe, towards_viewer, unit_vectors
 from coadjoint.pictures.kinds.directions import _rotation_to_vertical
 from coadjoint.pictures.kinds.fields import direction_colours, sites_of_row
 from coadjoint.pictures.kinds.quantities import flip_times

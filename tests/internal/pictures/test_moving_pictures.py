@@ -15,11 +15,11 @@ from PIL import Image
 
 import coadjoint as co
 from coadjoint.files.output.output_files import check_speed, write_movie
-from coadjoint.pictures.globe import Globe
+from coadjoint.pictures.curves import Globe
 from coadjoint.pictures.kinds import bodies as module
-from coadjoint.pictures.movie import default_picture, frames_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import kinds, read_picture
+from coadjoint.pictures.solution import default_picture, frames_of
 from coadjoint.systems.gallery_entry import Picture
 from coadjoint.systems.registry import gallery_entry_of
 from refusals import refused

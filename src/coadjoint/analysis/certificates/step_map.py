@@ -14,7 +14,7 @@ from coadjoint.analysis.certificates.certificate import INAPPLICABLE, Row, check
 from coadjoint.analysis.certificates.convergence import order_of_defects
 from coadjoint.analysis.certificates.reference import worst_group
 from coadjoint.analysis.certificates.subject import DIRECTIONS, MAX_DENSE_DIM, Subject, directions
-from coadjoint.analysis.poisson_defect import defect_of_tangent
+from coadjoint.analysis.structure_defects import defect_of_tangent
 from coadjoint.errors import IntegrationError
 from coadjoint.long_operations import note_progress
 from coadjoint.methods.protocol.method import Method

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.analysis.poisson_defect import poisson_defect
+from coadjoint.analysis.structure_defects import poisson_defect
 from coadjoint.experiments.reich1993.statements import (
     CALM_START,
     COORDINATES,

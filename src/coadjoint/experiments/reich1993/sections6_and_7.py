@@ -9,8 +9,8 @@ import numpy as np
 
 from coadjoint.algebra import catalogue
 from coadjoint.analysis.backward_error.modified_hamiltonian import ModifiedHamiltonian, modified_hamiltonian
-from coadjoint.analysis.poisson_defect import poisson_defect
 from coadjoint.analysis.powers import fit_order, fit_power
+from coadjoint.analysis.structure_defects import poisson_defect
 from coadjoint.experiments.reich1993.statements import (
     CALM_START,
     COORDINATES,

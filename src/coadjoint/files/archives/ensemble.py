@@ -36,7 +36,7 @@ from coadjoint.files.archives.new_archive import PlannedRun, create_archive
 from coadjoint.files.archives.run_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
 from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
-from coadjoint.files.datasets.variables import NO_METADATA, TIME, ExtraMetadata, Variables, joined_complex
+from coadjoint.files.datasets.variables import TIME, Variables, joined_complex
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import progress_bar, read_progress
 from coadjoint.methods.protocol.method import Method
@@ -200,8 +200,9 @@ def integrate_ensemble(
     size = None if members_per_block is None else read_integer(members_per_block, "members_per_block", floats=True)
     prepared = PreparedRun(system, method, step, attitude=attitude, watch=watch, observe=observe, threads=pool.threads)
     members = len(prepared.start(x0).momenta)
-    metadata = ExtraMetadata(_along_members({} if coordinates is None else coordinates, members), {})
-    return run_in_blocks(prepared, x0, t_span, save_every, archive, pool, size=size, progress=progress, about=metadata)
+    along = _along_members({} if coordinates is None else coordinates, members)
+    arguments = prepared, x0, t_span, save_every, archive, pool
+    return run_in_blocks(*arguments, size=size, progress=progress, coordinates=along)
 
 
 def _along_members(coordinates: Mapping[str, Any], members: int) -> Variables:
@@ -233,18 +234,20 @@ def run_in_blocks(
     *,
     size: int | None = None,
     progress: bool = False,
-    about: ExtraMetadata = NO_METADATA,
+    coordinates: Variables | None = None,
+    attributes: Mapping[str, Any] | None = None,
 ) -> Solution:
     """Run an ensemble in blocks of `size` members; see `integrate_ensemble`."""
-    planned = PlannedRun(prepared, prepared.times_of(t_span, save_every)[0], prepared.start(x0))
+    times, start = prepared.times_of(t_span, save_every)[0], prepared.start(x0)
+    planned = PlannedRun(prepared, times, start, coordinates or {}, attributes or {})
     if planned.start.single:
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
     if archive is not None:
-        return _run_unfinished(planned, read_archive_path(archive).absolute(), pool, size, progress, about)
+        return _run_unfinished(planned, read_archive_path(archive).absolute(), pool, size, progress)
     folder = tempfile.TemporaryDirectory(prefix="coadjoint-", ignore_cleanup_errors=True)
     result: Any = None
     try:
-        result = _run_unfinished(planned, Path(folder.name, "ensemble.zarr"), pool, size, progress, about)
+        result = _run_unfinished(planned, Path(folder.name, "ensemble.zarr"), pool, size, progress)
     except (IntegrationError, KeyboardInterrupt) as error:
         result = getattr(error, "partial", None)
         raise
@@ -258,13 +261,11 @@ def run_in_blocks(
     return solution
 
 
-def _run_unfinished(
-    planned: PlannedRun, path: Path, pool: WorkerPool, size: int | None, progress: bool, about: ExtraMetadata
-) -> Solution:
+def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int | None, progress: bool) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
     began, prepared, is_new = time.perf_counter(), planned.prepared, not path.exists()
     if is_new:
-        store = create_archive(planned, path, about, pool.worker_count, size)
+        store = create_archive(planned, path, pool.worker_count, size)
     else:
         store = ArchiveStore.open_existing(path)
     with closing(store, prepared.system):

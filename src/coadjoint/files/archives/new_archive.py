@@ -42,9 +42,10 @@ from coadjoint.files.datasets.export import attributes_of
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import (
     TIME,
-    ExtraMetadata,
+    Variables,
     accounts_of_work,
     coordinates_of,
+    parameters_of,
     start_variables,
     summary_variables,
     time_coordinate,
@@ -87,11 +88,13 @@ START_NAMES = {"x0": "x0", "attitude0": "the initial attitude"}
 
 
 class PlannedRun(NamedTuple):
-    """A prepared run of all members, with its times and start."""
+    """A prepared run of all members, its times and start, and variables and attributes that are stored with it."""
 
     prepared: PreparedRun
     times: Times
     start: Start
+    coordinates: Variables
+    further: Mapping[str, Any]
 
     def in_pieces(self, max_points: int, stored: Mapping[str, Any] | None = None) -> PiecewiseRun:
         """Return the run in pieces of so many points, resumed from stored numbers if there are any."""
@@ -163,17 +166,16 @@ def size_of_blocks(members: int, numbers: int, workers: int) -> int:
 def create_archive(
     planned: PlannedRun,
     archive: str | Path,
-    metadata: ExtraMetadata,
     workers: int | None = None,
     size: int | None = None,
 ) -> ArchiveStore:
     """Create an archive from which a run, or with `workers` an ensemble in blocks, can be resumed."""
     target, run = check_new(archive), planned.at_start()
     piece, points = run.piece(), planned.times.total_points
-    metadata = metadata.with_batch_parameters(piece.system)
+    coordinates = {**parameters_of(piece.system), **planned.coordinates}
     variables = time_variables(piece)
     numbers_of_row = max(prod(np.shape(values)[1:]) for _, values, _ in variables.values())
-    variables |= start_variables(piece) | summary_variables(piece) | metadata.coordinates | coordinates_of(piece)
+    variables |= start_variables(piece) | summary_variables(piece) | coordinates | coordinates_of(piece)
     rows_stored = run.points_held
     if workers is not None:
         members = len(planned.start.momenta)
@@ -193,10 +195,10 @@ def create_archive(
         "platform": f"{platform.platform()}, Python {platform.python_version()}, NumPy {np.__version__}",
         FINISHED: int(run.is_over and workers is None),
         STEPS: 0,
-        **metadata.attributes,
+        **planned.further,
     }
-    if metadata.coordinates:
-        attributes["coordinates"] = " ".join(metadata.coordinates)
+    if coordinates:
+        attributes["coordinates"] = " ".join(coordinates)
 
     def write(store: ArchiveStore) -> None:
         for name, (_, values, _) in variables.items():

@@ -29,7 +29,7 @@ from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
 from coadjoint.files.archives.run_checks import as_archive_errors, observed_again
 from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, unwritable_error
-from coadjoint.files.datasets.variables import NO_METADATA, ExtraMetadata
+from coadjoint.files.datasets.variables import Variables
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import read_events
@@ -51,16 +51,17 @@ def archive_run(
     t_eval: Any = None,
     progress: bool = False,
     events: Any = None,
-    about: ExtraMetadata = NO_METADATA,
+    coordinates: Variables | None = None,
+    attributes: Mapping[str, Any] | None = None,
 ) -> Solution:
-    """Run into a new archive; parameters as for `coadjoint.integrate`, and further metadata to write."""
+    """Run into a new archive; parameters as for `coadjoint.integrate`, and what is stored beside the run."""
     require_packages("an archive of a run", "xarray", "zarr")
     if t_eval is not None or read_events(events):
         raise ValueError("an archive saves every save_every-th step and has no events; give neither t_eval nor events")
     began = time.perf_counter()
-    planned = PlannedRun(prepared, prepared.times_of(t_span, save_every)[0], prepared.start(x0))
-    about = about._replace(attributes={**about.attributes, SAVE_EVERY: int(save_every)})
-    store = create_archive(planned, archive, about)
+    times, further = prepared.times_of(t_span, save_every)[0], {**(attributes or {}), SAVE_EVERY: int(save_every)}
+    planned = PlannedRun(prepared, times, prepared.start(x0), coordinates or {}, further)
+    store = create_archive(planned, archive)
     return _continue_run(store, planned, None, progress, None, began)
 
 
@@ -151,7 +152,7 @@ def resume(
             raise ArchiveError(f"{archive_path}: the run has no events; omit events")
         prepared, inputs = _prepared_again(archive, system, observe, threads)
         times, _ = prepared.times_of(inputs["t_span"], inputs["save_every"])
-        planned = PlannedRun(prepared, times, prepared.start(inputs["x0"]))
+        planned = PlannedRun(prepared, times, prepared.start(inputs["x0"]), {}, {})
         if planned.first_step() != store.attributes[FIRST_STEP]:
             raise ArchiveError(
                 f"{archive_path}: the recomputed first step differs in bits from that of the archive, begun by "

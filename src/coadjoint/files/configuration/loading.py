@@ -35,7 +35,7 @@ from coadjoint.files.configuration.parsing import (
     valid_tables,
 )
 from coadjoint.files.configuration.sweeps import SettingsSweep, read_sweep, swept_states, swept_system
-from coadjoint.files.datasets.variables import ExtraMetadata, Variables, over_members
+from coadjoint.files.datasets.variables import Variables, over_members
 from coadjoint.files.datasets.writers import CHECKSUM
 from coadjoint.files.records.reconstruction import event_of_file
 from coadjoint.memory import available, format_bytes
@@ -129,16 +129,16 @@ class Configuration:
         if archive is not None:
             check_archived(self.path, self.t_eval, self.events)
         prepared = self.ready()
-        metadata = ExtraMetadata(self.swept_coordinates(), {CONFIGURATION: self.text})
+        stored: dict[str, Any] = {"coordinates": self.swept_coordinates(), "attributes": {CONFIGURATION: self.text}}
         if self.workers is not None:
             from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
 
             pool = read_worker_pool(None, self.workers, self.threads)
             arguments = prepared, self.x0, self.t_span, self.save_every, archive, pool
-            return with_choice(run_in_blocks(*arguments, progress=progress, about=metadata), self.choice)
+            return with_choice(run_in_blocks(*arguments, progress=progress, **stored), self.choice)
         assert archive is not None
         arguments_of_run = prepared, self.x0, self.t_span, self.save_every, archive
-        return with_choice(archive_run(*arguments_of_run, progress=progress, about=metadata), self.choice)
+        return with_choice(archive_run(*arguments_of_run, progress=progress, **stored), self.choice)
 
     def check_memory(self) -> None:
         """Raise ConfigurationError if the saved states do not fit in memory."""

@@ -48,10 +48,6 @@ RUN_VARIABLES = ("x", "x0", "energy", "time", "invariant")
 """Variables of every run."""
 
 
-class LoadError(OneLineError):
-    """A file or folder contains no readable run."""
-
-
 class LoadedSolution(StoredSolution):
     """The solution in a dataset that was read from a file into memory; a given system replaces the stored one."""
 
@@ -213,7 +209,7 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     except OneLineError:
         raise
     except (OSError, ValueError) as reason:
-        raise LoadError(f"{shown}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
+        raise OneLineError(f"{shown}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
     require_packages(f"{shown}: reading it", *packages)
     import xarray
 
@@ -229,19 +225,19 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
             if missing or any(
                 name not in opened.variables and f"{name}{SUFFIX}" not in opened.variables for name in RUN_VARIABLES
             ):
-                raise LoadError(f"{shown}: holds no run; it was not written by this library")
+                raise OneLineError(f"{shown}: holds no run; it was not written by this library")
             check_available_memory(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
             dataset = opened.load()
         checksum = dataset.attrs.get(CHECKSUM)
         if checksum is not None and checksum != checksum_of(dataset):
-            raise LoadError(
+            raise OneLineError(
                 f"{shown}: its content does not match its checksum: it was damaged, or changed after it was "
                 f"written; if the change was intended, remove its attribute {CHECKSUM} and write it again"
             )
-    except LoadError:
+    except OneLineError:
         raise
     except Exception as reason:  # readers raise errors of any type for damaged files
-        raise LoadError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
+        raise OneLineError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
     return solution_of_dataset(source, dataset, system)
 
 
@@ -250,18 +246,18 @@ def _reader(path: Path) -> tuple[str, tuple[str, ...]]:
     shown = in_one_line(str(path), 200)
     if path.is_dir():
         if not any((path / name).is_file() for name in ("zarr.json", ".zgroup")):
-            raise LoadError(
+            raise OneLineError(
                 f"{in_one_line(str(path), 200)}: is a folder that holds no run; give a .nc file or a .zarr folder"
             )
         return "zarr", ("xarray", "zarr")
     if path.exists() and not path.is_file():
-        raise LoadError(f"{shown}: is no file and no folder")
+        raise OneLineError(f"{shown}: is no file and no folder")
     with open(path, "rb", opener=_open_nonblocking) as file:
         signature = file.read(4)
     for known_signature, engine in FILE_SIGNATURES.items():
         if signature.startswith(known_signature):
             return engine
-    raise LoadError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
+    raise OneLineError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
 
 
 def _open_nonblocking(path: str, flags: int) -> int:

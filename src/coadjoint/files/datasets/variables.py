@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,18 +71,6 @@ if TYPE_CHECKING:
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
-class ExtraMetadata(NamedTuple):
-    """Additional coordinates and attributes written with a solution."""
-
-    coordinates: Variables
-    attributes: Mapping[str, Any]
-
-    def with_batch_parameters(self, system: Any) -> ExtraMetadata:
-        """Add the numbers in which the systems of a batch differ."""
-        return self._replace(coordinates={**parameters_of(system), **self.coordinates})
-
-
-NO_METADATA = ExtraMetadata({}, {})
 CONVENTIONS = "CF-1.11"
 TIME = "time"
 OBSERVED_NAMES = "observed"

@@ -18,11 +18,11 @@ from coadjoint.files.exports.c_statements import (
     INDENT,
     VECTORS,
     WIDTH,
-    DeclaredInputs,
     Exported,
     TableNumbers,
     block,
     function,
+    passed,
     repeated,
     runtime,
 )
@@ -115,13 +115,13 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
             "that begins with a letter, other than coadjoint"
         )
     loop, numbers = loop_of_run(prepared)
-    inputs = DeclaredInputs(", const double *u", ", u") if prepared.inputs is not None else DeclaredInputs()
+    inputs = "" if prepared.inputs is None else ", const double *u"
     exported = _exported(prepared, loop, numbers, inputs, tangent, bool(prepared.system.forces))
     lines = exported.lines
-    lines += function("step", f"double *x{inputs.declared}, double h", exported.step)
-    lines += function("run", f"double *x{inputs.declared}, double h, unsigned long steps", exported.steps)
+    lines += function("step", f"double *x{inputs}, double h", exported.step)
+    lines += function("run", f"double *x{inputs}, double h, unsigned long steps", exported.steps)
     if tangent:
-        arguments = f"double *x, {VECTORS}{inputs.declared}, double h"
+        arguments = f"double *x, {VECTORS}{inputs}, double h"
         lines += function("step_with_tangents", arguments, exported.change)
     body = "\n".join(lines)
     n = prepared.system.dim
@@ -241,7 +241,7 @@ def _exported(
     prepared: PreparedRun,
     loop: CompiledLoop,
     numbers: TableNumbers,
-    inputs: DeclaredInputs,
+    inputs: str,
     tangent: bool,
     forced: bool,
 ) -> Exported:
@@ -278,40 +278,37 @@ def _check_attitude(prepared: PreparedRun, loop: CompiledLoop) -> None:
     )
 
 
-def _forced(
-    prepared: PreparedRun, loop: CompiledLoop, numbers: TableNumbers, inputs: DeclaredInputs, tangent: bool
-) -> Exported:
+def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: TableNumbers, inputs: str, tangent: bool) -> Exported:
     """Half flows of the forces, a step of the scheme, and half flows in reversed order, at fractions of the step."""
     inner = _exported(prepared, loop.referenced[INNER_LOOP_INDEX], numbers, inputs, tangent, forced=False)
     forces = [table.tables for index, table in loop.referenced.items() if index != INNER_LOOP_INDEX]
     if inner.compensated:
         raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
     lines, n = inner.lines, prepared.system.dim
-    declared = inputs.declared
     for k, (label, table) in enumerate(zip(prepared.system.labels, forces, strict=True)):
         flow, change = _flow_of_force(label, table, numbers, n)
-        lines += function(f"force_{k}", f"double *x{declared}, double tau", flow)
+        lines += function(f"force_{k}", f"double *x{inputs}, double tau", flow)
         if tangent:
             lines += function(f"force_change_{k}", "double *v, double tau", change)
-    x, numbered, fractions = f"x{inputs.passed}", range(len(forces)), prepared.scheme.fractions
+    x, numbered, fractions = f"x{passed(inputs)}", range(len(forces)), prepared.scheme.fractions
     forward = [f"coadjoint_force_{k}({x}, 0.5 * h);" for k in numbered]
-    lines += function("inner_step", f"double *x{declared}, double h", inner.step)
+    lines += function("inner_step", f"double *x{inputs}, double h", inner.step)
     step = [*forward, f"coadjoint_inner_step({x}, h);", *forward[::-1]]
     if len(fractions) > 1:
-        lines += function("substep", f"double *x{declared}, double h", step)
+        lines += function("substep", f"double *x{inputs}, double h", step)
         step = [f"coadjoint_substep({x}, {c!r} * h);" for c in fractions]
     steps = [f"for (; steps > 0; --steps) coadjoint_step({x}, h);"]
     changed: list[str] = []
     if tangent:
-        lines += function("inner_change", f"double *x, {VECTORS}{declared}, double h", inner.change)
+        lines += function("inner_change", f"double *x, {VECTORS}{inputs}, double h", inner.change)
         each = "for (unsigned long vector = 0; vector < vectors; ++vector)"
         moved = [f"coadjoint_force_change_{k}(v + vector * {n}, 0.5 * h);" for k in numbered]
         half = [[*block(each, [moved[k]]), forward[k]] for k in numbered]
-        middle = f"coadjoint_inner_change(x, v, vectors{inputs.passed}, h);"
+        middle = f"coadjoint_inner_change(x, v, vectors{passed(inputs)}, h);"
         changed = [*(line for one in half for line in one), middle, *(line for one in half[::-1] for line in one)]
         if len(fractions) > 1:
-            lines += function("subchange", f"double *x, {VECTORS}{declared}, double h", changed)
-            changed = [f"coadjoint_subchange(x, v, vectors{inputs.passed}, {c!r} * h);" for c in fractions]
+            lines += function("subchange", f"double *x, {VECTORS}{inputs}, double h", changed)
+            changed = [f"coadjoint_subchange(x, v, vectors{passed(inputs)}, {c!r} * h);" for c in fractions]
     return Exported(lines, step, steps, changed, inner.widest)
 
 

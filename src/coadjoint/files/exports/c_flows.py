@@ -11,7 +11,6 @@ from coadjoint.files.exports.c_blocks import BODY_ROTATIONS, direct_turns, gains
 from coadjoint.files.exports.c_statements import (
     FIELDS,
     VECTORS,
-    DeclaredInputs,
     Exported,
     Numbers,
     TableNumbers,
@@ -21,6 +20,7 @@ from coadjoint.files.exports.c_statements import (
     function,
     gradient,
     numbers,
+    passed,
     repeated,
 )
 from coadjoint.kernels.tables.flow import FlowTables
@@ -30,6 +30,8 @@ BODY_COLUMNS, BODY_CONSTANTS = 6, 15
 DIRECT, BONDS = 1, 2
 ATTITUDE = "double *A, double *E"
 """Arguments: a group element, row by row, and the errors of its sums."""
+MOVED = {"": "", "_with_tangents": f", {VECTORS}", "_with_attitude": f", {ATTITUDE}"}
+"""What functions move beside the state, by the ends of their names, as further arguments."""
 MOST_ROWS = 40
 """Flows of a step that are written out; more of them are a loop over a table."""
 
@@ -37,11 +39,9 @@ MOST_ROWS = 40
 class PartsInC:
     """The functions of the parts of a splitting; `inputs` declares the inputs as an argument, if there are any."""
 
-    def __init__(self, tables: FlowTables, number: Numbers, inputs: DeclaredInputs) -> None:
+    def __init__(self, tables: FlowTables, number: Numbers, inputs: str) -> None:
         compensated = tables.compensated
-        self.state = (
-            DeclaredInputs("double *x, double *error", "x, error") if compensated else DeclaredInputs("double *x", "x")
-        )
+        self.state = "double *x, double *error" if compensated else "double *x"
         self.tables, self.terms, self.number, self.inputs = tables, tables.terms, number, inputs
         self.parts = sorted(set(tables.part.tolist()))
         self.runs = {p: runs_of_part(tables.state, p, bool(self._called(p))) for p in self.parts}
@@ -63,25 +63,18 @@ class PartsInC:
             part = self._called_part(p) if self._called(p) else self._part(p)
             lines += [*part.functions(self, p), *(part.with_tangents(self, p) if tangent else [])]
         if max(np.diff(self.tables.section)) > MOST_ROWS:
-            lines += self._switch("part", *self.state)
-            if tangent:
-                declared, passed = self.state
-                lines += self._switch("part_with_tangents", f"{declared}, {VECTORS}", f"{passed}, v, vectors")
-            if self.side:
-                lines += self._switch(
-                    "part_with_attitude", f"{self.state.declared}, {ATTITUDE}", f"{self.state.passed}, A, E"
-                )
+            kinds = [kind for kind, wanted in (("_with_tangents", tangent), ("_with_attitude", self.side)) if wanted]
+            for kind in ("", *kinds):
+                lines += self._switch(f"part{kind}", self.state + MOVED[kind] + self.inputs)
         return lines
 
-    def _switch(self, name: str, arguments: str, passed: str) -> list[str]:
-        cases = [f"case {p}: coadjoint_{name}_{p}({passed}{self.inputs.passed}, tau); break;" for p in self.parts]
-        body = block("switch (part)", [*cases, "default: break;"])
-        return function(name, f"int part, {arguments}{self.inputs.declared}, double tau", body)
+    def _switch(self, name: str, arguments: str) -> list[str]:
+        cases = [f"case {p}: coadjoint_{name}_{p}({passed(arguments)}, tau); break;" for p in self.parts]
+        return function(name, f"int part, {arguments}, double tau", block("switch (part)", [*cases, "default: break;"]))
 
     def rows(self, first: int, last: int, kind: str = "", h: str = "h") -> list[str]:
         """Return the calls of the flows first to last - 1 over a step h; `kind` says what else they move."""
-        name, state = f"part{kind}", {"": "", "_with_tangents": ", v, vectors", "_with_attitude": ", A, E"}[kind]
-        state = self.state.passed + state + self.inputs.passed
+        name, state = f"part{kind}", passed(self.state + MOVED[kind] + self.inputs)
         parts, taus = self.tables.part[first:last].tolist(), self.tables.tau[first:last].tolist()
         if len(parts) <= MOST_ROWS:
             return [f"coadjoint_{name}_{p}({state}, {c!r} * {h});" for p, c in zip(parts, taus, strict=True)]
@@ -176,14 +169,14 @@ class PartInC(NamedTuple):
         local = f"double {', '.join(f'{one}[{self.number}]' for one in self.results)};"
         outputs = "".join(f", double *{one}" for one in self.results)
         given = f", {self._given()}, double tau"
-        corrected = function(f"correct_{p}", parts.state.declared + given, self.corrected)
+        corrected = function(f"correct_{p}", parts.state + given, self.corrected)
         name = f"correct_{p}" if parts.tables.compensated else f"move_{p}"
-        move = f"coadjoint_{name}({parts.state.passed}, {', '.join(self.results)}, tau);"
+        move = f"coadjoint_{name}({passed(parts.state)}, {', '.join(self.results)}, tau);"
         found = [local, f"{self._find(parts, p, 'x')};", move]
         lines = self._with_attitude(parts, p, given, [local, f"{self._find(parts, p, 'x')};"]) if parts.side else []
-        state = f"{parts.state.declared}{parts.inputs.declared}, double tau"
+        state = f"{parts.state}{parts.inputs}, double tau"
         return [
-            *function(f"angles_{p}", f"const double *x{parts.inputs.declared}{self._tau[0]}{outputs}", self.angles),
+            *function(f"angles_{p}", f"const double *x{parts.inputs}{self._tau}{outputs}", self.angles),
             *function(f"move_{p}", f"double *x{given}", self.moves),
             *(corrected if parts.tables.compensated else []),
             *function(f"part_{p}", state, list(self.together) or found),
@@ -196,36 +189,34 @@ class PartInC(NamedTuple):
         row = f"coadjoint_turn_row_{p}(A + row * {d}, E + row * {d}, {', '.join(self.results)}, tau);"
         body = [
             *find,
-            f"coadjoint_part_{p}({parts.state.passed}{parts.inputs.passed}, tau);",
+            f"coadjoint_part_{p}({passed(parts.state + parts.inputs)}, tau);",
             *block(f"for (unsigned long row = 0; row < {d}; ++row)", [row]),
         ]
-        declared = f"{parts.state.declared}, {ATTITUDE}{parts.inputs.declared}, double tau"
+        arguments = f"{parts.state}, {ATTITUDE}{parts.inputs}, double tau"
         return [
             *function(f"turn_row_{p}", f"double *x, double *error{given}", self.turns),
-            *function(f"part_with_attitude_{p}", declared, body),
+            *function(f"part_with_attitude_{p}", arguments, body),
         ]
 
     def _given(self) -> str:
         return ", ".join(f"const double *{one}" for one in self.results)
 
     def _find(self, parts: PartsInC, p: int, x: str) -> str:
-        return f"coadjoint_angles_{p}({x}{parts.inputs.passed}{self._tau[1]}, {', '.join(self.results)})"
+        return f"coadjoint_angles_{p}({x}{passed(parts.inputs + self._tau)}, {', '.join(self.results)})"
 
     @property
-    def _tau(self) -> DeclaredInputs:
+    def _tau(self) -> str:
         """Angles of bodies are those of the whole flow; others are multiplied by its time."""
-        return DeclaredInputs(", double tau", ", tau") if len(self.results) > 1 else DeclaredInputs()
+        return ", double tau" if len(self.results) > 1 else ""
 
     def with_tangents(self, parts: PartsInC, p: int) -> list[str]:
         """Return the derivative of a flow: vectors move as the state does, and further by the changes of the angles."""
         n, results = parts.size, ", ".join(self.results)
         gains = [line for run in parts.runs[p] for line in gains_of_run(run)]
-        arguments = (
-            f"const double *x{parts.inputs.declared}, double tau, {self._given()}, const double *v, double *change"
-        )
+        arguments = f"const double *x{parts.inputs}, double tau, {self._given()}, const double *v, double *change"
         each = [
             f"double *const one = v + vector * {n};",
-            f"coadjoint_changes_{p}(before{parts.inputs.passed}, tau, {results}, one, change);",
+            f"coadjoint_changes_{p}(before{passed(parts.inputs)}, tau, {results}, one, change);",
             f"coadjoint_move_{p}(one, {results}, tau);",
             f"coadjoint_gain_{p}(x, change, one);",
         ]
@@ -233,21 +224,17 @@ class PartInC(NamedTuple):
             f"double {', '.join(f'{one}[{self.number}]' for one in self.results)}, change[{self.number}], before[{n}];",
             f"for (unsigned long i = 0; i < {n}; ++i) before[i] = x[i];",
             f"{self._find(parts, p, 'before')};",
-            f"coadjoint_part_{p}({parts.state.passed}{parts.inputs.passed}, tau);",
+            f"coadjoint_part_{p}({passed(parts.state + parts.inputs)}, tau);",
             *block("for (unsigned long vector = 0; vector < vectors; ++vector)", each),
         ]
         return [
             *function(f"changes_{p}", arguments, self.changes),
             *function(f"gain_{p}", "const double *x, const double *change, double *v", gains),
-            *function(
-                f"part_with_tangents_{p}", f"{parts.state.declared}, {VECTORS}{parts.inputs.declared}, double tau", body
-            ),
+            *function(f"part_with_tangents_{p}", f"{parts.state}, {VECTORS}{parts.inputs}, double tau", body),
         ]
 
 
-def splitting(
-    prepared: PreparedRun, tables: FlowTables, numbers: TableNumbers, inputs: DeclaredInputs, tangent: bool
-) -> Exported:
+def splitting(prepared: PreparedRun, tables: FlowTables, numbers: TableNumbers, inputs: str, tangent: bool) -> Exported:
     """Return the statements of a splitting, and the functions that they call."""
     terms = tables.terms
     check_terms(prepared.system.name, terms)
@@ -255,7 +242,8 @@ def splitting(
     parts = PartsInC(tables, numbers.of_terms(tables, "terms.", terms), inputs)
     begin, first, every, end = (int(row) for row in tables.section)
     lines = parts.functions(tangent)
-    state, x = f"{parts.state.declared}{inputs.declared}, double h", f"{parts.state.passed}{inputs.passed}, h"
+    state = f"{parts.state}{inputs}, double h"
+    x = passed(state)
     n = tables.state.size
     zeros = [f"double error[{n}];", f"for (unsigned long i = 0; i < {n}; ++i) error[i] = 0.0;"]
     errors = zeros if tables.compensated else []
@@ -281,7 +269,8 @@ def _attitude_functions(parts: PartsInC, zeros: Sequence[str]) -> list[str]:
     """Return the functions of runs that also move a group element, whose sums are always compensated."""
     tables, u, count = parts.tables, parts.inputs, parts.side**2
     begin, first, every, end = (int(row) for row in tables.section)
-    state, x = f"{parts.state.declared}, {ATTITUDE}{u.declared}, double h", f"{parts.state.passed}, A, E{u.passed}, h"
+    state = f"{parts.state}, {ATTITUDE}{u}, double h"
+    x = passed(state)
     lines: list[str] = []
     for name, ends in {"first": (begin, first), "next": (first, every), "finish": (every, end)}.items():
         lines += function(f"{name}_with_attitude", state, parts.rows(*ends, "_with_attitude"))
@@ -294,6 +283,4 @@ def _attitude_functions(parts: PartsInC, zeros: Sequence[str]) -> list[str]:
         f"while (--steps > 0) coadjoint_next_with_attitude({x});",
         f"coadjoint_finish_with_attitude({x});",
     ]
-    return lines + function(
-        "run_with_attitude", f"double *x, double *A{u.declared}, double h, unsigned long steps", run
-    )
+    return lines + function("run_with_attitude", f"double *x, double *A{u}, double h, unsigned long steps", run)

@@ -25,13 +25,6 @@ Value = int | float | str
 Columns = Mapping[str, Sequence[Value]]
 
 
-class DeclaredInputs(NamedTuple):
-    """How functions declare the inputs of a run after other arguments, and pass them on; empty without inputs."""
-
-    declared: str = ""
-    passed: str = ""
-
-
 def literal(value: Value) -> str:
     """Return a number as C reads it, with the same bits; text is an expression."""
     return str(value) if type(value) is str else repr(value)
@@ -62,6 +55,15 @@ def function(name: str, arguments: str, body: Sequence[str]) -> list[str]:
     named, text = re.findall(r"(\w+)(?:\[\w*\])?(?:,|$)", arguments), "\n".join(body)
     unused = [f"(void){one};" for one in named if not re.search(rf"\b{one}\b", text)]
     return ["", *block(f"static inline void coadjoint_{name}({arguments})", [*body, *unused])]
+
+
+def passed(declared: str) -> str:
+    """Return declared arguments of a function as it passes them on; both begin with a comma after others.
+
+    >>> passed("double *x, double h"), passed(", const double *u"), passed("")
+    ('x, h', ', u', '')
+    """
+    return ", ".join(re.sub(r".*\W(?=\w)", "", argument) for argument in declared.split(", "))
 
 
 def numbers(kind: str, name: str, values: Sequence[Value]) -> list[str]:

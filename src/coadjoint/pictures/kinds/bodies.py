@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.curves import PathUpdate, at_one_time
-from coadjoint.pictures.globe import Globe, view_frame, view_of
+from coadjoint.pictures.curves import Globe, PathUpdate, at_one_time, view_frame, view_of
 from coadjoint.pictures.kinds.directions import axis_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, ink, set_title, thickness
 
 Floats = npt.NDArray[np.float64]
+Shapes = tuple[Callable[[Floats], Floats], Callable[[Floats], tuple[Floats, Floats]], float]
+"""Functions of states: centres in the frame of a picture, and polygons with colours of one state; the largest size."""
 
 BOX_COLOUR = np.array([0.72, 0.80, 0.88])
 BOX_SIZE = 0.62
@@ -143,10 +145,10 @@ def bodies(drawn: PlottedRun, at: float = 1.0, view: tuple[float, float] = VIEW)
     if not np.isfinite(drawn.x[0]).all():
         raise CannotShow(f"the first member has failed before t = {drawn.t[-1]:g}")
     frame = view_frame(view)
-    shapes = _Sites(system, frame) if hasattr(system, "tables") else _Boxes(system, frame)
-    flat = shapes.centres(drawn.x[0])[..., :2] if len(drawn.t) else np.zeros((1, 1, 2))
+    centres, polygons, size = (_sites if hasattr(system, "tables") else _boxes)(system, frame)
+    flat = centres(drawn.x[0])[..., :2] if len(drawn.t) else np.zeros((1, 1, 2))
     low, high = (end((0, 1)) for end in (flat.min, flat.max))
-    middle, half = (low + high) / 2.0, MARGIN * ((high - low).max() / 2.0 + shapes.size)
+    middle, half = (low + high) / 2.0, MARGIN * ((high - low).max() / 2.0 + size)
 
     def paint(axes: Any) -> Update:
         from matplotlib.collections import PolyCollection
@@ -158,8 +160,8 @@ def bodies(drawn: PlottedRun, at: float = 1.0, view: tuple[float, float] = VIEW)
         axes.axis("off")
 
         def show(j: int) -> None:
-            polygons, colours = shapes.polygons(drawn.x[0, j])
-            drawn_shapes.set_verts(list(polygons))
+            corners, colours = polygons(drawn.x[0, j])
+            drawn_shapes.set_verts(list(corners))
             drawn_shapes.set_facecolor(list(map(tuple, colours.tolist())))
 
         show(k)
@@ -174,63 +176,58 @@ def _rgb(i: int) -> Floats:
     return np.array(to_rgb(colour(i)))
 
 
-class _Sites:
-    """Discs for the sites of molecules, the far ones first; `frame` has the axes of the picture."""
+def _sites(system: Any, frame: Floats) -> Shapes:
+    """Return discs for the sites of molecules, the far ones first."""
+    tables = system.tables
+    kinds = np.repeat(np.arange(len(tables.types)), tables.types)
+    a, b = np.diag(tables.a), np.diag(tables.b)
+    sigma = np.divide(a, b, out=np.zeros_like(a), where=b > 0.0) ** (1.0 / 6.0)
+    largest = sigma.max() or 2.0 * float(np.abs(tables.places).max()) or 1.0
+    radii = np.where(sigma > 0.0, SITE_RADIUS * sigma, OTHER_RADIUS * largest)
+    shades = np.where(sigma[:, None] > 0.0, [_rgb(i) for i in kinds.tolist()], 0.88)
+    first = np.cumsum(tables.types) - tables.types
+    numbers = [np.tile(np.arange(f, f + n), m) for f, n, m in zip(first, tables.types, tables.molecules, strict=True)]
+    types = np.concatenate(numbers)
+    radius, shade = radii[types, None, None], shades[types]
+    owners = np.repeat(np.arange(int(tables.molecules.sum())), np.repeat(tables.types, tables.molecules))
+    turn = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
 
-    def __init__(self, system: Any, frame: Floats) -> None:
-        self.system, self.frame, tables = system, frame, system.tables
-        kinds = np.repeat(np.arange(len(tables.types)), tables.types)
-        a, b = np.diag(tables.a), np.diag(tables.b)
-        sigma = np.divide(a, b, out=np.zeros_like(a), where=b > 0.0) ** (1.0 / 6.0)
-        largest = sigma.max() or 2.0 * float(np.abs(tables.places).max()) or 1.0
-        radii = np.where(sigma > 0.0, SITE_RADIUS * sigma, OTHER_RADIUS * largest)
-        shades = np.where(sigma[:, None] > 0.0, [_rgb(i) for i in kinds.tolist()], 0.88)
-        first = np.cumsum(tables.types) - tables.types
-        order = [np.tile(np.arange(f, f + n), m) for f, n, m in zip(first, tables.types, tables.molecules, strict=True)]
-        types = np.concatenate(order)
-        self.radii, self.colours, self.size = radii[types], shades[types], float(radii.max())
-        self.owners = np.repeat(np.arange(int(tables.molecules.sum())), np.repeat(tables.types, tables.molecules))
-        turn = 2.0 * np.pi * np.arange(CORNERS) / CORNERS
-        self.circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    def centres(x: Floats) -> Floats:
+        sites = system.sites(x)
+        if tables.box.any():
+            sites -= tables.box * np.floor(system.positions(x) / tables.box)[..., owners, :]
+        return np.asarray(sites @ frame.T)
 
-    def centres(self, x: Floats) -> Floats:
-        """Return the sites of states in the frame of the picture."""
-        sites, box = self.system.sites(x), self.system.tables.box
-        if box.any():
-            sites -= box * np.floor(self.system.positions(x) / box)[..., self.owners, :]
-        return np.asarray(sites @ self.frame.T)
-
-    def polygons(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return polygons and their colours for a state."""
-        places = self.centres(x)
+    def polygons(x: Floats) -> tuple[Floats, Floats]:
+        places = centres(x)
         order = np.argsort(places[:, 2], kind="stable")
-        discs = places[order, None, :2] + self.radii[order, None, None] * self.circle
-        return discs, self.colours[order]
+        discs = places[order, None, :2] + radius[order] * circle
+        return discs, shade[order]
+
+    return centres, polygons, float(radii.max())
 
 
-class _Boxes:
-    """Homogeneous boxes for bodies of any inertia, the far ones first; `frame` has the axes of the picture."""
+def _boxes(system: Any, frame: Floats) -> Shapes:
+    """Return homogeneous boxes for bodies of any inertia, the far ones first."""
+    moments, axes = np.linalg.eigh(np.stack([inertia.tensor for inertia in system.inertias]))
+    # The moment about an axis is the sum of the squares of the other two half sides, times a third of the mass.
+    squares = 1.5 * (moments.sum(axis=1)[:, None] - 2.0 * moments) / system.masses[:, None]
+    sides = np.sqrt(np.maximum(squares, 0.0))
+    size = float(sides.max()) or 0.1
+    longest = np.where(sides.any(axis=1), sides.max(axis=1), 0.2 * size)[:, None]
+    edges = axes * np.maximum(sides, THINNEST * longest)[:, None, :]
 
-    def __init__(self, system: Any, frame: Floats) -> None:
-        self.system, self.frame = system, frame
-        moments, axes = np.linalg.eigh(np.stack([inertia.tensor for inertia in system.inertias]))
-        # The moment about an axis is the sum of the squares of the other two half sides, times a third of the mass.
-        squares = 1.5 * (moments.sum(axis=1)[:, None] - 2.0 * moments) / system.masses[:, None]
-        sides = np.sqrt(np.maximum(squares, 0.0))
-        self.size = float(sides.max()) or 0.1
-        longest = np.where(sides.any(axis=1), sides.max(axis=1), 0.2 * self.size)[:, None]
-        self.edges = axes * np.maximum(sides, THINNEST * longest)[:, None, :]
+    def centres(x: Floats) -> Floats:
+        return np.asarray(system.positions(x) @ frame.T)
 
-    def centres(self, x: Floats) -> Floats:
-        """Return the centres of the bodies of states in the frame of the picture."""
-        return np.asarray(self.system.positions(x) @ self.frame.T)
-
-    def polygons(self, x: Floats) -> tuple[Floats, Floats]:
-        """Return the visible faces and their colours for a state."""
-        centres, faces, colours = self.centres(x), [], []
-        turned = np.einsum("ij,kjl,klm->kim", self.frame, self.system.attitudes(x), self.edges)
-        for k in np.argsort(centres[:, 2], kind="stable").tolist():
+    def polygons(x: Floats) -> tuple[Floats, Floats]:
+        places, faces, colours = centres(x), [], []
+        turned = np.einsum("ij,kjl,klm->kim", frame, system.attitudes(x), edges)
+        for k in np.argsort(places[:, 2], kind="stable").tolist():
             corners, brightness = _visible_faces(turned[k])
-            faces.append((centres[k] + corners)[..., :2])
+            faces.append((places[k] + corners)[..., :2])
             colours.append(brightness[:, None] * _rgb(k))
         return np.concatenate(faces), np.concatenate(colours)
+
+    return centres, polygons, size

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.curves import MemberColours, PathUpdate
-from coadjoint.pictures.globe import Globe, view_of
+from coadjoint.pictures.curves import Globe, MemberColours, PathUpdate, view_of
 from coadjoint.pictures.kinds.coadjoint_orbit import frame_space
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind

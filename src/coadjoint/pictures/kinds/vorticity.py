@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.curves import at_one_time
-from coadjoint.pictures.globe import VIEW, Globe, unit_vectors, view_frame
+from coadjoint.pictures.curves import VIEW, Globe, at_one_time, unit_vectors, view_frame
 from coadjoint.pictures.kinds.spectra import fluid_of, vorticity_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
