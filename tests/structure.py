@@ -25,8 +25,8 @@ MAXIMA: dict[str, int] = {
     "isinstance": 476,  # kinds of molecules, shapes in JAX, archives at URLs, own systems, functions in shares
     "files in cycles, with imports inside functions and for types": 39,  # motions of bodies
     "modules behind integrate": 112,  # torques on the state, of which forces on satellites are made
-    "C++ lines": 20240,  # steps kept by a thread know their rounding; the C interface, orders with forces, pairs on threads, projected batches in lanes
-    "test lines": 69835,  # bits after a check of the step, empty selections, batches with shifts of their own, bodies, molecules, the C interface, JAX
+    "C++ lines": 20240,  # kept steps know their rounding; the C interface, orders with forces, pairs on threads
+    "test lines": 69835,  # bits after a check of the step, empty selections, bodies, molecules, the C interface, JAX
     "test files that import internals": 74,
     "public names": 342,  # rigid_molecules, export_table and co.jax.free_body
 }
