@@ -189,15 +189,11 @@ class OwnForce(Force):
         raise ValueError(f"the flow of {self.name} fails at every sample point ({failure}); correct the function")
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        """Return the derivative of the flow at tau = 0, by Richardson-extrapolated central differences.
-
-        Raises
-        ------
-        TypeError
-            The force does not run backward.
-        """
+        """Return the derivative of the flow at tau = 0, by differences of order four: central, or forward only."""
         if not self.backward:
-            raise TypeError(f"the field of {self.name} is not known: its flow does not run backward")
+            moved = [self.flow(system, x, t, k * DIFFERENCE_TIME) for k in range(1, 5)]
+            ahead = sum(weight * y for weight, y in zip((48.0, -36.0, 16.0, -3.0), moved, strict=True))
+            return np.asarray((ahead - 25.0 * x) / (12.0 * DIFFERENCE_TIME))
         wide, narrow = (
             (self.flow(system, x, t, tau) - self.flow(system, x, t, -tau)) / (2.0 * tau)
             for tau in (2 * DIFFERENCE_TIME, DIFFERENCE_TIME)
