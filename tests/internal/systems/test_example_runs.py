@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from coadjoint.methods.registry import suggested_scheme
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture, points_on_sphere
 from coadjoint.systems.registry import gallery_entry_of, ready_made
@@ -18,7 +19,7 @@ def example(name):
 
 @pytest.mark.thinned(3)
 @pytest.mark.parametrize("name", co.systems.names())
-def test_starts_and_names_fit_the_system(name):
+def test_starts_names_and_pictures_fit_the_system(name):
     system, gallery_entry = example(name)
     shape = getattr(system, "shape", (system.dim,))
     start = gallery_entry.start()
@@ -28,7 +29,10 @@ def test_starts_and_names_fit_the_system(name):
     assert len(set(names)) == len(names) and len(names) in (0, system.dim)
     assert gallery_entry.names(system.dim + 1) == () or callable(gallery_entry.coordinates)
     assert len(shape) > 1 or not names or coordinate_names(system, system.dim) == names
-    assert 0.0 < gallery_entry.step < gallery_entry.t_span[1] - gallery_entry.t_span[0]
+    step, attitude, pictures = gallery_entry.step, gallery_entry.attitude, list(gallery_entry.pictures)
+    assert 0.0 < step < gallery_entry.t_span[1] - gallery_entry.t_span[0]
+    run = co.integrate(system, start, (0.0, 4.0 * step), step, suggested_scheme(system), attitude=attitude)
+    assert not pictures or run.plot(pictures).axes  # plot() leaves out what it cannot draw
 
 
 @pytest.mark.parametrize(("count", "radius"), [(1, 1.0), (5, 2.0), (16, 0.5), (300, 1.0)])
