@@ -224,38 +224,38 @@ class SplitHamiltonian(Summable):
 
     def __init__(self, pieces: Sequence[tuple[Sequence[int], Any]]) -> None:
         self.dim: int | None = None
-        coordinates: list[tuple[int, ...]] = []
+        indices: list[npt.NDArray[np.int64]] = []
         parts: list[HamiltonianLike] = []
         rule = "give a list of (coordinates, Hamiltonian)"
         for number, piece in enumerate(read_list(pieces, "pieces", rule)):
             if not isinstance(piece, tuple | list) or len(piece) != 2:
                 raise TypeError(f"piece {number} is {short(piece)}; give (coordinates, Hamiltonian)")
-            indices, H = piece
-            listed = read_list(indices, f"the coordinates of piece {number}", "give (coordinates, Hamiltonian)")
-            chosen = tuple(read_integer(i, f"a coordinate of piece {number}", 0, MAX_COORDINATES) for i in listed)
-            if not chosen or len(set(chosen)) != len(chosen):
-                raise ValueError(f"piece {number} has coordinates {short(chosen)}; give different numbers, from 0")
+            indices.append(_read_coordinates(piece[0], number))
             try:
-                parts.append(as_hamiltonian(H, len(chosen)))
+                parts.append(as_hamiltonian(piece[1], indices[-1].size))
             except (TypeError, ValueError) as reason:
-                raise type(reason)(f"piece {number}, of {len(chosen)} coordinates: {reason}") from reason
-            coordinates.append(chosen)
+                raise type(reason)(f"piece {number}, of {indices[-1].size} coordinates: {reason}") from reason
         if not parts:
             raise TypeError("SplitHamiltonian has no pieces; give at least one (coordinates, Hamiltonian)")
-        self.coordinates = tuple(coordinates)
+        self._indices = tuple(indices)
         self.pieces = tuple(parts)
         self.timed = any(part.timed for part in self.pieces)
+
+    @property
+    def coordinates(self) -> tuple[tuple[int, ...], ...]:
+        """The coordinates of every piece."""
+        return tuple(tuple(indices.tolist()) for indices in self._indices)
 
     def bind(self, n: int) -> SplitHamiltonian:
         """Return this Hamiltonian bound to dimension `n`."""
         n = read_integer(n, "the dimension")
-        for number, chosen in enumerate(self.coordinates):
-            if max(chosen) >= n:
+        for number, indices in enumerate(self._indices):
+            if indices.max() >= n:
                 raise ValueError(
-                    f"piece {number} has coordinate {max(chosen)}; the system has coordinates 0 to {n - 1}"
+                    f"piece {number} has coordinate {indices.max()}; the system has coordinates 0 to {n - 1}"
                 )
         bound = object.__new__(SplitHamiltonian)
-        bound.dim, bound.timed, bound.coordinates, bound.pieces = n, self.timed, self.coordinates, self.pieces
+        bound.dim, bound.timed, bound._indices, bound.pieces = n, self.timed, self._indices, self.pieces
         return bound
 
     place_in_sum = 1
@@ -264,16 +264,16 @@ class SplitHamiltonian(Summable):
         """Return the pieces of both."""
         if None not in (self.dim, other.dim) and self.dim != other.dim:
             raise ValueError(f"Hamiltonians of {self.dim} and {other.dim} coordinates cannot be added")
-        pieces = [pair for H in (self, other) for pair in zip(H.coordinates, H.pieces, strict=True)]
+        pieces = [pair for H in (self, other) for pair in zip(H._indices, H.pieces, strict=True)]
         dim = self.dim if self.dim is not None else other.dim
         return SplitHamiltonian(pieces) if dim is None else SplitHamiltonian(pieces).bind(dim)
 
     def check_commuting(self, algebra: LieAlgebra) -> None:
         """Raise ValueError if a piece has coordinates whose basis elements do not commute in the algebra."""
         i, j, _, _ = algebra.triples
-        for number, chosen in enumerate(self.coordinates):
+        for number, indices in enumerate(self._indices):
             in_piece = np.zeros(algebra.dim, dtype=bool)
-            in_piece[list(chosen)] = True
+            in_piece[indices] = True
             conflicts = np.flatnonzero(in_piece[i] & in_piece[j])
             if conflicts.size:
                 a, b = int(i[conflicts[0]]), int(j[conflicts[0]])
@@ -316,9 +316,9 @@ class SplitHamiltonian(Summable):
         """Return the sum of the linear parts of the pieces, (n,)."""
         assert self.dim is not None
         linear = np.zeros(self.dim)
-        for coordinates, piece in zip(self.coordinates, self.pieces, strict=True):
+        for indices, piece in zip(self._indices, self.pieces, strict=True):
             if getattr(piece, "has_linear", False):
-                linear[list(coordinates)] += cast(Summable, piece).linear_part()
+                linear[indices] += cast(Summable, piece).linear_part()
         return linear
 
     def with_linear(self, linear: npt.NDArray[np.float64]) -> SplitHamiltonian:
@@ -345,15 +345,13 @@ class SplitHamiltonian(Summable):
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
         """Return the sum of the pieces."""
         y = read_point(x, self.dim)
-        parts = zip(self.coordinates, self.pieces, strict=True)
-        return sum(part.value(y[list(chosen)], t) for chosen, part in parts)
+        return sum(part.value(y[indices], t) for indices, part in zip(self._indices, self.pieces, strict=True))
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return the gradient, shape (n,)."""
         y = read_point(x, self.dim)
         result = np.zeros(y.size, dtype=y.dtype)
-        for chosen, part in zip(self.coordinates, self.pieces, strict=True):
-            indices = list(chosen)
+        for indices, part in zip(self._indices, self.pieces, strict=True):
             result[indices] += part.gradient(y[indices], t)
         return result
 
@@ -361,8 +359,7 @@ class SplitHamiltonian(Summable):
         """Return the second derivatives, shape (n, n)."""
         y = read_point(x, self.dim)
         result = np.zeros((y.size, y.size), dtype=y.dtype)
-        for chosen, part in zip(self.coordinates, self.pieces, strict=True):
-            indices = list(chosen)
+        for indices, part in zip(self._indices, self.pieces, strict=True):
             result[np.ix_(indices, indices)] += part.hessian(y[indices], t)
         return result
 
@@ -371,8 +368,7 @@ class SplitHamiltonian(Summable):
         if self.dim is None:
             raise TypeError("SplitHamiltonian has no dimension yet; call bind(n) first")
         result: list[Term] = []
-        for number, (chosen, part) in enumerate(zip(self.coordinates, self.pieces, strict=True)):
-            indices = np.array(chosen, dtype=np.int64)
+        for number, (indices, part) in enumerate(zip(self._indices, self.pieces, strict=True)):
             result += [term.placed(indices, self.dim, number) for term in part.terms()]
         return tuple(result)
 
@@ -380,3 +376,16 @@ class SplitHamiltonian(Summable):
         shown = [f"({short(chosen)}, {part!r})" for chosen, part in zip(self.coordinates, self.pieces, strict=True)]
         text = ", ".join(shown)
         return f"SplitHamiltonian({f'[{text}]' if len(text) <= MAX_SHOWN_LENGTH else f'{len(shown)} pieces'})"
+
+
+def _read_coordinates(values: Any, number: int) -> npt.NDArray[np.int64]:
+    """Validate the coordinates of a piece and return them; the numbers of a range lie between its ends."""
+    if isinstance(values, range) and values:
+        for end in (values[0], values[-1]):
+            read_integer(end, f"a coordinate of piece {number}", 0, MAX_COORDINATES)
+        return np.fromiter(values, np.int64)
+    listed = read_list(values, f"the coordinates of piece {number}", "give (coordinates, Hamiltonian)")
+    chosen = tuple(read_integer(i, f"a coordinate of piece {number}", 0, MAX_COORDINATES) for i in listed)
+    if not chosen or len(set(chosen)) != len(chosen):
+        raise ValueError(f"piece {number} has coordinates {short(chosen)}; give different numbers, from 0")
+    return np.array(chosen, dtype=np.int64)
