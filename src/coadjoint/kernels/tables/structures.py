@@ -72,7 +72,6 @@ class TableField(NamedTuple):
 
 
 @functools.cache
-@functools.cache
 def table_fields(structure: Any) -> tuple[TableField, ...]:
     """Return the fields of a C structure and of nested ones, in its order."""
     found: list[TableField] = []
