@@ -211,7 +211,9 @@ def geometry(case: Case, space: dict[str, Any]) -> Iterator[str]:
                 f"{lines}P = there.tangent(x, span[0])\n"
                 "size = np.linalg.norm(np.linalg.inv(P)) * np.linalg.norm(P) * np.linalg.norm(x)\n"
                 "found, expected = back(there(x, span[0]), span[0] + way), x\n"
-                "allowed = 8 * len(x) * (work + 1) * 2.0**-53 * size\n"
+                # The flow of a torque of the state is a step of a Runge-Kutta method: it has no exact inverse.
+                "moved = [F.flow(one, F.flow(one, x, span[0], way), span[0] + way, -way) - x for F in one.forces]\n"
+                "allowed = (8 * len(x) * (work + 1) * 2.0**-53 + np.linalg.norm(moved)) * size\n"
             )
     if case.chosen["attitude"] == "coadjoint" and declares.attitude in ("every representation", "coadjoint"):
         if forces_in(case) or case.chosen["events"] == "terminal":
