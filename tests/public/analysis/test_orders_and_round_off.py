@@ -314,6 +314,9 @@ def test_traces_of_matrices_by_their_singular_values():
     wanted = {"tr Theta^3": theta**3, "tr W Theta^2": w * theta**2}
     for name, terms in wanted.items():
         assert two.casimirs[name].sum_of_absolute_terms(X) == pytest.approx(terms.sum(), rel=1e-12)
+    dyed = co.systems.passive_scalar(N=5)
+    for name, terms in {"tr Theta^3": theta**3, "tr W^3": w**3, "tr W^2": w**2, "tr W Theta": w * theta}.items():
+        assert dyed.casimirs[name].sum_of_absolute_terms(X) == pytest.approx(terms.sum(), rel=1e-12)
 
 
 def test_many_invariants_are_compared_with_each_other():
@@ -330,5 +333,8 @@ def test_forces_and_copies():
     for relative in (True, False):
         change, balance = sol.change(relative)["energy"], sol.balance(relative)["energy"]
         assert change.scale == balance.scale == (sol.initial["energy"] if relative else 1.0)
-    again = [pickle.loads(pickle.dumps(change)), copy.deepcopy(change), copy.copy(change)]
-    assert all(each == change and each.scale == change.scale and (each.tenths == change.tenths).all() for each in again)
+        again = [pickle.loads(pickle.dumps(change)), copy.deepcopy(change), copy.copy(change)]
+        for each in again:
+            assert each == pytest.approx(change, rel=1e-15) and each.scale == change.scale
+            assert each.tenths == pytest.approx(change.tenths, rel=1e-15)
+            assert each.absolute == pytest.approx(change.absolute, rel=1e-15)

@@ -144,6 +144,19 @@ def test_another_system_is_refused(tmp_path, first, other):
     assert co.open_archive(tmp_path / "run.zarr").reached == 5
 
 
+def test_another_energy_of_matrices_is_refused(tmp_path):
+    def system(bound):
+        # The energies agree along the run, so that the steps have the same bits.
+        stream, algebra = (lambda W: W.T @ W @ W.T), co.MatrixAlgebra("gl", 3)
+        return co.MatrixSystem(algebra, stream, energy=lambda W: min(np.sum((W @ W.T) ** 2) / 4, bound))
+
+    path, W = tmp_path / "run.zarr", np.random.default_rng(3).uniform(-0.5, 0.5, (3, 3))
+    cut(path, system(1e3), W, method=co.IsospectralGauss(2))
+    with refused(ValueError, "system", "differs"):
+        co.resume(path, system=system(1e4))
+    assert co.resume(path, system=system(1e3)).finished
+
+
 def test_another_helper_of_a_compiled_function_is_refused(tmp_path):
     numba = pytest.importorskip("numba")
 

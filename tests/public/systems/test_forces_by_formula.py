@@ -76,6 +76,8 @@ def test_the_field_of_a_flow_of_ones_own():
     assert co.integrate(forward, X, (0, 1), 0.125).plot().axes
     with refused(ValueError, "shift", "tau = 0"):
         BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x + 0.1, name="shift"))
+    with refused(ValueError, "turn", "complex128", "real numbers"):
+        BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x * np.exp(1j * tau), name="turn"))
 
     def failing(*arguments):
         raise ValueError("no table")
