@@ -173,14 +173,14 @@ def excluded(options: Options, system: Any, attitude: str, without_forces: bool)
     return [name for name, is_refused in refused.items() if is_refused]
 
 
-def case_of(method: str, system: str, options: Options, seed: int) -> tuple[Case, dict[str, Any]]:
+def case_of(method: str, system: str, options: Options, seed: int, slower: float = 1.0) -> tuple[Case, dict[str, Any]]:
     """Return the case and the names that its lines define; raise Refused if the library refuses it."""
     rng = np.random.default_rng(seed)
     plain, count = value_of(system), 0 if options["members"] == "one" else MEMBERS
     states = start_text(plain, rng, count)
     x = execute(f"{IMPORTS}x = {states}", {"system": plain})["x"]
     x = x if count else x[None]
-    h, start = step_for(plain, x), {"zero": 0.0, "later": 1.5}[options["start"]]
+    h, start = step_for(plain, x) / slower, {"zero": 0.0, "later": 1.5}[options["start"]]
     end = start + (h if options["direction"] == "forward" else -h) * STEPS
     acting = ", ".join(forces_of(plain, options, rng))
     forced = [f"{varied(system, m)}{f'.with_forces({acting})' if acting else ''}" for m in range(count or 1)]
@@ -267,7 +267,7 @@ def accepted(method: str, system: str, options: Options, seed: int) -> tuple[Cas
             for again in range(6):
                 try:
                     kept = options | {name: NEUTRAL[name] for name in dropped}
-                    return *case_of(method, system, kept, seed + again), refusals
+                    return *case_of(method, system, kept, seed + again, 4.0 if again > 2 else 1.0), refusals
                 except Refused as refused:
                     refusals.append(refused)
                     break
