@@ -1,11 +1,12 @@
-"""Runs agree with steps of `Method.step` in 40 digits."""
+"""Runs agree with steps of `Method.step` in 40 digits, and have their orders in time."""
 
 import mpmath
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from digests.schemes_under_test import schemes, witnesses
+from digests.schemes_under_test import schemes, serves, witnesses
 from rounding import UNIT_ROUNDOFF
 
 
@@ -23,3 +24,15 @@ def test_runs_agree_with_steps_in_forty_digits(scheme):
         run = co.integrate(system, x0, (0.0, 0.25), 0.125, method)
         bound = 4 * len(x0) * UNIT_ROUNDOFF * (run.stats.evaluations + 3) * np.max(np.abs(run.x))
         assert np.max(np.abs(exact - run.x[-1])) <= bound, system.name
+
+
+def test_schemes_have_their_orders_in_time():
+    """A spin in a field that rotates about the third axis, at rest in the frame that rotates with it."""
+    rate, end, x0 = 2.0, 1.5, np.array([0.6, 0.0, 0.8])
+    spin = co.systems.spin_lattice("chain", 1, field=lambda t: (0.9 * np.cos(2.0 * t), 0.9 * np.sin(2.0 * t), -1.0))
+    turned = Rotation.from_rotvec([0.0, 0.0, rate * end]) * Rotation.from_rotvec(-end * np.array([0.9, 0.0, rate - 1]))
+    for name, method in schemes().items():
+        if serves(method, spin):
+            ends = (co.integrate(spin, x0, (0, end), h, method, watch=False).x[-1] for h in (0.125, 0.0625))
+            coarse, fine = (np.abs(x - turned.apply(x0)).max() for x in ends)
+            assert fine < 1e-9 or np.log2(coarse / fine) > method.order - 0.5, name

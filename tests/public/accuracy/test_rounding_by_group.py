@@ -238,6 +238,24 @@ def test_by_group_is_a_bool():
         assert getattr(sol, name)(by_group=True)["x"] == getattr(sol, name)()
 
 
+def test_groups_in_any_order_of_the_coordinates():
+    """A fast and a slow body, of sizes 1 and 1000, with their coordinates one after the other and in turn."""
+    brackets, H = co.algebras.copies(co.algebras.so(3), 2), np.array([1.0, 0.5, 0.4, 2e-3, 1e-3, 5e-4])
+    x0, order = np.array([0.3, 1.0, 0.2, 500.0, 100.0, 800.0]), np.array([0, 3, 1, 4, 2, 5])
+    place, (i, j, k, c) = np.argsort(order), brackets.triples
+    mixed = co.LieAlgebra(np.stack([place[i], place[j], place[k], c], axis=1).tolist(), dim=6)
+    for quantity in ("error_estimate", "step_error"):
+        found = [
+            sorted(
+                getattr(co.integrate(co.LiePoissonSystem(g, co.Quadratic(M)), x, (0, 4), 0.1), quantity)(
+                    by_group=True
+                ).values()
+            )
+            for g, M, x in ((brackets, H, x0), (mixed, H[order], x0[order]))
+        ]
+        assert found[0][1] > 3 * found[0][0] and found[1] == pytest.approx(found[0], rel=1e-6)
+
+
 @functools.cache
 def pair():
     """Two particles on a line with a spring, in canonical coordinates: momenta are fed by a difference of positions."""

@@ -118,6 +118,8 @@ def test_output_times_are_counted(folder, capsys, kind, system, x0, end, method)
     of_members = f" of {len(x0)} members" if len(x0) > 1 else ""
     assert lines["saved"] == f"{len(times)} points{of_members}" and len(sol.t) == len(times)
     assert lines["steps"] == f"{steps} of {abs(end) / steps:g}, from t = 0 to {end:g}" and sol.stats.steps == steps
+    size, rounding = size_of(lines["output"])
+    assert abs(size - sol.to_xarray().nbytes) <= rounding + 64
     # The steps from which the times are reached are held in memory with them; beside them some working arrays.
     reached = len(np.union1d(np.floor(np.array(times) / end * steps + 1e-9), 0.0))
     row, (memory, rounding) = 8 * len(x0) * (len(x0[0]) + 1 + len(sol.casimirs)), size_of(lines["memory"])

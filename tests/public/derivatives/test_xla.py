@@ -122,6 +122,13 @@ def test_values_and_gradients_agree_with_the_compiled_run(name, span):
     assert np.max(np.abs(of_x0 - gradient)) < 32 * largest * wanted.size * tolerance
 
 
+def test_free_bodies_that_turn_far_in_a_step():
+    """By several turns: the other coordinates of su(3) turn by half of the angle, which is known up to whole turns."""
+    ready, x0 = co.prepare(FREE, co.Splitting(parts="free_body"), 1.0), 3.0 * RNG.standard_normal((6, 8))
+    found, wanted = co.jax.solution(ready, (0, 4), backend="xla")(x0), ready.run(x0, (0, 4)).x
+    assert np.max(np.abs(found - wanted)) < 1e-9
+
+
 def prepared(inertia=(1.0, 2.0, 2.5), method=None, **options):
     return co.prepare(co.systems.rigid_body(inertia=inertia), method or co.Splitting(order=4), 0.05, **options)
 

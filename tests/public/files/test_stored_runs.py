@@ -320,6 +320,7 @@ OPTIONS = {
     "t_eval": [[0.125, 0.3, 1.4]],
     "events": [
         co.Event(1),
+        co.Event(co.Polynomial.variable(1, 3)),  # which is printed as the name of a coordinate
         [co.Event("x2"), co.Event(FAR, count=2, terminal=True)],
         [co.Event(co.Quadratic([1, 0, 0], [0, Fraction(1, 3), 0], -Fraction(1, 8)), name="far"), co.Event(0, -1)],
     ],

@@ -146,6 +146,33 @@ def test_parameters_of_a_compiled_step_are_those_of_the_scheme(scheme):
     assert np.max(np.abs(found - stepped(scheme, system, x, 0.3, 0.1, 3))) < 1e-14
 
 
+class Readings(Plain):
+    """A step to what it reads of its system, at two times."""
+
+    def step(self, system, x, t, h):
+        H, found = system.hamiltonian, np.empty(6)
+        found[:2] = system.energy(x, t), H.value(2 * x, t + h)
+        found[2:4], found[4:] = H.gradient(x, t + h)[:2], system.vector_field(x, t)[:2]
+        return found
+
+
+def test_a_compiled_step_reads_a_driven_system_at_any_time():
+    """By hand: e^t (cosh(x1) + x2^4) + x3 on the first of two so(3)."""
+    pytest.importorskip("numba")
+    H = co.Hamiltonian(
+        lambda y, t: np.exp(t) * (np.cosh(y[0]) + y[1] ** 4) + y[2],
+        lambda y, t: np.array([np.exp(t) * np.sinh(y[0]), 4 * np.exp(t) * y[1] ** 3, 1.0, 0.0, 0.0, 0.0]),
+    )
+    system, x = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), H), np.array([0.3, 1, 0.2, 0.5, 0.4, 0.7])
+    f, after = np.exp(0.75), np.exp(1.0)
+    values = f * (np.cosh(0.3) + 1) + 0.2, after * (np.cosh(0.6) + 16) + 0.4
+    field = system.structure_matrix(x)[:2, :3] @ [f * np.sinh(0.3), 4 * f, 1.0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = co.stepper(system, Readings(), 0.25)(x, 0.75)
+    np.testing.assert_allclose(found, [*values, after * np.sinh(0.3), 4 * after, *field], rtol=1e-13)
+
+
 @dataclasses.dataclass(frozen=True)
 class InPlace(Plain):
     """A step in Python that changes the state that it was given, and keeps it."""

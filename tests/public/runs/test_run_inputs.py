@@ -111,6 +111,20 @@ def test_inputs_of_steps_in_python():
     assert np.array_equal(run.x, co.integrate(changed, x, SPANS[0], STEP, Classical()).x)
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.Splitting(order=2)], ids=str)
+def test_functions_of_coordinates_keep_their_derivatives_beside_inputs(method):
+    """Runs, their systems and tangents as those of the sum of the functions and the linear term."""
+    H = co.Separable({0: (np.cosh, np.sinh, np.cosh), 2: (lambda y: y**4, lambda y: 4 * y**3, lambda y: 12 * y**2)})
+    x, linear = np.array([0.4, -0.3, 0.5]), np.array([0.1, 0.2, -0.4])
+    ready = co.prepare(co.LiePoissonSystem(co.algebras.so(3), H), method, STEP, inputs=True)
+    run = ready.run(x, SPANS[0], linear=linear)
+    field, h = run.system.vector_field, 2.0**-13
+    near = [(field(x + d) - field(x - d)) / (2 * h) for d in h * np.eye(3)]
+    np.testing.assert_allclose(run.system.jacobian(x), np.transpose(near), atol=1e-7)
+    np.testing.assert_allclose(run.system.hamiltonian.hessian(x), np.diag([np.cosh(0.4), 0.0, 3.0]), rtol=1e-15)
+
+
 def test_coefficients_that_other_terms_share_are_refused():
     """A linear coefficient that is the sum of several, and coordinates that squares of two terms contain."""
     piece = co.SplitHamiltonian([((0,), co.Quadratic(0.3, linear=[0.25]))])
