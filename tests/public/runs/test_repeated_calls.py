@@ -11,6 +11,8 @@ import coadjoint as co
 
 BODY, STEP = co.systems.rigid_body(inertia=(1, 2, 2.5)), 0.0625
 PUSHED = BODY.with_forces(co.forces.Torque(lambda t: np.array([t, 1.0 - t, t * t])))
+WAVE = lambda y, t: np.cos(y) * (1.0 + 0.25 * t), lambda y, t: -np.sin(y) * (1.0 + 0.25 * t)
+WAVES = co.LiePoissonSystem(co.algebras.so(3), co.Separable(dict.fromkeys(range(3), WAVE)))
 X = np.array([0.3, -0.8, 0.5])
 MANY = X * np.linspace(0.5, 1.0, 4)[:, None]
 BLOWN = np.array([1e150, 1e150, -1e150])
@@ -102,6 +104,7 @@ CASES = {
     "attitude": Case(co.Splitting(order=2), attitude=True),
     "inputs": Case(co.Splitting(order=2), inputs=True),
     "inputs, tables of each member": Case(co.ReversibleSteps(co.Splitting(order=2)), inputs=True),
+    "energy of the time": Case(co.Splitting(order=2), WAVES),
     "torque at times": Case(co.Splitting(order=2), PUSHED),
     "torque at substeps": Case(co.Splitting(order=4), PUSHED),
 }
