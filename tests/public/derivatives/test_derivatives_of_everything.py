@@ -204,6 +204,26 @@ def test_derivatives_by_torques_that_are_inputs(scheme):
                        values=values)  # fmt: skip
 
 
+WAVE = (
+    lambda y, t: np.cos(y) * (1.0 + np.sin(6.0 * t)),
+    lambda y, t: -np.sin(y) * (1.0 + np.sin(6.0 * t)),
+    lambda y, t: -np.cos(y) * (1.0 + np.sin(6.0 * t)),
+)
+
+
+@pytest.mark.parametrize(
+    "damping", [F.DoubleBracketDamping(0.9), F.HeatBath(0.9, temperature=0.2, seed=5)], ids=["damping", "bath"]
+)
+def test_dampings_on_the_orbit_are_differentiated_with_an_energy_of_the_time(damping):
+    """In long steps, within which the energy changes, against differences of the runs."""
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(dict.fromkeys(range(3), WAVE))).with_forces(damping)
+    ready, x0, span, h = co.prepare(system, co.Splitting(), 0.25), np.array([0.3, -0.8, 0.5]), (0.5, 1.0), 2.0**-14
+    _, tangents = ready.jvp(x0, span, {"x0": np.eye(3)})
+    # Members of one run have different noise.
+    ends = [np.array([ready.run(x0 + d, span).x[-1] for d in sign * h * np.eye(3)]) for sign in (1.0, -1.0)]
+    np.testing.assert_allclose(tangents.x[-1], (ends[0] - ends[1]).T / (2 * h), rtol=0, atol=1e-7)
+
+
 EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
 OF_FIELDS = ("IsospectralGauss", "LineSplitting")
 WITH_STEPS = [one for one in EVERY_SCHEME if not one.own_steps and type(one).__name__ not in OF_FIELDS]
