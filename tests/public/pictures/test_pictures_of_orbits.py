@@ -121,6 +121,21 @@ def test_surfaces_that_are_not_compact(
         assert limits[0] < run.x[:, i].min() and run.x[:, i].max() < limits[1]
 
 
+def test_the_surface_of_an_angle_goes_through_the_orbit_along_its_cut() -> None:
+    """A spiral r = exp(2 angle) beside the axis of A3,7, on which the logarithm with the angle is a constant."""
+    angle = np.linspace(0.5 * np.pi, 1.5 * np.pi, 400)
+    radius = np.exp(2.0 * (angle - np.pi))
+    x = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0.1 * angle], axis=1)
+    run = made_at(0.1 * np.arange(len(x)), x[:, None], co.systems.paper_a37(2.0))
+    axes = axes_of(run, "coadjoint orbit", view=(-90.0, 90.0))  # along the axis
+    axes.figure.draw_without_rendering()
+    corners = np.concatenate([path.vertices for path in axes.collections[0].get_paths()])
+    seen = np.array(proj_transform(*x.T, axes.get_proj()))[:2].T
+    distances = np.linalg.norm(seen[::20, None] - corners, axis=-1).min(axis=1)
+    # A cell of the surface is a 36th of the box.
+    assert np.max(distances) < 1.5 / 36 * np.ptp(corners, axis=0).max()
+
+
 def test_long_runs_are_thinned_to_what_can_be_seen() -> None:
     run = co.integrate(BODY, (0.1, 1.0, 0.1), (0.0, 18000.0), 0.1)
     _, components, orbit = run.plot().axes
