@@ -377,6 +377,23 @@ def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
         np.testing.assert_allclose(of_x0, gradient, rtol=0, atol=1e-10 * np.abs(gradient).max())
 
 
+def by_rows(x, t, tau):
+    y = x.copy().reshape(2, 3)
+    y[0][1] -= 0.3 * tau * y[1][2]
+    row = y[1]
+    row[0] *= 1.0 - 0.2 * tau
+    y[:, 2][0] += 0.1 * tau
+    return y.ravel()
+
+
+def test_functions_write_into_rows_and_columns_of_their_arrays():
+    """As NumPy does, whose rows and columns are views."""
+    ready = co.prepare(co.systems.heavy_top().with_forces(forces.OwnForce(by_rows, name="rows")), co.Splitting(), 0.1)
+    x0 = 0.7 * np.cos(1.0 + np.arange(6))
+    found = co.jax.solution(ready, (0.0, 0.5), backend="xla")(x0)
+    np.testing.assert_allclose(found, ready.run(x0, (0.0, 0.5)).x, rtol=0, atol=1000 * UNIT_ROUNDOFF)
+
+
 ATTITUDES = {
     "body": (BODY, co.Splitting(order=4), True, {}),
     "free body": (co.systems.heavy_top(), co.Splitting(parts="free_body"), True, {"save_every": 4}),
