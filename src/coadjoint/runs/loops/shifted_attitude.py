@@ -104,8 +104,6 @@ class ShiftCorrection:
     @cached_property
     def _unshift(self) -> Callable[..., None]:
         """The kernel with the tables."""
-        from coadjoint.runs.loops.shifted_attitude import unshifting
-
         return unshifting(self._tables)
 
     @cached_property
