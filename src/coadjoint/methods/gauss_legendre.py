@@ -187,10 +187,10 @@ class IteratedGaussLegendre(RungeKuttaMethod):
     symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", read_stages(self.stages, "stages of IteratedGaussLegendre"))
+        name = type(self).__name__
+        object.__setattr__(self, "stages", read_stages(self.stages, f"stages of {name}"))
         if self.iterations is not None:
-            count = read_stages(self.iterations, "iterations of IteratedGaussLegendre")
-            object.__setattr__(self, "iterations", count)
+            object.__setattr__(self, "iterations", read_stages(self.iterations, f"iterations of {name}"))
 
     @property
     def function_iterations(self) -> int:
@@ -204,7 +204,7 @@ class IteratedGaussLegendre(RungeKuttaMethod):
 
     @property
     def order(self) -> int:
-        """min(m + 1, 2 s)."""
+        """The number of function iterations and 1, at most 2 s."""
         return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
@@ -226,7 +226,7 @@ FREEZES = ("structure", "gradient")
 
 
 @dataclass(frozen=True)
-class ModifiedGaussLegendre(RungeKuttaMethod):
+class ModifiedGaussLegendre(IteratedGaussLegendre):
     """Gauss-Legendre with m - 1 function iterations and then one linear system: order min(m, 2 s).
 
     ``X^0 = x``; equation (6) for l = 1, ..., m - 1; then, with Z = X^(m-1), the linear system for X = X^m
@@ -279,13 +279,9 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     freeze: str = "structure"
 
     explicit = False
-    symmetric = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "stages", read_stages(self.stages, "stages of ModifiedGaussLegendre"))
-        if self.iterations is not None:
-            count = read_stages(self.iterations, "iterations of ModifiedGaussLegendre")
-            object.__setattr__(self, "iterations", count)
+        super().__post_init__()
         read_choice(self.freeze, "freeze", FREEZES)
 
     @property
@@ -297,11 +293,6 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
     def solver(self) -> str:
         """The value of `freeze`."""
         return self.freeze
-
-    @property
-    def order(self) -> int:
-        """min(m, 2 s)."""
-        return min(self.function_iterations + 1, 2 * self.stages)
 
     def properties(self, system: System) -> Properties:
         """Return the properties: the energy, or the quadratic Casimirs, are preserved."""
@@ -319,12 +310,3 @@ class ModifiedGaussLegendre(RungeKuttaMethod):
                 f'{system.name} does not have; take freeze="structure" or GaussLegendre'
             )
         return Properties(poisson=False, energy=False, casimirs="quadratic", attitude="coadjoint")
-
-    @property
-    def collocation(self) -> list[Fraction]:
-        """The Legendre polynomial of degree s on [0, 1]."""
-        return node_polynomial(self.stages)
-
-    def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau of the Gauss-Legendre method."""
-        return gauss_tableau(self.stages, number)
