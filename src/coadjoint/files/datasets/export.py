@@ -32,6 +32,7 @@ from coadjoint.files.records.reconstruction import events_of, not_stored
 from coadjoint.files.records.records import event_record, record_of, system_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods import registry
+from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import integrate
@@ -249,6 +250,15 @@ def _attributes(dataset: Any) -> Mapping[Any, Any]:
     return attributes
 
 
+def stored_method(attributes: Mapping[Any, Any]) -> Method:
+    """Return the scheme of a stored run."""
+    entry = parsed(attributes["method"], "method")
+    description = entry.plain_table()
+    _check_registered(description)
+    with as_value_errors(entry):
+        return registry.from_description(description)
+
+
 def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
     """Return the arguments of `solution_inputs`, without its check of the initial coadjoint matrix."""
     attributes = _attributes(dataset)
@@ -258,11 +268,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     dataset = stacked(dataset)
     entries = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
     x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
-    method_entry = parsed(attributes["method"], "method")
-    description = method_entry.plain_table()
-    _check_registered(description)
-    with as_value_errors(method_entry):
-        method = registry.from_description(description)
+    method = stored_method(attributes)
     start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
     step, save_every = entries["step"].number(), entries["save_every"].integer(1)
     with as_value_errors(entries["step"]):

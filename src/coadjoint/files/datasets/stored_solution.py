@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import in_one_line
+from coadjoint.files.datasets.export import stored_method
 from coadjoint.files.datasets.variables import OBSERVED_NAMES, joined_complex
 from coadjoint.files.records.entries import parsed
 from coadjoint.keyword_hints import NamedValues
@@ -81,8 +83,20 @@ class StoredSolution(Solution):
 
     @cached_property
     def method(self) -> Method:
-        method: Method = self._arguments["method"]
-        return method
+        return stored_method(self.attributes)
+
+    @property
+    def _title(self) -> str:
+        # The system is not rebuilt, which functions prevent.
+        name = parsed(self.attributes["system"], "system")["name"].text()
+        return in_one_line(f"{name} by {self.attributes['method_repr']}")
+
+    @cached_property
+    def _driven(self) -> bool:
+        try:
+            return super()._driven
+        except ValueError:  # its Hamiltonian is a function, which was not stored, and may depend on time
+            return True
 
     @cached_property
     def watched(self) -> bool:

@@ -131,7 +131,8 @@ def _check_stored(record: Entry, name: str) -> None:
     if required:
         raise ValueError(
             f"{short(name)[1:-1]} cannot be rebuilt from its record, since functions are not stored "
-            f"({short(', '.join(required), 200)[1:-1]}); make the system in Python and integrate it there"
+            f"({short(', '.join(required), 200)[1:-1]}); make the system in Python, and give it as `system` to load or "
+            "open_archive, or to integrate"
         )
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.keyword_hints import NamedValues, suggest_keywords, unknown_solution_attribute
 from coadjoint.runs.results.quantities import Drift, scales_of_invariants
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, unfinished_members
-from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, table_of_run
+from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, is_driven, table_of_run
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.coordinates import CoordinateGroups
@@ -93,9 +93,17 @@ class Solution(SolutionOutput):
     def __delattr__(self, name: str) -> None:
         raise FrozenInstanceError(f"cannot delete field {name!r}: a Solution cannot be changed")
 
+    @property
+    def _title(self) -> str:
+        return f"{self.system.name} by {self.method}"
+
+    @property
+    def _driven(self) -> bool:
+        return is_driven(self.system)
+
     def __repr__(self) -> str:
         members = "" if self.failed is None else f", {len(self.failed)} members"
-        return f"<solution of {self.system.name} by {self.method}: {extent_text(self)}, step {self.step:g}{members}>"
+        return f"<solution of {self._title}: {extent_text(self)}, step {self.step:g}{members}>"
 
     def _repr_html_(self) -> str:
         return table_of_run(self)

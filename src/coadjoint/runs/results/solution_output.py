@@ -384,7 +384,7 @@ def table_of_run(solution: Solution) -> str:
         rows["members"] = f"{len(solution.failed)}" + (f", of which {count} have failed" if count else "")
     changes = solution.change()
     energy = changes.pop("energy")
-    driven = is_driven(solution.system) or bool(solution.work)
+    driven = solution._driven or bool(solution.work)
     rows[f"{'change' if driven else 'drift'} of energy"] = f"{energy:.2g}"
     worst = sorted(changes, key=lambda name: -float(changes[name]))
     for name in worst[:MAX_CASIMIRS_SHOWN]:
@@ -393,4 +393,4 @@ def table_of_run(solution: Solution) -> str:
         rows["other Casimirs"] = (
             f"{len(worst) - MAX_CASIMIRS_SHOWN}, none beyond {changes[worst[MAX_CASIMIRS_SHOWN]]:.2g}"
         )
-    return html_table(f"{solution.system.name} by {solution.method}", rows)
+    return html_table(solution._title, rows)
