@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
@@ -76,6 +77,26 @@ def test_every_frame_shows_its_own_time(name):
             (levels,) = axes.collections
             np.testing.assert_allclose(levels.zmax, values(k).max(), rtol=1e-12)
             np.testing.assert_allclose(levels.zmin, values(k).min(), rtol=1e-12)
+
+
+def pixels(axes: Any) -> np.ndarray:
+    canvas = FigureCanvasAgg(axes.figure)
+    canvas.draw()
+    return np.array(canvas.buffer_rgba())
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", MOVING)
+def test_a_picture_that_is_updated_is_the_picture_of_that_time(name):
+    """Every mark of it: no dot, arrow or text of another time is left."""
+    run, picture, _ = moving(name)
+    last, k = len(run.t) - 1, 4
+    updated, drawn = Figure((4, 3)).add_subplot(), Figure((4, 3)).add_subplot()
+    update = kinds()[name].prepare(PlottedRun(run), **(picture.options | {"at": 1.0}))(updated)
+    before = pixels(updated)
+    update(k)
+    kinds()[name].prepare(PlottedRun(run), **(picture.options | {"at": k / last}))(drawn)
+    assert (pixels(updated) == pixels(drawn)).all() and (pixels(updated) != before).any()
 
 
 @pytest.mark.parametrize("view", [(30.0, 20.0), (-140.0, -35.0)])

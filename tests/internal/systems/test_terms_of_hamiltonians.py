@@ -61,6 +61,7 @@ def test_the_polynomial_of_a_hamiltonian_has_all_of_its_parts():
             ((0,), co.Quadratic(2.0, linear=[1.0], constant=0.5)),
         ]
     ).bind(3)
+    np.testing.assert_array_equal(linear_of(split), split.gradient(np.zeros(3)))
     both = as_hamiltonian(split + co.Polynomial({(1, 1, 1): 2.0, (0, 0, 0): 7.0}, dim=3), 3)
     for H in (split, both, as_hamiltonian(co.Quadratic(3.0, constant=1.0), 3)):
         polynomial = polynomial_of(H)

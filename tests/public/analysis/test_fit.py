@@ -394,6 +394,9 @@ def test_coordinates_that_must_be_one_are_not_fitted():
     np.testing.assert_allclose(found.values["x0"], x0, atol=1e-8)
     with refused(ValueError, "x0[9]", "must be 1"):
         co.fit(ready, x0, (0, 1), exact, {"x0": (0, 9)}, 4, sigma={"x": 0.01})
+    starts = np.stack([x0, 1.01 * x0 - 0.01 * np.eye(10)[9]])
+    both = co.fit(ready, starts, (0, 1), {"x": ready.run(starts, (0, 1), 4).x}, {"x0": True}, 4, sigma={"x": 0.01})
+    assert both.unknowns == tuple(("x0", k) for k in range(20) if k not in (9, 19))
 
 
 @pytest.mark.parametrize(

@@ -142,6 +142,11 @@ def test_second_derivatives_and_attitudes(kind):
     hessian = jax.jit(jax.jacrev(gradient))(x)
     np.testing.assert_allclose(hessian, hessian.T, rtol=0, atol=1e-14)
     np.testing.assert_allclose(hessian @ x, differences(jax.jit(gradient), [x], [x]), rtol=0, atol=1e-11)
+    # At rest too, where no rate is left to divide by.
+    turned = jax.jacfwd(lambda x: co.jax.free_body(x, np.eye(3), inertia, h)[1])
+    for start in (x, np.zeros(3)):
+        curved = jax.jit(jax.jacfwd(turned))(start) @ x
+        np.testing.assert_allclose(curved, differences(jax.jit(turned), [start], [x]), rtol=0, atol=1e-10)
     # A rotation of space turns the attitude, and does nothing else.
     turn = np.array([[0.0, -0.3, 0.2], [0.3, 0.0, -0.1], [-0.2, 0.1, 0.0]])
     (_, A), (dx, dA) = jax.jvp(lambda A: co.jax.free_body(x, A, inertia, h), (np.eye(3),), (turn,))
