@@ -7,7 +7,7 @@ import coadjoint as co
 from satellite_forces import CASES, STEP
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(8)
 @pytest.mark.parametrize("name", CASES)
 def test_derivatives_by_parameters_of_forces(name):
     """Tangents, gradients and differences of whole runs, over two samples, where no limit is reached."""
