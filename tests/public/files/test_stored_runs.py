@@ -489,6 +489,23 @@ def test_functions_are_named_and_given_again_to_load(name, tmp_path):
     assert co.load(tmp_path / "run.nc", system=system).system is system
 
 
+@pytest.mark.parametrize("suffix", ["nc", "zarr"])
+def test_another_system_than_that_of_the_run_is_refused(suffix, tmp_path):
+    states, path = np.array([X, X, X]), tmp_path / f"run.{suffix}"
+    kept = {"archive": path} if suffix == "zarr" else {}
+    sol = co.integrate(FUNCTION, states, (0, 0.25), 0.125, co.GaussLegendre(2), **kept)
+    if not kept:
+        sol.to_xarray().to_netcdf(path)
+    for fitting in (FUNCTION, co.batch([FUNCTION, own(Q), own(P)])):
+        assert co.load(path, system=fitting).at(0.2).x.shape == (3, 3)
+    with refused(TypeError, "system", "'body'"):
+        co.load(path, system="body").at(0.2)
+    with refused(ValueError, "heavy_top", "(6,)", "(3, 3)"):
+        co.load(path, system=co.systems.heavy_top()).at(0.2)
+    with refused(ValueError, "2 members", "(3, 3)"):
+        co.load(path, system=co.batch([FUNCTION, own(Q)])).at(0.2)
+
+
 def test_functions_that_do_not_move_a_run_are_named_and_left_out():
     invariant = co.Invariant(lambda x: 3.0)
     square = co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})

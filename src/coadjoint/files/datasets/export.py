@@ -41,6 +41,7 @@ from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.system_checks import check_system
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -287,11 +288,21 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
             f"the run may have been ended by an event, and {attributes['events_not_stored']} is a function, which was "
             "not stored; run the script that wrote the dataset"
         )
-    if system is None:
-        dim = int(np.prod([size for name, size in dataset["x0"].sizes.items() if name != "member"]))
-        system = system_of(parsed(attributes["system"], "system"), dim)
-        if "component" in dataset["x0"].dims:
-            system = system.in_numbers  # states of matrices may be rows of numbers
+    sizes = dict(dataset["x0"].sizes)
+    members = sizes.pop("member", None)
+    if given := system is not None:
+        check_system(system)
+    else:
+        system = system_of(parsed(attributes["system"], "system"), int(np.prod(list(sizes.values()))))
+    if "component" in sizes:
+        system = system.in_numbers  # states of matrices may be rows of numbers
+    shape = x0.shape if members is None else x0.shape[1:]
+    if given and (system.shape != shape or (system.is_batch and len(system) != members)):
+        count = f"{len(system)} members with " if system.is_batch else ""
+        raise ValueError(
+            f"the given system, {short(system.name, 60)}, has {count}states of shape {system.shape}, but x0 of the run "
+            f"has the shape {x0.shape}; give the system of the run"
+        )
     if events is None:
         events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
     return {

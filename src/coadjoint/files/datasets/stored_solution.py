@@ -89,7 +89,7 @@ class StoredSolution(Solution):
     def _title(self) -> str:
         # The system is not rebuilt, which functions prevent.
         name = parsed(self.attributes["system"], "system")["name"].text()
-        return in_one_line(f"{name} by {self.attributes['method_repr']}")
+        return f"{in_one_line(name)} by {self.method}"
 
     @cached_property
     def _driven(self) -> bool:
