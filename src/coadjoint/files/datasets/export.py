@@ -301,7 +301,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
         count = f"{len(system)} members with " if system.is_batch else ""
         raise ValueError(
             f"the given system, {short(system.name, 60)}, has {count}states of shape {system.shape}, but x0 of the run "
-            f"has the shape {x0.shape}; give the system of the run"
+            f"has the shape {x0.shape}; give the system of the run, as its solution had it, `sol.system`"
         )
     if events is None:
         events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
