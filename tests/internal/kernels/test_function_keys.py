@@ -338,6 +338,15 @@ def test_what_cannot_be_followed_is_named():
     assert not contents_of(lambda y: np.sin(y) + math.erf(y) + np.linalg.norm([y]) + len(np.fft.fft([y])))[1]
 
 
+def test_structures_deeper_than_python_can_follow_are_named():
+    chain, in_set = [], ()
+    for _ in range(sys.getrecursionlimit()):
+        chain, in_set = [chain], frozenset([in_set])
+    for deep in (chain, {"a": 1.0, "b": chain}, in_set):
+        assert "deep" in contents_of(lambda x, deep=deep: len(deep))[1][0]
+    assert not contents_of(lambda x, near=[[[1.0]]]: len(near))[1]
+
+
 def test_structures_that_contain_themselves():
     loop = [1.0]
     loop.append(loop)

@@ -76,6 +76,13 @@ RUNS = {  # beside those of ready-made systems, which are drawn with all schemes
     "in time": (timed, "order 4", X3, (0.5, 1.0), TIMES),
     "in time by stages": (timed, "Gauss", X3, (0.5, 1.0), {"attitude": "coadjoint"}),
     "in time, step by step": (timed, "commutator-free", X3, (0.5, 0.3), {"attitude": "coadjoint"}),
+    "from rest, step by step": (
+        named("gyrostat", inertia=(1.0, 2.0, 2.5)),
+        "commutator-free",
+        0 * X3,
+        (0.5, 0.7),
+        {"attitude": True},
+    ),
 }
 GIVEN = {"fields": [[3, 4], [5, 1]], "rotor": (0,)}
 FOUR = {"fields": np.array([[0.3, 0.1], [0.2, 0.4]]), "rotor": np.array([-0.2])}

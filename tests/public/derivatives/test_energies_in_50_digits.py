@@ -188,6 +188,14 @@ CASES = [(name, given, parameter) for name, given in VARIANTS for parameter in p
 SYMMETRIC = {"inertia", "mass", "on_site"}
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("name", "given"), VARIANTS, ids=str)
+def test_systems_of_all_arguments_have_the_parameters_of_their_formulas(name, given):
+    """An energy that is declared otherwise than that of the system would leave M and linear as parameters."""
+    assert bool(parameters_of(name, given)) == (name in FORMULAS)
+    assert set(parameters_of(name, given)) == set(parameters_of(name, {}))
+
+
 def numbers(value):
     """Return numbers in arrays of the reference; anything else as it is."""
     array = np.asarray(value)

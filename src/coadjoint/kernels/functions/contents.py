@@ -38,6 +38,13 @@ def contents_of(value: Any, written: bool = False) -> tuple[str, tuple[str, ...]
     """Return the digest of a value and of all that functions in it read, if `written` of their source text, equal in
     all processes of one version of Python; and the names of parts without one.
     """
+    try:
+        return _contents_of(value, written)
+    except RecursionError:
+        return "", ("objects in objects, too deep to be followed",)
+
+
+def _contents_of(value: Any, written: bool) -> tuple[str, tuple[str, ...]]:
     walk = _Digester(written)
     walk.add(value)
     return walk.digest.hexdigest(), tuple(dict.fromkeys(walk.unknown))
@@ -124,7 +131,7 @@ class _Digester:
             self._open.pop()
 
     def _add_unordered(self, values: Iterable[Any]) -> None:
-        contents = [contents_of(value, self._written) for value in values]
+        contents = [_contents_of(value, self._written) for value in values]
         self._update(*sorted(digest for digest, _ in contents))
         self.unknown += [what for _, unknown in contents for what in unknown]
 

@@ -323,7 +323,7 @@ def goryachev_chaplygin_top(equatorial: float = 4.0, lever: npt.ArrayLike = (1.0
 
     State, sign -1, Casimirs and group element are those of `heavy_top`. It is integrable only if the vertical momentum
     m . gamma is zero. Its additional integral is therefore not in ``integrals``, which hold for all states:
-    `goryachev_chaplygin_integral` returns it, for ``observe``.
+    `coadjoint.systems.bodies.heavy_tops.goryachev_chaplygin_integral` returns it, for ``observe``.
 
     Parameters
     ----------
