@@ -218,3 +218,12 @@ def test_sizes_are_refused():
 def test_wrong_degrees_are_refused(wrong):
     with refused(ValueError, "max_degree", repr(wrong)):
         co.algebras.so(3).casimirs(wrong)
+
+
+def test_summands_with_the_same_constants_at_other_places_have_their_own_casimirs():
+    g = co.LieAlgebra.from_brackets(6, ["[e1,e2]=e3", "[e5,e6]=e4"])
+    x = np.arange(1.0, 7.0)
+    slopes = [C.gradient(x) for C in g.casimirs().values()]
+    assert len(slopes) == 2
+    for slope in slopes:
+        assert not np.any(g.structure_matrix(x) @ slope)

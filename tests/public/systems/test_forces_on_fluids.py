@@ -285,3 +285,12 @@ def test_each_mode_of_the_layer_decays_by_its_own_rate_and_nothing_else_moves(s,
 def test_refused_forces(call, named):
     with refused((ValueError, TypeError), *named):
         call()
+
+
+def test_a_carried_field_of_degree_one_decays():
+    """Rotation keeps only the vorticity of degree 1."""
+    system = co.systems.passive_scalar(N=6)
+    field = 1j * np.diag(np.arange(6) - 2.5)
+    forced = system.with_forces(co.forces.Viscosity(0.1, layer="carried"))
+    run = co.integrate(forced, np.stack([field, 0 * field]), (0, 1), 0.125, co.IsospectralGauss())
+    np.testing.assert_allclose(run.x[-1, 0], np.exp(-0.2) * field, rtol=0, atol=1e-12)

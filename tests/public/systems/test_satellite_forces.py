@@ -344,3 +344,13 @@ def test_a_wheel_that_starts_beyond_its_limit_is_driven_back_only(sign):
         x0 = sat.state()
         x0[12] = 0.1 * sign
         assert co.integrate(sat, x0, (0, 1), STEP).x[-1, 12] == pytest.approx(expected * sign, abs=1e-15)
+
+
+def test_gyros_beside_wheels_point_the_body():
+    """Their angles come after the speeds of the wheels in the state."""
+    gyros = [[(-q, p, 0), (-0.6 * p, -0.6 * q, 0.8)] for p, q in ((1, 0), (0, 1), (-1, 0), (0, -1))]
+    law = co.forces.Pointing(stiffness=0.5, damping=1.5)
+    motors = co.forces.ControlMomentGyros(law, period=0.5, max_rate=0.5)
+    body = co.systems.body((1.0, 2.0, 2.5), wheels=0.01 * np.eye(3), gyros=gyros).with_forces(motors)
+    run = co.integrate(body, body.state([0.0, 0.0, 0.6, 0.8]), (0, 80), 0.125)
+    assert run.rotation[0].magnitude() > 1.0 and run.rotation[-1].magnitude() < 1e-6
