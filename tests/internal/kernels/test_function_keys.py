@@ -345,6 +345,8 @@ def test_structures_deeper_than_python_can_follow_are_named():
     for deep in (chain, {"a": 1.0, "b": chain}, in_set):
         assert "deep" in contents_of(lambda x, deep=deep: len(deep))[1][0]
     assert not contents_of(lambda x, near=[[[1.0]]]: len(near))[1]
+    first, second = (fingerprint_of([chain, number]) for number in (1.0, 2.0))
+    assert not same_fingerprint(first, second)
 
 
 def test_structures_that_contain_themselves():

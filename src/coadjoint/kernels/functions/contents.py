@@ -36,7 +36,8 @@ IGNORED_ATTRIBUTES = frozenset(
 
 def contents_of(value: Any, written: bool = False) -> tuple[str, tuple[str, ...]]:
     """Return the digest of a value and of all that functions in it read, if `written` of their source text, equal in
-    all processes of one version of Python; and the names of parts without one.
+    all processes of one version of Python; and the names of parts without one. The digest is empty if objects are
+    nested too deep.
     """
     try:
         return _contents_of(value, written)
