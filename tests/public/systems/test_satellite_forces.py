@@ -1,5 +1,7 @@
 """Forces on a satellite: DOP853 in quaternions, closed forms, bits, archives and refusals."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from pairs_of_bodies import splitting
@@ -333,6 +335,26 @@ def test_the_symmetric_part_of_a_quadrupole_without_its_trace_matters():
     )
     x = own.state(TURNED)
     assert own.vector_field(x)[:3] == pytest.approx(other.vector_field(x)[:3], abs=1e-14)
+
+
+@pytest.mark.parametrize("name", ["SolarPressure", "Drag"])
+def test_normals_that_are_unit_vectors_up_to_rounding(name):
+    """Their length is removed up to a millionth, and refused beyond."""
+    force = CASES[name].force
+    system = CASES[name].system.unforced
+
+    def field(length):
+        normals = (length * np.array(force.normals)).tolist()
+        return system.with_forces(dataclasses.replace(force, normals=normals)).vector_field(CASES[name].start)
+
+    free = system.vector_field(CASES[name].start)
+    push = np.abs(field(1.0) - free).max()
+    for length in (1 - 9e-7, 1 + 9e-7):
+        np.testing.assert_allclose(field(length), field(1.0), rtol=0, atol=16 * 2.0**-53 * (push + np.abs(free).max()))
+        assert push * 9e-7 > 1e4 * 16 * 2.0**-53 * np.abs(free).max()
+    for length in (1 - 2e-6, 1 + 2e-6):
+        with refused(ValueError, name, "unit vectors"):
+            field(length)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -99,6 +99,17 @@ def test_traces_are_integrals_in_involution(kind, n):
     assert np.linalg.matrix_rank(gradients) == len(functions) == n + (kind == "ring")
 
 
+@pytest.mark.parametrize("kind", MADE)
+@pytest.mark.parametrize(("n", "highest"), [(8, 8), (9, 4), (64, 4), (65, 2)])
+def test_traces_of_long_lattices(kind, n, highest):
+    """All of them up to 8 sites, those of the third and fourth powers up to 64, none beyond."""
+    system, x = MADE[kind](n), state(n, kind, seed=n)
+    assert list(system.integrals) == [f"tr L^{k}" for k in range(3, highest + 1)]
+    for k in range(3, highest + 1):
+        wanted = np.trace(np.linalg.matrix_power(matrix(n, x), k))
+        assert system.integrals[f"tr L^{k}"](x) == pytest.approx(wanted, rel=1e-12)
+
+
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("n", [5, 64, 65, 80])
 def test_rings_with_a_of_either_sign(n):
