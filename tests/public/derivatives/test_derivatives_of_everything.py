@@ -279,6 +279,8 @@ MATRICES = {  # of the user, and with forces
     "gl": (matrices("gl", co.systems.Weights(SYMMETRIC)), co.IsospectralGauss(2), 2),
     "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), -2),
     "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 2),
+    "function of time, composed": (matrices("so", lambda W, t: (1.0 + 5.0 * t) * OFF_DIAGONAL * W),
+        co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)), -2),
     "nonlinear": (matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
         co.IsospectralGauss(2), 2),
     "forces": (forced(named("sphere_euler", N=4, rotation=0.7), (F.Viscosity, {"nu": 0.05, "rotation": True}),
