@@ -327,8 +327,15 @@ def clipped(x, t, tau):
 WHEELED = co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3))
 LAW = co.forces.Pointing(0.5, 1.5, error="quaternion")
 forces, PLATES = co.forces, (([2.0, 1.0], [(1, 0, 0), (0, 1, 0)], [(0, 0, 0.5), (0.1, 0.2, 0.3)]))
+WAVE = (
+    lambda y, t: np.cos(y) * (1.0 + np.sin(6.0 * t)),
+    lambda y, t: -np.sin(y) * (1.0 + np.sin(6.0 * t)),
+    lambda y, t: -np.cos(y) * (1.0 + np.sin(6.0 * t)),
+)
+IN_TIME = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.1, 0.2, 0.3]) + co.Separable({0: WAVE}))
 FORCED = {
     "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
+    "energy of the time": (IN_TIME, [forces.DoubleBracketDamping(0.9)]),
     "heat bath": (SPIN, [forces.HeatBath(0.3, temperature=0.5, seed=7)]),
     "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping((0.1, 0.2, 0.3))]),
     "branches": (BODY, [forces.Torque(kicked)]),
