@@ -292,6 +292,7 @@ MATRICES = {  # of the user, and with forces
     "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 2),
     "function of time, composed": (matrices("so", lambda W, t: (1.0 + 5.0 * t) * OFF_DIAGONAL * W),
         co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)), -2),
+    "two layers": (named("reduced_mhd", N=3), co.IsospectralGauss(2), -2),
     "lines": (on_torus(0.0), co.LineSplitting(), 2),
     "lines beside a constant stream": (on_torus(0.3), co.LineSplitting(4), -2),
     "lines, composed": (on_torus(0.3), co.Composition(co.LineSplitting(), (0.75, -0.5, 0.75)), 2),
