@@ -102,7 +102,7 @@ def _sum_found(names: Sequence[str], terms: Sequence[Term]) -> str:
         coordinates = sorted({int(k) for coupled in term.couplings() for k in coupled})
         shown = [names[k] for k in coordinates[:MAX_SHOWN]] + ["..."] * (len(coordinates) > MAX_SHOWN)
         pieces.append(f"a {'function' if term.called else 'polynomial'} of {', '.join(shown)}")
-    more = [f"{len(pieces) - MAX_SHOWN} more functions"] if len(pieces) > MAX_SHOWN else []
+    more = [f"{rest} more function{'s' if rest > 1 else ''}"] if (rest := len(pieces) - MAX_SHOWN) > 0 else []
     return "the sum of " + " and ".join([*pieces[:MAX_SHOWN], *more]) if len(pieces) > 1 else "".join(pieces)
 
 

@@ -273,12 +273,29 @@ def matrices(kind, stream, size=3, **terms):
     return lambda changed: co.MatrixSystem(co.MatrixAlgebra(kind, size), stream, **terms)
 
 
+def on_torus(size):
+    """Return the builder of a fluid on the torus, with a constant stream of a size."""
+
+    def build(changed):
+        torus = co.systems.torus_euler(N=5)
+        constant = torus.from_modes({(1, 0): size, (1, 1): 0.5 * size, (0, 1): 0.3j * size})
+        return torus if size == 0.0 else co.MatrixSystem(torus.algebra, torus.stream, constant)
+
+    return build
+
+
 MATRICES = {  # of the user, and with forces
     "composed": (named("sphere_euler", N=3, rotation=0.3), co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)),
         -2),
     "gl": (matrices("gl", co.systems.Weights(SYMMETRIC)), co.IsospectralGauss(2), 2),
     "function on sp": (matrices("sp", lambda W: W - W.T, 2), co.IsospectralGauss(2), -2),
     "function of time": (matrices("so", lambda W, t: (1.0 + 0.5 * t) * OFF_DIAGONAL * W), co.IsospectralGauss(2), 2),
+    "function of time, composed": (matrices("so", lambda W, t: (1.0 + 5.0 * t) * OFF_DIAGONAL * W),
+        co.Composition(co.IsospectralGauss(1), (0.75, -0.5, 0.75)), -2),
+    "two layers": (named("reduced_mhd", N=3), co.IsospectralGauss(2), -2),
+    "lines": (on_torus(0.0), co.LineSplitting(), 2),
+    "lines beside a constant stream": (on_torus(0.3), co.LineSplitting(4), -2),
+    "lines, composed": (on_torus(0.3), co.Composition(co.LineSplitting(), (0.75, -0.5, 0.75)), 2),
     "nonlinear": (matrices("gl", lambda W: W.T @ W @ W.T / 8, energy=lambda W: np.sum((W @ W.T) ** 2) / 32),
         co.IsospectralGauss(2), 2),
     "forces": (forced(named("sphere_euler", N=4, rotation=0.7), (F.Viscosity, {"nu": 0.05, "rotation": True}),

@@ -44,6 +44,12 @@ def of_algebra(algebra):
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 DIAGONAL = co.LiePoissonSystem(co.algebras.get("A3,2"), co.Quadratic([0.9, 0.5, 0.7], [0.1, 0.2, 0.3]))
 FREE = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(np.linspace(0.3, 1.0, 8)))
+WAVE = (
+    lambda y, t: np.cos(y) * (1.0 + np.sin(6.0 * t)),
+    lambda y, t: -np.sin(y) * (1.0 + np.sin(6.0 * t)),
+    lambda y, t: -np.cos(y) * (1.0 + np.sin(6.0 * t)),
+)
+IN_TIME = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.1, 0.2, 0.3]) + co.Separable({0: WAVE}))
 get = co.algebras.get
 SYSTEMS = {
     "body, 1": lambda: (BODY, co.Splitting(order=1)),
@@ -62,6 +68,8 @@ SYSTEMS = {
     "full free body": lambda: (of_algebra(co.algebras.so(3)), co.Splitting(parts="free_body")),
     "bonds": lambda: (co.systems.spin_lattice("chain", 3, field=(0.1, 0.2, 0.3)), co.Splitting(parts="bonds")),
     "30 spins": lambda: (co.systems.spin_lattice(shape=30, periodic=True), co.Splitting(order=1)),
+    "in time": lambda: (IN_TIME, co.Splitting(order=4)),
+    "in time, processed": lambda: (IN_TIME, co.Splitting(scheme="blanes_casas_murua6")),
     "Toda": lambda: (co.systems.toda(sites=4), co.Splitting(order=4)),
 }
 FULL = {"so(5)": 2, "su(3)": 2, "sl(2)": 4, "A3,7": 1, "A4,7": 2, "A4,10": 4, "heisenberg(2)": 4}
@@ -82,6 +90,7 @@ SPANS = {
 }
 # A3,7 has blocks by series.
 CASES = [("body, 1", "prime"), ("body, rational", "times"), ("body, Gauss", "backward times"), ("A3,7", "late")]
+CASES += [("in time, processed", "backward times")]
 REPEATED = [(name, list(SPANS)[k % 3]) for k, name in enumerate(SYSTEMS)]
 REPEATED += [("body, Gauss", "times"), ("top, free body", "times")]
 REPEATED += [("body, rational", "backward times"), ("e(3), cubic", "backward times"), ("body, 1", "times on steps")]
@@ -329,6 +338,7 @@ LAW = co.forces.Pointing(0.5, 1.5, error="quaternion")
 forces, PLATES = co.forces, (([2.0, 1.0], [(1, 0, 0), (0, 1, 0)], [(0, 0, 0.5), (0.1, 0.2, 0.3)]))
 FORCED = {
     "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
+    "energy of the time": (IN_TIME, [forces.DoubleBracketDamping(0.9)]),
     "heat bath": (SPIN, [forces.HeatBath(0.3, temperature=0.5, seed=7)]),
     "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping((0.1, 0.2, 0.3))]),
     "branches": (BODY, [forces.Torque(kicked)]),

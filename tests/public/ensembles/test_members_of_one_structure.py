@@ -55,6 +55,7 @@ def assert_as_alone(systems, method, states=None, whole=None, members=None, **op
             states[:, np.argmax(np.abs(systems[0].casimirs["z"].gradient(states[0])))] = 1.0
     if whole is None:
         whole = co.prepare(co.batch(systems), method, STEP, **options).run(states, SPAN, save_every=4)
+    largest = {}
     for m, one in enumerate(systems):
         if members is not None and m not in members:
             continue
@@ -65,6 +66,10 @@ def assert_as_alone(systems, method, states=None, whole=None, members=None, **op
             assert np.array_equal(whole.casimirs[label][:, m], values), (m, label)
         if "attitude" in options:
             assert np.array_equal(whole.attitude[:, m], alone.attitude), m
+        for name, value in alone.balance(relative=False).items():
+            largest[name] = max(largest.get(name, 0.0), value)
+    if members is None:
+        assert whole.balance(relative=False) == largest
     return whole
 
 

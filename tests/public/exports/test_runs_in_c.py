@@ -58,6 +58,10 @@ STRETCHED = co.LiePoissonSystem(
     co.algebras.change_of_basis(co.algebras.so(3), [[2, 0, 0], [0, 1, 0], [0, 0, 1]]), co.Quadratic([1, 2, 3])
 )
 """A body whose axes have generators of different lengths: rotations by their angles."""
+WIDE = co.LiePoissonSystem(
+    co.algebras.so(5), co.Quadratic(np.diag(np.linspace(1.0, 2.0, 10)) + 0.05, linear=np.linspace(-0.3, 0.4, 10))
+)
+"""Each component of the gradient is a sum of ten products and a number."""
 CASES = {
     "joined bonds": (co.systems.spin_lattice("ring", 12), co.Splitting(order=4, parts="bonds")),
     "bonds in a field": (
@@ -67,6 +71,7 @@ CASES = {
     "rotations in loops": (co.systems.spin_lattice("square", (4, 5), periodic=True), co.Splitting()),
     "blocks of copies": (co.systems.spin_lattice("kagome", (2, 2), dm=(0.0, 0.0, 0.3)), co.Splitting()),
     "long sums": (FULL, co.Splitting(order=4)),
+    "long sums of stages": (WIDE, co.ExplicitRungeKutta()),
     "a full body": (FULL, co.Splitting(order=4, parts="free_body")),
     "a body in an unequal basis": (STRETCHED, co.Splitting(parts="free_body")),
     "monomials in loops": (QUARTIC, co.Splitting(order=4)),

@@ -186,3 +186,17 @@ def test_schemes_may_be_given_by_name_everywhere(written):
     )
     for call in calls:
         np.testing.assert_array_equal(np.asarray(call(written), float), np.asarray(call(method), float))
+
+
+@pytest.mark.parametrize("name", ["rk4", "RK4", "runge2", "Runge2"])
+def test_tableaux_are_schemes_by_their_names_in_any_case(name):
+    assert co.prepare(co.systems.rigid_body(), name, 0.125).method == co.ExplicitRungeKutta(name.lower())
+
+
+ADAPTIVE = ["RK45", "rk23", "DOP853", "Radau", "BDF", "LSODA", "dopri5", "vode", "Tsit5", "odeint"]
+
+
+@pytest.mark.parametrize("name", ADAPTIVE)
+def test_adaptive_schemes_of_other_packages_are_refused_by_their_names(name):
+    with refused(ValueError, name, "estimate of the error", "accuracy="):
+        co.integrate(co.systems.rigid_body(), (1.0, 0.2, 0.1), (0, 1), 0.125, name)

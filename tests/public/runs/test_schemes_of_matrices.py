@@ -183,6 +183,45 @@ def test_tangents_along_a_nonlinear_stream_that_depends_on_time(scheme, size, h)
     assert step.tangent_by(W) == "differences"
 
 
+def cubic_stream(algebra, *traceless):
+    """Return the system of H = sum |W_ij|^4 / 4 on matrices without a trace in these blocks of rows."""
+    blocks = np.array(traceless)
+
+    def stream(W):
+        P = np.zeros_like(W)
+        for i in range(len(W)):
+            for j in range(len(W)):
+                P[j, i] = W[i, j].conjugate() * (W[i, j].real ** 2 + W[i, j].imag ** 2)
+        for first, last in blocks:
+            mean = 0.0 * P[0, 0]
+            for i in range(first, last):
+                mean += P[i, i] / (last - first)
+            for i in range(first, last):
+                P[i, i] -= mean
+        return P
+
+    return co.MatrixSystem(algebra, stream, energy=lambda W: np.sum(np.abs(W) ** 4) / 4)
+
+
+MATRICES = co.MatrixAlgebra
+TRACELESS = {
+    "sl(3)": (MATRICES("sl", 3), (0, 3)),
+    "sl(3, C)": (MATRICES("sl(C)", 3), (0, 3)),
+    "sl(2) + gl(2) + sl(3)": (MATRICES.sum(MATRICES("sl", 2), MATRICES("gl", 2), MATRICES("sl", 3)), (0, 2), (4, 7)),
+}
+
+
+@pytest.mark.parametrize("name", TRACELESS)
+def test_streams_of_stages_with_a_trace_are_those_without(name):
+    """Stages leave an algebra of trace zero; the compiled function and the plain one see them in it."""
+    system = cubic_stream(*TRACELESS[name])
+    W = system.algebra.projected(system.from_vector(np.random.default_rng(1).uniform(-1.0, 1.0, system.dim)))
+    for stages in (1, 2):
+        scheme = co.IsospectralGauss(stages)
+        found, plain = co.stepper(system, scheme, 0.2)(W), scheme.step(system, W, 0.0, 0.2)
+        assert np.abs(found - plain).max() < 256 * U * np.abs(W).max()
+
+
 @pytest.mark.parametrize("h", [1.0, -3.0])
 def test_commutator_free_steps_for_streams_of_any_shape(h):
     """In one exponential, in several substeps; sums of rows and columns of the stream may differ."""

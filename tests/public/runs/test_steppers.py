@@ -129,6 +129,41 @@ def test_derivatives_of_a_step_are_those_at_its_time(method):
         np.testing.assert_allclose(step.tangent_by_inputs(x, t, rotors=u), np.transpose(by_u), rtol=0, atol=8 * e**4)
 
 
+EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
+SYMMETRIC = [scheme for scheme in EVERY_SCHEME if scheme.symmetric and not isinstance(scheme, co.Composition)]
+COMPOSED = [co.Composition(scheme, (0.75, -0.5, 0.75)) for scheme in SYMMETRIC]
+WAVE = (
+    lambda y, t: np.cos(y) * (1.0 + np.sin(3.0 * t)),
+    lambda y, t: -np.sin(y) * (1.0 + np.sin(3.0 * t)),
+    lambda y, t: -np.cos(y) * (1.0 + np.sin(3.0 * t)),
+)
+PUSHED = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.4]) + co.Separable({0: WAVE, 2: WAVE}))
+
+
+def takes(scheme, system):
+    """Return whether a scheme supports a system."""
+    try:
+        scheme.properties(system)
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("scheme", [one for one in EVERY_SCHEME + COMPOSED if takes(one, PUSHED)], ids=str)
+def test_tangents_of_every_scheme_are_those_at_their_time(scheme):
+    """For an energy of the time, in compositions also in each substep; the reference are differences of steps."""
+    x, e = np.array([0.3, 1.0, 0.2]), 2.0**-7
+    for t, h in ((-3.0, 0.25), (2.0, -0.25)):
+        step = co.stepper(PUSHED, scheme, h)
+        # Of order 4, with an error of some e^4 and U / e.
+        differences = [
+            (8 * (step(x + by, t) - step(x - by, t)) - (step(x + 2 * by, t) - step(x - 2 * by, t))) / (12 * e)
+            for by in e * np.eye(3)
+        ]
+        np.testing.assert_allclose(step.tangent(x, t), np.transpose(differences), rtol=0, atol=8 * e**4)
+
+
 def test_steppers_are_safe_in_threads_and_after_failures():
     step = co.stepper(co.systems.rigid_body(), co.Splitting(), 0.1)
     states = np.random.default_rng(0).standard_normal((400, 3))
