@@ -248,6 +248,7 @@ def test_coordinates_have_the_values_that_were_given():
         assert dataset[name].values.tolist() == wanted
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("kind", "?bhilBHILefd")
 def test_coordinates_of_every_type_of_numpy_are_numbers(kind):
     values = np.array([1, 3], dtype=kind)
