@@ -41,6 +41,18 @@ def test_elimination_agrees_with_itself():
         )
 
 
+@pytest.mark.parametrize("name", ["so(5)", "e(3)", "heisenberg(3)", "sl(3)"])
+def test_ranks_do_not_depend_on_the_size_from_which_blocks_are_sparse(monkeypatch, name):
+    g = co.algebras.get(name)
+    dense = elimination.generic_rank(g.triples, g.dim)
+    monkeypatch.setattr(elimination, "MAX_DENSE_ROWS", 0)
+    assert (
+        elimination.generic_rank(g.triples, g.dim)
+        == dense
+        == np.linalg.matrix_rank(g.structure_matrix(np.random.default_rng(0).standard_normal(g.dim)))
+    )
+
+
 def test_primes_are_primes_of_62_bits():
     rng = np.random.default_rng(1)
     drawn = [elimination.random_prime(rng) for _ in range(20)]

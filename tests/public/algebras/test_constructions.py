@@ -364,6 +364,10 @@ REFUSED = {
     "a sum": ([[[1, 0], [0, 0]], [[0, 0], [0, 1]], np.eye(2)], ["A3 = 1 A1 + 1 A2"]),
     "dependent over roots": ([np.diag([1.0, np.sqrt(2)]), np.diag([np.sqrt(2), 2.0])], ["A2 = 1.41421 A1"]),
     "a root in the second one only": ([np.eye(2), np.sqrt(2) * np.eye(2)], ["A2 = 1.41421 A1"]),
+    "floats of very different sizes": (
+        [np.diag([np.pi, np.e]), 1e-6 * np.diag([np.e, 0.1]), np.diag([3e6 * np.pi - 2 * np.e, 3e6 * np.e - 0.2])],
+        ["A3 = 3e+06 A1 + -2e+06 A2"],
+    ),
     "zero": ([[[1]], [[0]]][1:], ["A1 = 0"]),
     "too many": (np.ones((5, 2, 2)), ["5 matrices of 2 x 2", "4"]),
     "none": ([], ["no matrices"]),
@@ -375,6 +379,11 @@ REFUSED = {
 }
 OPEN = {
     "a commutator outside": ([[[0, 1], [0, 0]], [[0, 0], [1, 0]]], ["[A1, A2]", "[[1.0, 0.0], [0.0, -1.0]]"]),
+    "an imaginary commutator": ([[[0, 1], [-1, 0]], [[1j, 0], [0, -1j]]], ["[[0j, -2j], [-2j, 0j]]"]),
+    "a complex commutator of floats": (
+        [[[0, 1 + 0.3j], [0, 0]], [[0, 0], [1.1j, 0]]],
+        ["[[(-0.33+1.1j), 0j], [0j, (0.33-1.1j)]]"],
+    ),
     "the third pair": (np.delete(co.algebras.so(4).representation, 5, 0), ["[A2, A3]"]),
     "a Hermitian set": (spin(3), ["-1j"]),
 }

@@ -210,6 +210,15 @@ def test_wrong_operations_are_refused(what):
         call()
 
 
+@pytest.mark.parametrize("combined", [lambda p, q: p + q, lambda p, q: p - q, lambda p, q: p * q], ids=["+", "-", "*"])
+def test_names_are_those_of_the_operand_that_has_some(combined):
+    named, plain = Polynomial("a*b", dim=2, basis=("a", "b")), Polynomial("x1 + 2*x2", dim=2)
+    for one, other in ((named, plain), (plain, named)):
+        result = combined(one, other)
+        assert result.names == (3 * result).names == (result**2).names == result.derivative(0).names == ("a", "b")
+    assert combined(plain, plain).names == ("x1", "x2")
+
+
 def test_powers_up_to_the_limit():
     assert (Polynomial.variable(0, 1) ** 1024).degree == Polynomial({(1024,): 1}).degree == 1024
     assert Polynomial("a*b", dim=2, basis=("b", "a")) == Polynomial({(1, 1): 1})

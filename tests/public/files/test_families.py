@@ -248,6 +248,16 @@ def test_coordinates_have_the_values_that_were_given():
         assert dataset[name].values.tolist() == wanted
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("kind", "?bhilBHILefd")
+def test_coordinates_of_every_type_of_numpy_are_numbers(kind):
+    values = np.array([1, 3], dtype=kind)
+    for given in (values, list(values)):
+        coordinates = co.batch(lambda third: body(2.5), third=given).axes["third"].values
+        assert coordinates.dtype == (np.float64 if kind in "efd" else np.int64)
+        assert coordinates.tolist() == values.tolist()
+
+
 @pytest.mark.parametrize("dims", [("run", "a", "b"), ("b", "run", "a"), ("b", "a", "run")], ids=str)
 def test_dimensions_of_states_in_any_order(dims):
     """All of one length, so that their order alone tells them apart."""

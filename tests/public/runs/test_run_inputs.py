@@ -140,6 +140,30 @@ def test_coefficients_that_other_terms_share_are_refused():
         co.prepare(both, co.Splitting(order=2, parts="coordinates"), STEP, inputs=True)
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("method", [co.GaussLegendre(2), co.ExplicitRungeKutta()], ids=str)
+@pytest.mark.parametrize("kind", ["quadratic", "polynomial", "separable", "split"])
+def test_inputs_replace_the_linear_term_beside_pieces_that_have_their_own(kind, method):
+    """Those of a piece stay, and are not counted twice."""
+    x, linear = np.array([0.4, -0.3, 0.5]), np.array([0.2, -0.3])
+    piece = co.SplitHamiltonian([((0,), co.Quadratic(0.3, linear=[0.25]))])
+    first = {
+        "quadratic": lambda: co.Quadratic([0.5, 0.6, 0.7], linear=[0.0, 0.1, 0.0]),
+        "polynomial": lambda: co.Polynomial("0.3*x1^2 + 0.25*x2^4 + x1*x2*x3 + 0.1*x2", dim=3),
+        "separable": lambda: co.Separable({1: (np.cosh, np.sinh, np.cosh)}),
+        "split": lambda: co.SplitHamiltonian([((2,), co.Quadratic(0.4, linear=[0.15]))]),
+    }[kind]()
+    given = co.LiePoissonSystem(co.algebras.so(3), first + piece)
+    run = co.prepare(given, method, STEP, inputs=(1, 2)).run(x, SPANS[0], linear=linear)
+    own = {"quadratic": [0.0, 0.1, 0.0], "polynomial": [0.0, 0.1, 0.0], "split": [0.0, 0.0, 0.15]}.get(
+        kind, np.zeros(3)
+    )
+    change = np.array([0.0, *linear]) - own
+    wanted = co.LiePoissonSystem(co.algebras.so(3), first + piece + co.Quadratic(0.0, linear=change))
+    np.testing.assert_allclose(run.x, co.integrate(wanted, x, SPANS[0], STEP, method).x, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(run.system.vector_field(x), wanted.vector_field(x), rtol=0, atol=16 * U)
+
+
 def test_named_inputs_take_coordinates_in_any_shape():
     algebra, M, _ = ALGEBRAS["spins"]
     chain, x = co.LiePoissonSystem(algebra, co.Quadratic(M, linear=np.full(9, 0.1))), numbers("spins")[0]

@@ -49,6 +49,8 @@ SOLVED = {
     "spins alone": (S.spin_lattice("ring", 3, exchange=0.4), 0),
     "particles": (S.decorated_particles((1.0, 2.5), (0.2, 0.3, 0.4), (0.0, 0.0, 0.25)), 0),
     "particles, repelled": (S.decorated_particles((1.0, 2.5), (0.0, 0.3, -0.4), (0.0, 0.0, 0.1)), 0),
+    "particles, falling": (S.decorated_particles((1.0, 2.5), (0.0, 0.3), (0.0, 0.0, 0.1)), 0),
+    "particles, free": (S.decorated_particles((1.0, 2.5), (0.2,), (0.0,)), 0),
     "moments": (S.vlasov_moments(4, "0.8*x20"), 0),
     "moments, repelled": (S.vlasov_moments(4, "-0.3*x20"), 0),
     "moments, free": (S.vlasov_moments(2, "0"), 0),

@@ -201,6 +201,20 @@ def test_the_jet_of_the_sphere_and_its_bump():
     assert bump.max() == pytest.approx(0.1 * 2.0 / 0.4, rel=0.03)
 
 
+@pytest.mark.parametrize("band", [(-0.5, 0.3), (-1.4, -0.6), (0.6, 1.4)], ids=str)
+def test_the_shape_of_the_bump_on_a_jet(band):
+    """Gaussian along and across, of widths 1/3 and 1/15, times the cosine of the latitude over that of the jet."""
+    s, middle = co.systems.sphere_euler(N=96), sum(band) / 2
+    bump = s.to_grid(
+        s.zonal_jet(2.0, band=band, longitude=3.0, perturbation=0.1) - s.zonal_jet(2.0, band=band, perturbation=0)
+    )
+    latitude, east = s.grid()
+    across = np.cos(latitude) / np.cos(middle) * np.exp(-((15 * (latitude - middle)) ** 2))
+    wanted = 0.1 * 2.0 / 0.4 * across[:, None] * np.exp(-((3 * (east - 3.0)) ** 2))
+    # The mean is removed, and so are degrees from 96 on, about exp(-(96 / 30)^2) of it.
+    np.testing.assert_allclose(bump - bump[:, 0].mean(), wanted, rtol=0, atol=1e-3 * wanted.max())
+
+
 @fluids
 def test_states_in_files_of_numpy(s, tmp_path):
     W = s.random(8)

@@ -83,6 +83,8 @@ def test_the_constant_stays_in_every_form_of_m(M, constant):
     x = np.array([1.0, -2.0, 0.5])
     for same in (H, H.bind(3), co.LiePoissonSystem(co.algebras.so(3), H).hamiltonian):
         assert same.value(x) == x @ x - 3.25
+    for multiple, factor in ((2 * H, 2.0), (-H, -1.0), (H / 4, 0.25), (H * Fraction(1, 2), 0.5), (H + H, 2.0)):
+        assert multiple.value(x) == multiple.bind(3).value(x) == factor * (x @ x - 3.25)
     assert H.bind(3).terms()[0].constant == -3.25
     system = co.LiePoissonSystem(co.algebras.so(3), H)
     assert co.integrate(system, x, (0.0, 1.0), 0.5).energy[0] == x @ x - 3.25

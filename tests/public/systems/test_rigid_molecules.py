@@ -206,3 +206,12 @@ def test_wrong_molecules_are_refused():
     ):
         with refused(error, *words):
             S.rigid_molecules(**given)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_the_cutoff_is_at_most_half_of_the_smallest_side(axis):
+    box = np.full(3, 3.0)
+    box[axis] = 1.0
+    assert S.rigid_molecules(box=box, cutoff=0.5).parameters["cutoff"] == 0.5
+    with refused(ValueError, "cutoff is 0.6", "at most 0.5"):
+        S.rigid_molecules(box=box, cutoff=0.6)

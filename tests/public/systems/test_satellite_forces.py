@@ -126,6 +126,23 @@ def test_a_sampled_damper_and_a_constant_torque_are_exact():
             np.testing.assert_array_equal(run.x[:, 1], 0.25 * run.t)
 
 
+@pytest.mark.parametrize("name", ["Sampled", "ReactionWheels", "ControlMomentGyros", "Thrusters"])
+def test_samples_are_at_the_multiples_of_the_period_on_both_sides_of_time_zero(name):
+    """A law that does not depend on time makes the same run whole periods earlier or later, also between samples."""
+    carried = {"ReactionWheels": {"wheels": WHEELS}, "ControlMomentGyros": {"gyros": PYRAMID}}.get(name, {})
+    limit = {"max_torque": 0.2} if name == "Thrusters" else {}
+    sat = S.body(TENSOR, **carried).with_forces(getattr(F, name)(F.Pointing(0.5, 1.5), PERIOD, **limit))
+    x0 = sat.state(TURNED, SPIN)
+    for start in (0.0, 3 * STEP):
+        runs = [
+            co.integrate(sat, x0, (begin, begin + 2 * PERIOD), STEP, splitting(2)).x
+            for begin in start + PERIOD * np.array([0, -1, -2, -7, 1000])
+        ]
+        assert np.abs(np.diff(runs[0][:, -3:], axis=0)).max() > 1e-3
+        for moved in runs[1:]:
+            np.testing.assert_array_equal(moved, runs[0])
+
+
 def test_a_sampled_controller_settles_as_its_matrix():
     """Small angles about a principal axis: the angle and the rate at samples are powers of a matrix."""
     K, C, I3, T = 0.8, 1.2, 2.5, 0.5
