@@ -56,7 +56,7 @@ struct Projection {
         if (exact<true>(x, blocks, targets)) return true;
         rows.gram(factors);
         factors.factorize();
-        bound_curvature(x, blocks);
+        bound_curvature(x, blocks, factors.pivot.data());
         std::fill_n(moved.at, blocks, Row(0.0));
         for (corrections = 1; corrections <= PROJECTION_CORRECTIONS; ++corrections) {
             const double before = residual;
@@ -120,7 +120,7 @@ struct Projection {
 #pragma GCC unroll 4
                 for (int k = 0; k < j; ++k) L[i][j] = fma(-L[i][k] * L[j][k], inverse[k], L[i][j]);
         }
-        bound_curvature(x, K);
+        bound_curvature(x, K, inverse);
         Row unused[R][K], total[K];
         for (int b = 0; b < K; ++b) total[b] = Row(0.0);
         bool restored = false;
@@ -175,12 +175,14 @@ struct Projection {
         return all;
     }
 
-    // Set the bounds on second derivatives at x, once, since corrections hardly change them.
-    INLINE void bound_curvature(const Row* x, int64_t blocks) {
+    // Set the bounds on second derivatives at x, once, since corrections hardly change them. Corrections do not restore
+    // an invariant whose gradient depends on others, `inverse` zero: what is left of its defect has no bound.
+    INLINE void bound_curvature(const Row* x, int64_t blocks, const double* inverse) {
         Row largest(0.0);
         for (int64_t b = 0; b < blocks && !rows.quadratic; ++b) largest = larger(largest, absolute(x[b]));
         const double most = rows.quadratic ? 0.0 : largest_lane(largest);
-        for (size_t a = 0; a < size; ++a) curvature[a] = rows.second_derivative(a, most);
+        for (size_t a = 0; a < size; ++a)
+            curvature[a] = inverse[a] == 0.0 ? INFINITY : rows.second_derivative(a, most);
     }
 
     // Whether the error after a correction is within rounding. It is the second derivatives times the correction times

@@ -165,6 +165,7 @@ class ProjectionLanes {
             bound[a] = invariants[a].curvature;
             for (const auto& [exponent, factor] : invariants[a].further)
                 bound[a] = bound[a] + A(factor) * power(largest, uint32_t(exponent));
+            bound[a] = select(inverse[a] == A(0.0), A(INFINITY), bound[a]);  // as in `Projection`
         }
         for (int64_t round = 1; round <= PROJECTION_CORRECTIONS; ++round) {
             const A before = residual;
