@@ -80,7 +80,8 @@ class Group(NamedTuple):
         member_batches, cuts = [], np.flatnonzero((np.diff(keys) != 1) | (keys[1:] % column_blocks == 0)) + 1
         for low, high in pairwise([0, *cuts.tolist(), len(keys)]):
             first, column = begin + low * block, int(keys[low]) % column_blocks * block
-            last = begin + int(np.flatnonzero(filled[: high * block])[-1]) + 1
+            end = (high - 1) * block  # of the blocks before the last, in which a slot is filled
+            last = begin + end + int(np.flatnonzero(filled[end : end + block])[-1]) + 1
             member_batches.append(MemberBatch(*self[1:4], first, last, self.stride, first - column))
         return rows, filled, member_batches
 
