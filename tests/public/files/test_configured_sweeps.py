@@ -169,11 +169,6 @@ def test_named_states_forces_and_constants_are_swept(files, swept):
     sol = swept('"initial.seed" = {linear = [1, 3], count = 3}', text=fluid)
     for member, seed in enumerate((1, 2, 3)):
         np.testing.assert_array_equal(sol.x0[member], co.systems.torus_euler(N=5).random(seed))
-    # States of a rotating sphere depend on its rotation.
-    sphere = fluid.replace("torus_euler", "sphere_euler")
-    sol = swept('"system.parameters.rotation" = [0.5, -2.0]\n"initial.seed" = [1, 3]', text=sphere)
-    for member, (rotation, seed) in enumerate([(0.5, 1), (0.5, 3), (-2.0, 1), (-2.0, 3)]):
-        np.testing.assert_array_equal(sol.x0[member], co.systems.sphere_euler(N=5, rotation=rotation).random(seed))
     over = '"algebra.parameters.a" = [0.5, 1.0]\n"hamiltonian.M[1]" = [2, 3]\n"forces[0].rate" = [0.1, 0.2]'
     sol = swept(over, text=SPIRAL + 'forces = [{name = "LinearDamping", rate = 0.1}]\n')
     assert [system.forces[0].rate for system in sol.system] == [0.1, 0.2] * 4
