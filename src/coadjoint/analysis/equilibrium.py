@@ -320,7 +320,7 @@ def _is_definite(orbit: Orbit, x: Floats, tangents: TangentSpace) -> bool:
             continue
         u = orbit.gradient(x, integral)
         field = orbit.product(x, u)
-        flat = np.max(np.abs(field)) <= np.sqrt(UNIT_ROUNDOFF) * np.max(orbit.absolute_product(x, u), initial=0.0)
+        flat = np.max(np.abs(field)) <= np.sqrt(UNIT_ROUNDOFF) * _sizes(orbit, x)[1] * np.max(np.abs(u), initial=0.0)
         if flat:
             variations.append(orbit.second_variation(x, tangents, integral))
     sizes = [float(np.max(np.abs(variation))) for variation in variations]

@@ -226,6 +226,19 @@ def test_the_threshold_of_the_second_variation(d, stability):
     assert co.equilibrium(bodies, (0.0, 1.0, 0.0, 1.0, 0.0, 0.0), relax="none").stability == stability
 
 
+@pytest.mark.parametrize("turn", [0.0, 1e-12, 1e-6, 0.8, 2.4, np.pi])
+def test_integrals_count_where_they_are_critical_but_for_rounding(turn):
+    """A spin in a field, and a free one, of which a component is kept: it is critical along its own axis."""
+    stability = "stable" if abs(np.sin(turn)) < 1e-10 else "undecided"
+    kept = {"x of the second": co.Polynomial.variable(3, 6)}
+    field = co.Quadratic(0.0, linear=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), field, integrals=kept)
+    x0 = [0.0, 0.0, -1.0, np.cos(turn), np.sin(turn), 0.0]
+    for relax in ("none", "down"):
+        found = co.equilibrium(spins, x0, relax)
+        assert (found.stability, found.growth) == (stability, 0.0) and np.allclose(found.x, x0, rtol=0, atol=1e-15)
+
+
 @pytest.mark.parametrize(("size", "counts"), [(0.5e-10, False), (2e-10, True)])
 def test_a_small_spin_counts_from_its_threshold(size, counts):
     two = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 2), co.Quadratic([1.0, 2.0, 3.0] * 2))

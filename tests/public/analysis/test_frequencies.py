@@ -84,6 +84,7 @@ def test_members_have_their_own_means_orders_and_numbers_of_lines():
     assert co.frequencies(t, signal[:, 0, 0], count=2)(t[7]) == pytest.approx(signal[7, 0, 0], abs=1e-10)
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("kind", ["real", "complex", "complex, negative"])
 def test_diffusion_is_the_later_frequency_minus_the_earlier_one(kind: str, sense: float):

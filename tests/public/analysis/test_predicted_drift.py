@@ -47,6 +47,19 @@ def test_measured_minus_predicted_is_of_fourth_order(name, x0):
         assert np.polyfit(np.log(STEPS), np.log(differences), 1)[0] == pytest.approx(4.0, abs=0.4)
 
 
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("x0", STATES)
+def test_a_body_of_larger_energy_is_ahead_in_its_turn(x0, sign):
+    """The motion of c H is that of H at c times the time, which turns about the momentum with 2 H / |x|."""
+    H, x, c = co.Quadratic(TENSOR), np.array(x0), 1.001
+    body = co.LiePoissonSystem(co.algebras.so(3), H, sign=sign)
+    found = co.predicted_drift(body, x0, gradient=lambda x: c * (TENSOR @ x), attitude=True)
+    # Periods have 13 digits, and so have turns.
+    assert found.slope == pytest.approx(c - 1, rel=1e-9)
+    assert found.precession == pytest.approx(-sign * (c - 1) * 2 * H.value(x) / np.linalg.norm(x), rel=1e-8)
+
+
 @pytest.mark.long
 def test_a_scheme_that_is_not_symmetric_goes_backward_by_another_field():
     """Lie and Trotter's splitting of order one; backward its H~ has -h."""

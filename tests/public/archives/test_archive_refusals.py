@@ -234,6 +234,28 @@ def test_failed_run_raises_the_same_error_again(tmp_path):
     assert (stored.value.step, stored.value.time, stored.value.residual) == (3, 7.25, 0.5)
 
 
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("stops", [(7,), (4, 5, 6, 11)])
+def test_an_energy_is_undefined_from_its_first_point_on(tmp_path, sense, stops):
+    """Also if a run is stored in pieces, and it is undefined in several of them."""
+
+    def square(y, t):
+        return np.where(sense * (t - 0.5) > 0.6, np.nan, 0.5 * y * y)
+
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (square, lambda y, t: y)}))
+    path, run = tmp_path / "run.zarr", (0.125, co.Splitting())
+    with pytest.raises(co.IntegrationError) as plain:
+        co.integrate(system, X, (0.5, 0.5 + 2.5 * sense), *run)
+    assert plain.value.step == 5 and "energy" in str(plain.value)
+    co.integrate(system, X, (0.5, 0.5 + 0.25 * sense), *run, archive=path)
+    for stop in stops:
+        co.resume(path, 0.5 + 2.5 * sense, system=system, until=stop)
+    with pytest.raises(co.IntegrationError) as failure:
+        co.resume(path, system=system)
+    assert (str(failure.value), failure.value.step) == (str(plain.value), 5)
+    assert failure.value.time == plain.value.time == 0.5 + 0.625 * sense
+
+
 def test_a_failed_run_is_not_extended(tmp_path):
     algebra, path = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}}), tmp_path / "run.zarr"
     growing = co.LiePoissonSystem(algebra, co.Quadratic([[0.0, 1.0], [1.0, 0.0]]))

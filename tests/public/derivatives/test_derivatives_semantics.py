@@ -66,6 +66,30 @@ def test_members_have_the_derivatives_that_they_have_alone(members):
     np.testing.assert_allclose(gradient["lever"], total, rtol=0, atol=members * 2.0**10 * UNIT_ROUNDOFF)
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("inputs", [{}, {"rotors": (2, 0)}], ids=["plain", "inputs"])
+@pytest.mark.parametrize("count", [2, 9])
+@pytest.mark.parametrize("system", [BODY, TOP], ids=["body", "top"])
+def test_members_follow_their_own_directions(system, count, inputs):
+    """Few directions, and more than coordinates and Casimirs, which are combined from those of a basis."""
+    rng, n, d = np.random.default_rng(5), system.dim, np.shape(system.representation)[-1]
+    x0 = np.resize(X6, n) * np.array([1.0, 0.75, -0.5])[:, None]
+    ready = co.prepare(system, co.Splitting(), H, attitude=True, inputs=inputs or None)
+    along = {"x0": rng.standard_normal((3, n, count)), "attitude0": rng.standard_normal((3, d, d, count))}
+    given = {name: rng.standard_normal((3, 2)) for name in inputs}
+    of_inputs = {name: rng.standard_normal((3, 2, count)) for name in inputs}
+    _, tangents = ready.jvp(x0, (0.5, -0.5), along | ({"inputs": of_inputs} if inputs else {}), 2, **given)
+    for m in range(3):
+        values = {name: value[m] for name, value in given.items()}
+        for k in range(count):
+            single = {name: value[m, ..., k] for name, value in along.items()}
+            single |= {"inputs": {name: value[m, ..., k] for name, value in of_inputs.items()}} if inputs else {}
+            _, alone = ready.jvp(x0[m], (0.5, -0.5), single, 2, **values)
+            for name, value in outputs(alone).items():
+                bound = {"rtol": 0, "atol": 2.0**10 * UNIT_ROUNDOFF * max(1.0, np.abs(value).max())}
+                np.testing.assert_allclose(outputs(tangents)[name][:, m, ..., k], value, **bound)
+
+
 def test_several_directions_are_a_further_axis():
     ready = co.prepare(TOP, co.Splitting(), H, attitude=True, inputs={"rotor": (0,)})
     rng, given = np.random.default_rng(6), {"rotor": [0.3]}
@@ -213,16 +237,19 @@ def test_gradients_of_a_batch_are_by_the_parameters_of_all_members(name):
         assert all(np.array_equal(gradient[one][m], found[one]) for one in gradient)
 
 
-def test_the_rule_of_a_batch_is_the_least_exact_of_its_members():
+@pytest.mark.parametrize("forces", [(), (F.DoubleBracketDamping(0.125),)], ids=["plain", "damped"])
+def test_the_rule_of_a_batch_is_the_least_exact_of_its_members(forces):
     """Bodies with equal moments have fewer parts, of which the forms change with the moments."""
+    bodies = [body.with_forces(*forces) if forces else body for body in BODIES]
     rules = [
-        co.prepare(body, co.Splitting(), H).jvp(X3, (0.0, 1.0), {"inertia": np.ones(3)})[1].rule for body in BODIES
+        co.prepare(body, co.Splitting(), H).jvp(X3, (0.0, 1.0), {"inertia": np.ones(3)})[1].rule for body in bodies
     ]
-    assert rules == [{"inertia": "exact"}, {"inertia": "added part"}]
-    for order in (BODIES, BODIES[::-1]):
+    assert rules == [{"inertia": "differences" if forces else "exact"}, {"inertia": "added part"}]
+    for order in (bodies, bodies[::-1]):
         ready = co.prepare(co.batch(order), co.Splitting(), H)
         sol, tangents = ready.jvp(X3, (0.0, 1.0), {"inertia": np.ones((2, 3))})
-        assert tangents.rule == ready.vjp(X3, (0.0, 1.0))[1](sol.x).rule == {"inertia": "added part"}
+        assert tangents.rule == {"inertia": "added part"}
+        assert ready.vjp(X3, (0.0, 1.0))[1](sol.x).rule["inertia"] == "added part"
 
 
 @pytest.mark.parametrize("end", [5.0, 5.2, 8.0])

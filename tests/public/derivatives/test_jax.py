@@ -199,6 +199,15 @@ def test_equal_values_of_different_parameters_are_not_confused():
         assert np.array_equal(found, runs[name][1](weights)[name])
 
 
+def test_gradients_at_other_attitudes_are_not_those_of_the_last_one():
+    ready, weights = prepared(attitude=True), np.sin(np.arange(18.0)).reshape(2, 3, 3)
+    g, elements = co.jax.solution(ready, (0, 1), 20), ready.run(X0, (0, 2), 20).attitude
+    for A0 in (*elements, elements[0], None):
+        found = jax.grad(lambda x0, A0=A0: (weights * g(x0, attitude0=A0)[1]).sum())(X0)
+        _, pullback = ready.vjp(X0, (0, 1), 20, attitude=A0)
+        assert np.array_equal(found, pullback(attitude=weights)["x0"])
+
+
 def test_gradients_by_parameters_of_forces_are_those_at_the_given_values():
     """Not those at the prepared ones: the flows of the forces depend on their parameters."""
 

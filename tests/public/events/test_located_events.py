@@ -196,6 +196,23 @@ def test_selections_of_crossings_are_complete():
         iter(found)
 
 
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("span", [(0.0, 32.0), (32.0, 0.0)])
+@pytest.mark.parametrize("count", [None, 2, 3])
+def test_members_that_cross_less_often_than_the_count_go_on_to_the_end(span, count):
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
+    every = co.integrate(BODY, x0, span, 0.125, events=co.Event("x2")).events
+    sol = co.integrate(BODY, x0, span, 0.125, save_every=8, events=co.Event("x2", count=count, terminal=True))
+    times = [every.of(m).t for m in range(5)]
+    assert min(map(len, times)) < 3 <= max(map(len, times))
+    expected = [t[(count or 1) - 1] if len(t) >= (count or 1) else np.nan for t in times]
+    assert np.array_equal(sol.events.ends(5), expected, equal_nan=True)
+    on = np.isnan(expected)
+    assert np.array_equal(np.isfinite(sol.x[-1]).all(axis=-1), on)
+    if on.any():
+        assert np.array_equal(sol.at(span[1]).x, sol.x[-1], equal_nan=True)
+
+
 RATES = np.add.outer(np.arange(4.0), np.arange(4.0))
 
 

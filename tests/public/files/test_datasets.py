@@ -96,6 +96,45 @@ def test_matrices_have_rows_columns_layers_and_parts(name, members):
     assert np.array_equal(co.results.rebuild(vectors.to_xarray()).x, vectors.x)
 
 
+BLOCKS = {
+    "so": [("so", 4)],
+    "su": [("su", 3)],
+    "gl": [("gl", 3)],
+    "blocks of su": [("su", 3), ("su", 2)],
+    "blocks of gl": [("gl", 2), ("gl", 3)],
+}
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("name", BLOCKS)
+@pytest.mark.parametrize("members", [1, 2])
+def test_balances_are_those_of_their_invariants(name, members, tmp_path):
+    """What a force changes is no error: Casimirs that it changes without recorded work have no balance."""
+    algebras = [co.MatrixAlgebra(*one) for one in BLOCKS[name]]
+    algebra = algebras[0] if len(algebras) == 1 else co.MatrixAlgebra.sum(*algebras)
+    drawn = np.random.default_rng(4).standard_normal((members, algebra.N, algebra.N)) * (1 + 1j * algebra.complex)
+    x0 = algebra.projected(drawn)
+    # A multiple of the state moves nothing; the stream is a function, which is not stored.
+    system = co.MatrixSystem(algebra, lambda W: 0.5 * W).with_forces(co.forces.LinearDamping(0.25))
+    run = system, x0[0] if members == 1 else x0, (0.25, 1.25), 0.125
+    sol, archived = co.integrate(*run), co.integrate(*run, archive=tmp_path / "run.zarr")
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
+    changes, accounted = sol.change(relative=False), sol.work["LinearDamping"]
+    for found in (sol, archived, co.load(tmp_path / "run.nc"), co.load(tmp_path / "run.nc", system=system)):
+        balance = found.balance(relative=False)
+        assert list(balance) == [one for one in changes if one in accounted]
+        stored = found.to_xarray()["balance"]
+        for one in changes:
+            tenths = stored.sel(invariant=one)
+            if one not in balance:
+                assert np.isnan(tenths).all()
+                continue
+            np.testing.assert_array_equal(tenths, balance[one].tenths)
+            # Sums of some ten products of numbers below 4, to powers up to the third.
+            assert balance[one] < 2.0**-53 * 10 * 4**3 * 8
+    assert max(changes.values()) > 0.1
+
+
 @pytest.mark.parametrize("attitude", [False, True])
 def test_events_and_times_of_output_are_variables(attitude):
     events = [co.Event("x2"), co.Event(co.Polynomial({(2, 0, 0): 1, (0, 0, 0): -0.125}), count=2, terminal=True)]

@@ -324,6 +324,7 @@ OPTIONS = {
         co.Event(co.Polynomial.variable(1, 3)),  # which is printed as the name of a coordinate
         [co.Event("x2"), co.Event(FAR, count=2, terminal=True)],
         [co.Event(co.Quadratic([1, 0, 0], [0, Fraction(1, 3), 0], -Fraction(1, 8)), name="far"), co.Event(0, -1)],
+        *[co.Event(co.Quadratic([0, 1, 0], constant=-0.02), way, count=1, terminal=True) for way in (1, -1)],
     ],
 }
 # Parameters that change no number of a solution; functions in `observe` are not stored.

@@ -11,6 +11,7 @@ from refusals import refused
 
 X = (0.3, 1.0, 0.2)
 METHODS = {"splitting": co.Splitting(), "Taylor": co.Taylor(12), "own": lambda x, h: x + h * BODY.vector_field(x)}
+SERIES = ("steps", "errors")
 
 
 @pytest.mark.thinned(1)
@@ -23,6 +24,10 @@ def test_certificates_show_their_evidence_and_verdicts(name, step):
     order = found["order"].evidence
     np.testing.assert_array_equal(data(errors.lines[0]), [order["steps"], order["errors"]])
     assert set(errors.lines[-1].get_xdata()) == {0.1} and errors.get_xscale() == errors.get_yscale() == "log"
+    (fitted,) = (line for line in errors.lines if line.get_linestyle() == "--")
+    slopes = [np.polyfit(*np.log(points), 1)[0] for points in (data(fitted), [order[f"fitted {k}"] for k in SERIES])]
+    # A line beside its points: their slope changes by less than half an order from the larger to the smaller steps.
+    assert abs(slopes[0] - slopes[1]) < 0.5 and fitted.get_ydata()[-1] == order["fitted errors"][-1]
     measured = [
         row for key in ("symmetry", "reversibility", "poisson") for row in [found[key]] if "defects" in row.evidence
     ]

@@ -149,6 +149,20 @@ def test_wrong_output_times_are_refused(times, words):
         co.integrate(BODY, X, (0, 1), STEP, t_eval=times)
 
 
+@pytest.mark.parametrize("attitude", [False, "coadjoint"])
+@pytest.mark.parametrize("span", [(0.5, 1.5), (0.5, -0.5)])
+def test_thousands_of_output_times_of_a_batch_have_the_bits_of_its_members(span, attitude):
+    """States are computed in blocks, which begin at any member."""
+    tops = [co.systems.heavy_top(inertia=(1.0, 2.0, c)) for c in (2.25, 2.5, 2.75, 2.875)]
+    x0 = np.random.default_rng(2).standard_normal((4, 6))
+    times = random_times(*span, 1500 if attitude else 4000)
+    found = co.integrate(co.batch(tops), x0, span, STEP, t_eval=times, attitude=attitude)
+    for m, top in enumerate(tops):
+        alone = co.integrate(top, x0[m], span, STEP, t_eval=times, attitude=attitude)
+        for name in ("x", "energy", "attitude") if attitude else ("x", "energy"):
+            assert np.array_equal(getattr(found, name)[:, m], getattr(alone, name)), (m, name)
+
+
 def test_conflicting_arguments_and_empty_spans():
     with refused(ValueError, "save_every", "t_eval"):
         co.integrate(BODY, X, (0, 1), STEP, save_every=2, t_eval=[0.5])

@@ -60,6 +60,8 @@ STATES = [
     X.astype(object),
     X.astype(">f8"),
 ]
+LEVELS = [co.Polynomial({(1, 0, 0): 1.0, (0, 0, 0): -X[0] - by}) for by in (-0.006, -0.002, 0.002, 0.006)]
+EVENTS = [*map(co.Event, LEVELS), [co.Event(level, terminal=True) for level in LEVELS[::3]], "x1"]
 SAVED = [1, 2, 2.0, np.int64(2), True, 0, 10**6, 2**60, 1.5, None]
 
 
@@ -83,7 +85,7 @@ class Case:
         yield from ((state, SPANS[0], 1, given) for state in (X, MANY) for given in self.inputs)
         yield X, SPANS[0], 1, {"linear": X}
         yield X, SPANS[0], 1, {"t_eval": [0.1, 0.2]}
-        yield X, SPANS[0], 1, {"events": "x1"}
+        yield from ((state, SPANS[3], 1, {"events": event}) for event in EVENTS for state in (X, MANY))
         yield X, SPANS[0], 1, {"attitude": np.eye(3)}  # refused, unless one was prepared
         for _ in range(count):
             given = self.inputs[rng.integers(len(self.inputs))] if self.inputs else {}
@@ -122,6 +124,7 @@ def outcome(prepared, x0, span, every, given):
 def shown(sol):
     arrays = [sol.t, sol.x, sol.x0, sol.energy, sol.change()["energy"].tenths, *sol.casimirs.values()]
     arrays += [*sol.observed.values(), *([] if sol.attitude is None else [sol.attitude])]
+    arrays += [] if sol.events is None else [sol.events.t, sol.events.x, sol.events.which, sol.events.member]
     bits = [(np.shape(array), np.asarray(array).tobytes()) for array in arrays]
     stats = dataclasses.replace(sol.stats, seconds=0.0, elapsed=0.0)
     return (

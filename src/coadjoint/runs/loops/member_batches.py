@@ -80,7 +80,7 @@ class Group(NamedTuple):
         member_batches, cuts = [], np.flatnonzero((np.diff(keys) != 1) | (keys[1:] % column_blocks == 0)) + 1
         for low, high in pairwise([0, *cuts.tolist(), len(keys)]):
             first, column = begin + low * block, int(keys[low]) % column_blocks * block
-            last = begin + int(np.flatnonzero(filled[: high * block])[-1]) + 1
+            last = begin + high * block - int(np.argmax(filled[(high - 1) * block : high * block][::-1]))
             member_batches.append(MemberBatch(*self[1:4], first, last, self.stride, first - column))
         return rows, filled, member_batches
 
