@@ -8,7 +8,22 @@ from scipy.special import ellipj
 
 import coadjoint as co
 from refusals import refused
-from satellite_forces import CASES, LAW, PERIOD, PYRAMID, SPIN, STEP, TENSOR, TURNED, WHEELS, F, S, error_of, reference
+from satellite_forces import (
+    CASES,
+    DAMPING,
+    LAW,
+    PERIOD,
+    PYRAMID,
+    SPIN,
+    STEP,
+    TENSOR,
+    TURNED,
+    WHEELS,
+    F,
+    S,
+    error_of,
+    reference,
+)
 
 each = pytest.mark.parametrize("name", CASES)
 
@@ -197,20 +212,20 @@ def test_several_sampled_forces_have_their_own_numbers():
     assert set(np.flatnonzero(changes) % round(1 / STEP)) == {0}
 
 
-def test_dampers_act_on_classical_bodies():
+@pytest.mark.parametrize("damping", [0.5, (0.5, 0.2, 0.1), DAMPING], ids=["number", "diagonal", "matrix"])
+def test_dampers_act_on_classical_bodies(damping):
     """With the angular velocity of each, which a rotor shifts."""
+    C = np.diag(np.broadcast_to(damping, 3)) if np.ndim(damping) < 2 else damping
     for system in (
         S.rigid_body(TENSOR),
         S.gyrostat((1.0, 2.0, 2.5), (0.1, 0.2, 0.3)),
         S.heavy_top(),
         S.kirchhoff_body(),
     ):
-        damped, x = system.with_forces(F.Pointing(0.0, (0.5, 0.2, 0.1))), 0.3 + 0.1 * np.arange(system.dim)
+        damped, x = system.with_forces(F.Pointing(0.0, damping)), 0.3 + 0.1 * np.arange(system.dim)
         change = damped.vector_field(x) - system.vector_field(x)
         omega = system.hamiltonian.gradient(x)[:3]
-        np.testing.assert_allclose(
-            change, np.r_[-np.array([0.5, 0.2, 0.1]) * omega, np.zeros(system.dim - 3)], atol=1e-15
-        )
+        np.testing.assert_allclose(change, np.r_[-C @ omega, np.zeros(system.dim - 3)], atol=1e-14)
         assert damped.power(x)["Pointing"] < 0.0
         assert co.integrate(damped, x, (0, 1), 0.125).x.shape == (9, system.dim)
 
