@@ -16,6 +16,7 @@ from satellite_forces import (
     PYRAMID,
     SPIN,
     STEP,
+    STIFF,
     TENSOR,
     TURNED,
     WHEELS,
@@ -177,6 +178,46 @@ def test_wheels_are_limited():
     assert (WANTED.inv() * sol.rotation[-1]).magnitude() < 1e-6
     # A slow wheel spins up as fast as its motor allows.
     np.testing.assert_allclose(sol.x[: round(1 / STEP), 14], -0.05 * sol.t[: round(1 / STEP)], rtol=1e-13, atol=1e-15)
+
+
+LIMITS, BEYOND = np.array([0.3, 0.2, 0.1]), np.array([0.15, -0.5, 0.4])
+WITHIN, LARGE = np.clip(BEYOND, -LIMITS, LIMITS), PERIOD * np.abs(BEYOND) >= LIMITS
+# The force with limits of its own for each component, and one without them whose law has the torque within them.
+LIMITED = {
+    "Sampled": (F.Sampled(F.Torque(BEYOND), PERIOD, LIMITS), F.Sampled(F.Torque(WITHIN), PERIOD)),
+    "ReactionWheels": (F.ReactionWheels(F.Torque(BEYOND), PERIOD, LIMITS), F.ReactionWheels(F.Torque(WITHIN), PERIOD)),
+    "ControlMomentGyros": (
+        F.ControlMomentGyros(F.Torque(BEYOND), PERIOD, LIMITS),
+        F.ControlMomentGyros(F.Torque(WITHIN), PERIOD),
+    ),
+    "Thrusters": (F.Thrusters(F.Torque(BEYOND), PERIOD, LIMITS), F.Thrusters(F.Torque(WITHIN), PERIOD, LIMITS)),
+    "Thrusters with a smallest pulse": (
+        F.Thrusters(F.Torque(BEYOND), PERIOD, 1.0, LIMITS),
+        F.Thrusters(F.Torque(np.where(LARGE, BEYOND, 0.0)), PERIOD, 1.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_each_component_has_its_own_limit(name):
+    free = S.body(TENSOR, wheels=0.05 * np.eye(3), gyros=PYRAMID)
+    found, wanted = (free.with_forces(force) for force in LIMITED[name])
+    x0 = found.state(TURNED, SPIN)
+    moved, expected = (one.forces[0].flow(one, x0, 0.0, PERIOD) for one in (found, wanted))
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-15)
+    assert np.abs(moved - x0).max() > 0.01
+
+
+@pytest.mark.parametrize("stiffness", [0.0, STIFF], ids=["damper", "spring"])
+def test_each_component_of_a_pointing_law_has_its_own_limit(stiffness):
+    free = S.body(TENSOR)
+    x0 = free.state(TURNED, SPIN)
+    torque, limited = (
+        free.with_forces(F.Pointing(stiffness, DAMPING, max_torque=most)).vector_field(x0) - free.vector_field(x0)
+        for most in (None, LIMITS)
+    )
+    assert (np.abs(torque[:3]) > LIMITS).any()
+    np.testing.assert_allclose(limited[:3], np.clip(torque[:3], -LIMITS, LIMITS), rtol=0, atol=1e-15)
 
 
 def test_wheels_in_a_plane_give_what_they_can():
