@@ -220,6 +220,19 @@ def test_each_component_of_a_pointing_law_has_its_own_limit(stiffness):
     np.testing.assert_allclose(limited[:3], np.clip(torque[:3], -LIMITS, LIMITS), rtol=0, atol=1e-15)
 
 
+@pytest.mark.parametrize("stiffness", [0.0, STIFF], ids=["damper", "spring"])
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_pointing_law_damps_toward_its_angular_velocity_in_space(stiffness, moving):
+    free, t, w = S.body(TENSOR), 0.75, np.array([0.2, -0.3, 0.1])
+    x0 = free.state(TURNED, SPIN)
+    resting, following = (
+        free.with_forces(F.Pointing(stiffness, DAMPING, rate=rate)).vector_field(x0, t)
+        for rate in ((0.0, 0.0, 0.0), (lambda t: w * t) if moving else w)
+    )
+    wanted = DAMPING @ TURNED.as_matrix().T @ (w * t if moving else w)
+    np.testing.assert_allclose(following[:3] - resting[:3], wanted, rtol=0, atol=1e-15)
+
+
 def test_wheels_in_a_plane_give_what_they_can():
     sat = S.body(TENSOR, wheels=WHEELS[:2]).with_forces(F.ReactionWheels(F.Torque((0.3, 0.2, 0.1)), PERIOD))
     held = co.integrate(sat, sat.state(), (0, PERIOD), PERIOD).x[-1, -2:]
