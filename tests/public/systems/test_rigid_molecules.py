@@ -194,6 +194,10 @@ def test_wrong_molecules_are_refused():
         (ValueError, ("switch_from", "cutoff"), {"switch_from": 0.5}),
         (ValueError, ("switch_from", "0.6", "0.5"), {"switch_from": 0.6, "cutoff": 0.5}),
         (ValueError, ("cutoff", "0.5", "half"), {"box": 1.0, "cutoff": 0.6}),
+        *(
+            (ValueError, ("cutoff", "0.5", "half"), {"box": np.roll((1.0, 2.0, 3.0), k), "cutoff": 0.6})
+            for k in range(3)
+        ),
         (ValueError, ("dielectric", "cutoff"), {"dielectric": 78.0}),
         (ValueError, ("dielectric", "0.5"), {"dielectric": 0.5, "cutoff": 1.0}),
         (ValueError, ("mixing", "other"), {"mixing": "other"}),
