@@ -23,7 +23,9 @@ AREAS, NORMALS = (0.7, 1.3, 0.4), ((0.6, 0.8, 0.0), (0.0, -0.6, 0.8), (-1.0, 0.0
 CENTRES = ((0.5, 0.1, -0.2), (0.0, -0.3, 0.4), (-0.2, 0.6, 0.1))
 TOWARD = np.array([0.48, -0.6, 0.64])
 Q = np.array([[0.3, 0.05, 0.0], [0.05, 0.1, -0.1], [0.0, -0.1, 0.2]])
-STIFF, SLOW = np.array([[0.4, 0.05, 0.0], [0.05, 0.5, 0.0], [0.0, 0.0, 0.6]]), (0.9, 1.1, 1.3)
+# Neither is symmetric, as the gains of a controller need not be.
+STIFF = np.array([[0.4, 0.05, 0.0], [-0.02, 0.5, 0.04], [0.03, 0.0, 0.6]])
+DAMPING = np.array([[0.9, 0.1, -0.2], [0.0, 1.1, 0.15], [0.05, 0.0, 1.3]])
 WANTED = Rotation.from_rotvec([0.1, 0.2, -0.3])
 
 
@@ -89,12 +91,12 @@ def toward(kind, wanted=lambda t: WANTED.as_matrix(), rate=(0.0, 0.0, 0.0), limi
     def torque(t, omega, A):
         q = Rotation.from_matrix(wanted(t).T @ A).as_quat()
         e = 2 * np.sign(q[3]) * q[:3] * (1.0 if kind == "quaternion" else np.abs(q[3]))
-        return np.clip(-STIFF @ e - np.diag(SLOW) @ (omega - A.T @ np.array(rate)), -limit, limit)
+        return np.clip(-STIFF @ e - DAMPING @ (omega - A.T @ np.array(rate)), -limit, limit)
 
     return torque
 
 
-LAW = F.Pointing(STIFF, SLOW, WANTED)
+LAW = F.Pointing(STIFF, DAMPING, WANTED)
 
 
 class Case(NamedTuple):
@@ -151,7 +153,7 @@ CASES = {
     "Drag": Case(F.Drag(0.2, lambda t: np.array([0.5 + 0.1 * t, 0.3, -0.2]), **PLATES), thin_air, stored=False),
     "Pointing": Case(LAW, toward("sine")),
     "Pointing by quaternions": Case(
-        F.Pointing(STIFF, SLOW, nadir, (0.0, 0.0, 0.2), "quaternion"),
+        F.Pointing(STIFF, DAMPING, nadir, (0.0, 0.0, 0.2), "quaternion"),
         toward("quaternion", nadir, (0.0, 0.0, 0.2)),
         stored=False,
     ),

@@ -229,14 +229,18 @@ def test_matrix_and_linear_part_are_replaced(M):
 
 def test_matrices_are_parameters_with_all_entries_up_to_a_dimension_and_then_with_those_stored():
     for n in (128, 129):
-        M, x = band(n), np.cos(np.arange(n))
-        system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(n, {}), co.Quadratic(M), casimirs={})
+        M, x, linear = band(n), np.cos(np.arange(n)), np.sin(np.arange(n))
+        H = co.Quadratic(M, linear, constant=2.0)
+        system = co.LiePoissonSystem(co.LieAlgebra.from_brackets(n, {}), H, casimirs={})
         found, squares, stored = parameters_of(system)["M"], np.outer(x, x) / 2, M.nonzero()
         value = found.value
         assert np.array_equal(value, M.toarray() if n == 128 else M.toarray()[stored])
         assert np.array_equal(found.energy().at(x), squares.ravel() if n == 128 else squares[stored])
-    changed = with_parameters(system, {"M": 2.0 * value})
-    assert abs(changed.hamiltonian.hessian(np.zeros(n)) - 2.0 * M.toarray()).max() == 0.0
+        changed = with_parameters(system, {"M": 2.0 * value})
+        assert abs(changed.hamiltonian.hessian(np.zeros(n)) - 2.0 * M.toarray()).max() == 0.0
+        assert changed.energy(x) == co.Quadratic(2.0 * M, linear, constant=2.0)(x)
+        only = with_parameters(system, {"linear": 0.5 * linear})
+        assert only.energy(x) == co.Quadratic(M, 0.5 * linear, constant=2.0)(x)
     # An entry alone counts with its symmetric part, as in smaller matrices.
     moved = value.copy()
     moved[1] += 0.5

@@ -235,6 +235,21 @@ def test_dampings_on_the_orbit_are_differentiated_with_an_energy_of_the_time(dam
     np.testing.assert_allclose(tangents.x[-1], (ends[0] - ends[1]).T / (2 * h), rtol=0, atol=1e-7)
 
 
+@pytest.mark.parametrize(
+    "force",
+    [
+        (F.HeatBath, {"alpha": 0.9, "metric": np.linspace(0.5, 1.0, 3), "temperature": 3.0, "seed": 5}),
+        (F.DoubleBracketDamping, {"alpha": 3.0, "metric": np.linspace(0.5, 1.0, 3)}),
+    ],
+    ids=["bath", "damping"],
+)
+def test_gradients_of_long_steps_on_the_orbit(force):
+    """Rotations by more than a radian are computed in substeps."""
+    base, x0 = plain("so(3)")
+    gradient = assert_derivatives(forced(base, force), co.Splitting(), 2.0 * x0, (0.5, 1.5), 0.5)
+    assert any(name.endswith(".alpha") for name in gradient)
+
+
 EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
 OF_FIELDS = ("IsospectralGauss", "LineSplitting")
 WITH_STEPS = [one for one in EVERY_SCHEME if not one.own_steps and type(one).__name__ not in OF_FIELDS]

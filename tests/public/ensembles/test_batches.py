@@ -85,6 +85,14 @@ def test_invalid_batches_are_refused(case):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("case", [case for case, (_, _, message) in REFUSED.items() if message.startswith("member 1")])
+def test_members_are_counted_with_those_that_repeat(case):
+    systems, kind, message = REFUSED[case]
+    first, *rest = systems()
+    with pytest.raises(kind, match=message.replace("member 1", "member 3", 1)):
+        co.batch([first, first, first, *rest])
+
+
 def test_forces_preserving_different_casimirs_are_refused():
     """Also if the forces have the same names."""
 

@@ -145,7 +145,8 @@ def so4_beside(copies):
     M = np.diag(np.r_[np.arange(1.0, 7.0), np.ones(3 * copies)])
     M[0, 3] = M[3, 0] = 1.0
     algebra = co.algebras.direct_sum(co.algebras.so(4), *[co.algebras.so(3)] * copies) if copies else co.algebras.so(4)
-    return co.LiePoissonSystem(algebra, co.Quadratic(M)), np.array([1, 0.5, 0.2, 0.2, -0.5, 1, *(0.3, 1.0, 0.2) * copies])
+    x = np.array([1.0, 0.5, 0.2, 0.2, -0.5, 1.0, *(0.3, 1.0, 0.2) * copies])
+    return co.LiePoissonSystem(algebra, co.Quadratic(M)), x
 
 
 @pytest.mark.parametrize("copies", [0, 1, 2, 5])

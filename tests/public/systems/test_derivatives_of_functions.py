@@ -91,6 +91,35 @@ def test_derivatives_against_complex_steps(name):
     np.testing.assert_array_equal(H.hessian(x), H.hessian(x).T)
 
 
+# Each operation with a constant, and its derivative by the coordinate.
+WITH_CONSTANTS = {
+    "c + x": (lambda c, x: c + x, lambda c, x: 1.0),
+    "x + c": (lambda c, x: x + c, lambda c, x: 1.0),
+    "c - x": (lambda c, x: c - x, lambda c, x: -1.0),
+    "x - c": (lambda c, x: x - c, lambda c, x: 1.0),
+    "c * x": (lambda c, x: c * x, lambda c, x: c),
+    "x * c": (lambda c, x: x * c, lambda c, x: c),
+    "c / x": (lambda c, x: c / x, lambda c, x: -c / x**2),
+    "x / c": (lambda c, x: x / c, lambda c, x: 1 / c),
+    "x ** c": (lambda c, x: x**c, lambda c, x: c * x ** (c - 1)),
+    "c ** x": (lambda c, x: c**x, lambda c, x: c**x * np.log(c)),
+}
+
+
+@pytest.mark.parametrize("name", WITH_CONSTANTS)
+@pytest.mark.parametrize("c", [0, 0.0, 1, 1.0, -1, -1.0, 2, 2.5])
+def test_operations_with_constants(name, c):
+    """Those with 0, 1 and -1 need not be recorded."""
+    operation, slope = WITH_CONSTANTS[name]
+    if (name == "x / c" and c == 0) or (name == "c ** x" and c <= 0):
+        return
+    H, x, y = recorded(lambda x: x[0] * x[1] + operation(c, x[0]) * x[1], 2), 0.75, -0.5
+    wanted = [y + slope(c, x) * y, x + operation(c, x)]
+    assert H.value(np.array([x, y])) == pytest.approx(x * y + operation(c, x) * y, rel=1e-14, abs=1e-15)
+    np.testing.assert_allclose(H.gradient(np.array([x, y])), wanted, rtol=1e-14, atol=1e-15)
+    np.testing.assert_allclose(H.hessian(np.array([x, y]))[0, 1], 1.0 + slope(c, x), rtol=1e-14, atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("function", "named"),
     [

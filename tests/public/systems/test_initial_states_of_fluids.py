@@ -215,6 +215,16 @@ def test_the_shape_of_the_bump_on_a_jet(band):
     np.testing.assert_allclose(bump - bump[:, 0].mean(), wanted, rtol=0, atol=1e-3 * wanted.max())
 
 
+@pytest.mark.parametrize("longitude", [0.1, 3.0, 6.2, -1.0, 20.0])
+@pytest.mark.parametrize("name", ["zonal_jet", "rossby_haurwitz"])
+def test_a_longitude_turns_the_state(name, longitude):
+    s = co.systems.sphere_euler(N=32, rotation=0.5)
+    first, turned = (s.mode_array(getattr(s, name)(longitude=east)) for east in (0.0, longitude))
+    wanted = first * np.exp(-1j * np.arange(32) * longitude)
+    np.testing.assert_allclose(turned, wanted, rtol=0, atol=1e-13 * np.abs(first).max())
+    assert np.abs(turned - first).max() > 1e-6 * np.abs(first).max()
+
+
 @fluids
 def test_states_in_files_of_numpy(s, tmp_path):
     W = s.random(8)

@@ -10,7 +10,23 @@ from scipy.special import ellipj
 
 import coadjoint as co
 from refusals import refused
-from satellite_forces import CASES, LAW, PERIOD, PYRAMID, SPIN, STEP, TENSOR, TURNED, WHEELS, F, S, error_of, reference
+from satellite_forces import (
+    CASES,
+    DAMPING,
+    LAW,
+    PERIOD,
+    PYRAMID,
+    SPIN,
+    STEP,
+    STIFF,
+    TENSOR,
+    TURNED,
+    WHEELS,
+    F,
+    S,
+    error_of,
+    reference,
+)
 
 each = pytest.mark.parametrize("name", CASES)
 
@@ -183,6 +199,59 @@ def test_wheels_are_limited():
     np.testing.assert_allclose(sol.x[: round(1 / STEP), 14], -0.05 * sol.t[: round(1 / STEP)], rtol=1e-13, atol=1e-15)
 
 
+LIMITS, BEYOND = np.array([0.3, 0.2, 0.1]), np.array([0.15, -0.5, 0.4])
+WITHIN, LARGE = np.clip(BEYOND, -LIMITS, LIMITS), PERIOD * np.abs(BEYOND) >= LIMITS
+# The force with limits of its own for each component, and one without them whose law has the torque within them.
+LIMITED = {
+    "Sampled": (F.Sampled(F.Torque(BEYOND), PERIOD, LIMITS), F.Sampled(F.Torque(WITHIN), PERIOD)),
+    "ReactionWheels": (F.ReactionWheels(F.Torque(BEYOND), PERIOD, LIMITS), F.ReactionWheels(F.Torque(WITHIN), PERIOD)),
+    "ControlMomentGyros": (
+        F.ControlMomentGyros(F.Torque(BEYOND), PERIOD, LIMITS),
+        F.ControlMomentGyros(F.Torque(WITHIN), PERIOD),
+    ),
+    "Thrusters": (F.Thrusters(F.Torque(BEYOND), PERIOD, LIMITS), F.Thrusters(F.Torque(WITHIN), PERIOD, LIMITS)),
+    "Thrusters with a smallest pulse": (
+        F.Thrusters(F.Torque(BEYOND), PERIOD, 1.0, LIMITS),
+        F.Thrusters(F.Torque(np.where(LARGE, BEYOND, 0.0)), PERIOD, 1.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+def test_each_component_has_its_own_limit(name):
+    free = S.body(TENSOR, wheels=0.05 * np.eye(3), gyros=PYRAMID)
+    found, wanted = (free.with_forces(force) for force in LIMITED[name])
+    x0 = found.state(TURNED, SPIN)
+    moved, expected = (one.forces[0].flow(one, x0, 0.0, PERIOD) for one in (found, wanted))
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-15)
+    assert np.abs(moved - x0).max() > 0.01
+
+
+@pytest.mark.parametrize("stiffness", [0.0, STIFF], ids=["damper", "spring"])
+def test_each_component_of_a_pointing_law_has_its_own_limit(stiffness):
+    free = S.body(TENSOR)
+    x0 = free.state(TURNED, SPIN)
+    torque, limited = (
+        free.with_forces(F.Pointing(stiffness, DAMPING, max_torque=most)).vector_field(x0) - free.vector_field(x0)
+        for most in (None, LIMITS)
+    )
+    assert (np.abs(torque[:3]) > LIMITS).any()
+    np.testing.assert_allclose(limited[:3], np.clip(torque[:3], -LIMITS, LIMITS), rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, STIFF], ids=["damper", "spring"])
+@pytest.mark.parametrize("moving", [False, True])
+def test_a_pointing_law_damps_toward_its_angular_velocity_in_space(stiffness, moving):
+    free, t, w = S.body(TENSOR), 0.75, np.array([0.2, -0.3, 0.1])
+    x0 = free.state(TURNED, SPIN)
+    resting, following = (
+        free.with_forces(F.Pointing(stiffness, DAMPING, rate=rate)).vector_field(x0, t)
+        for rate in ((0.0, 0.0, 0.0), (lambda t: w * t) if moving else w)
+    )
+    wanted = DAMPING @ TURNED.as_matrix().T @ (w * t if moving else w)
+    np.testing.assert_allclose(following[:3] - resting[:3], wanted, rtol=0, atol=1e-15)
+
+
 def test_wheels_in_a_plane_give_what_they_can():
     sat = S.body(TENSOR, wheels=WHEELS[:2]).with_forces(F.ReactionWheels(F.Torque((0.3, 0.2, 0.1)), PERIOD))
     held = co.integrate(sat, sat.state(), (0, PERIOD), PERIOD).x[-1, -2:]
@@ -216,20 +285,20 @@ def test_several_sampled_forces_have_their_own_numbers():
     assert set(np.flatnonzero(changes) % round(1 / STEP)) == {0}
 
 
-def test_dampers_act_on_classical_bodies():
+@pytest.mark.parametrize("damping", [0.5, (0.5, 0.2, 0.1), DAMPING], ids=["number", "diagonal", "matrix"])
+def test_dampers_act_on_classical_bodies(damping):
     """With the angular velocity of each, which a rotor shifts."""
+    C = np.diag(np.broadcast_to(damping, 3)) if np.ndim(damping) < 2 else damping
     for system in (
         S.rigid_body(TENSOR),
         S.gyrostat((1.0, 2.0, 2.5), (0.1, 0.2, 0.3)),
         S.heavy_top(),
         S.kirchhoff_body(),
     ):
-        damped, x = system.with_forces(F.Pointing(0.0, (0.5, 0.2, 0.1))), 0.3 + 0.1 * np.arange(system.dim)
+        damped, x = system.with_forces(F.Pointing(0.0, damping)), 0.3 + 0.1 * np.arange(system.dim)
         change = damped.vector_field(x) - system.vector_field(x)
         omega = system.hamiltonian.gradient(x)[:3]
-        np.testing.assert_allclose(
-            change, np.r_[-np.array([0.5, 0.2, 0.1]) * omega, np.zeros(system.dim - 3)], atol=1e-15
-        )
+        np.testing.assert_allclose(change, np.r_[-C @ omega, np.zeros(system.dim - 3)], atol=1e-14)
         assert damped.power(x)["Pointing"] < 0.0
         assert co.integrate(damped, x, (0, 1), 0.125).x.shape == (9, system.dim)
 

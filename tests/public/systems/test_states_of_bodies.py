@@ -24,13 +24,17 @@ def test_states_from_matrices_rotations_and_quaternions():
     pair = S.gravitating_bodies(SHAPES, MASSES)
     wanted = pair.state(PLACES, SPEEDS, TURNED, SPINS)
     quaternions, matrices = TURNED.as_quat(), TURNED.as_matrix()
+    scalar_first = quaternions[:, [3, 0, 1, 2]]
     for given, options in (
         (matrices, {}),
         (list(TURNED), {}),
         ([TURNED[0], matrices[1]], {}),
         ([matrices[0], TURNED[1]], {}),
         (quaternions, {}),
-        (quaternions[:, [3, 0, 1, 2]], {"scalar_first": True}),
+        ([TURNED[0], quaternions[1]], {}),
+        (scalar_first, {"scalar_first": True}),
+        ([TURNED[0], scalar_first[1]], {"scalar_first": True}),
+        ([scalar_first[0], TURNED[1]], {"scalar_first": True}),
     ):
         np.testing.assert_allclose(pair.state(PLACES, SPEEDS, given, SPINS, **options), wanted, rtol=0, atol=4e-16)
     space = np.einsum("kij,kj->ki", matrices, SPINS)

@@ -39,7 +39,7 @@ def test_properties_of_a_sum_are_those_of_what_is_written_out(method):
 
 KINDS = {
     "quadratic": lambda: co.Quadratic(A, linear=a, constant=0.25),
-    "scalar": lambda: co.Quadratic(1.5),
+    "scalar": lambda: co.Quadratic(1.5, constant=0.25),
     "fractions": lambda: co.Quadratic([Fraction(1, 3), 2, Fraction(5, 7)], constant=Fraction(1, 9)),
     "polynomial": lambda: co.Polynomial("x1*x2*x3 + 0.25*x1^4 - x2 + 2", dim=3),
     "low polynomial": lambda: co.Polynomial("1/3*x1^2 - x2*x3 + x1", dim=3),
