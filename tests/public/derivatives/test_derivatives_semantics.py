@@ -186,6 +186,22 @@ def test_parameters_of_forces_have_the_names_of_their_labels():
     assert not co.prepare(co.systems.torus_euler(5), None, H).parameters
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("metric", [(0.5, 0.0, 0.25), (0.0, 0.0, 0.0), 0.0], ids=str)
+def test_a_metric_with_zeros_is_no_parameter_and_the_strength_is_one(metric):
+    x0, span, d = np.array([0.3, 0.5, -0.4]), (0.0, 4 * H), 2.0**-12
+
+    def run(alpha):
+        return co.prepare(BODY.with_forces(F.DoubleBracketDamping(alpha, metric)), None, H)
+
+    sol, pullback = run(0.25).vjp(x0, span)
+    weights = np.cos(np.arange(sol.x.size)).reshape(sol.x.shape)
+    found = pullback(weights)
+    assert set(found) == {"x0", "inertia", "DoubleBracketDamping.alpha"}
+    ahead, behind = ((weights * run(0.25 + sign * d).run(x0, span).x).sum() for sign in (1, -1))
+    assert found["DoubleBracketDamping.alpha"] == pytest.approx((ahead - behind) / (2 * d), rel=0, abs=64 * d**2)
+
+
 @pytest.mark.parametrize(
     ("method", "full", "rule"),
     [

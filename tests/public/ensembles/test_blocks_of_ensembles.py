@@ -83,11 +83,11 @@ def test_blocks_have_the_systems_of_their_members():
     """Systems recur in another order in each block, whose tables are built for its own noise."""
     owners = (0, 1, 2, 3, 1, 3, 0, 2, 3, 2, 0)
     bodies = [co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in (0, 4, 8, 2)]
-    noise = co.forces.HeatBath(0.3, temperature=0.5, seed=4)
+    noise = co.forces.HeatBath(0.3, temperature=0.5, seed=4, stream=3)
     distinct = [body.with_forces(noise) for body in bodies]
     found = co.integrate_ensemble(co.batch([distinct[k] for k in owners]), X, (0, 2), STEP, members_per_block=4)
     for m, k in enumerate(owners):
-        alone = bodies[k].with_forces(replace(noise, stream=m))
+        alone = bodies[k].with_forces(replace(noise, stream=noise.stream + m))
         np.testing.assert_array_equal(found.x[:, m], co.integrate(alone, X[m], (0, 2), STEP).x)
 
 

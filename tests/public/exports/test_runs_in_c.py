@@ -237,7 +237,9 @@ def test_inputs_are_arguments(tmp_path):
     assert "g from u[0] on" in exported.header.read_text()
     forced = BODY.with_forces(co.forces.Torque((0.1, 0.2, -0.3)), co.forces.LinearDamping(0.1))
     prepared = co.prepare(forced, co.Splitting(), step=0.05, inputs={"wheel": "Torque", "spin": (1,)})
-    check_run(prepared, x0[:3], 5, tmp_path / "forces", FIRST, u=u[:4], wheel=u[:3], spin=u[3:4])
+    exported = check_run(prepared, x0[:3], 5, tmp_path / "forces", FIRST, u=u[:4], wheel=u[:3], spin=u[3:4])
+    text = " ".join(exported.header.read_text().split())
+    assert "wheel from u[0] on, spin from u[3] on" in text and "const double u[4]" in text
     prepared = co.prepare(forced, co.Splitting(order=4), step=0.05, inputs={"wheel": "Torque", "spin": (1,)})
     check_run(prepared, x0[:3], 5, tmp_path / "substeps", FIRST, u=u[:4], wheel=u[:3], spin=u[3:4])
 

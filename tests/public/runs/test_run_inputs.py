@@ -257,9 +257,11 @@ def test_wrong_inputs_are_refused():
     whole = co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([2 * x[0], 0.0, 0.0]))
     with refused(TypeError, "Hamiltonian", "linear term"):
         co.prepare(co.LiePoissonSystem(co.algebras.so(3), whole), co.GaussLegendre(2), 0.1, inputs=True)
-    split_up = co.SplitHamiltonian([((0,), co.Quadratic(2.0)), ((0,), co.Quadratic(1.0))])
-    with refused(ValueError, "pieces 0 and 1", "coordinate 0"):
-        co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        pieces = [((1 + (k not in (first, second)),), co.Quadratic(2.0)) for k in range(3)]
+        split_up = co.SplitHamiltonian(pieces)
+        with refused(ValueError, f"pieces {first} and {second}", "coordinate 1"):
+            co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
 
 
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)

@@ -115,9 +115,9 @@ def test_forces_are_applied_in_their_order_and_labelled_by_it():
     first, second = some.LinearDamping(0.1), some.Torque((0.0, 0.5, 0.0))
     third, bath = some.LinearDamping(0.3), some.HeatBath(0.2, temperature=0.1, seed=5, stream=2)
     other = some.HeatBath(0.2, temperature=0.1, seed=5, stream=4)
-    system = BODY.with_forces(first, second).with_forces(third, bath, other)
-    assert system.forces == (first, second, third, bath, other)
-    assert system.labels == ("LinearDamping", "Torque", "LinearDamping 2", "HeatBath", "HeatBath 2")
+    system = BODY.with_forces(first, second).with_forces(third, bath, other, first)
+    assert system.forces == (first, second, third, bath, other, first)
+    assert system.labels == ("LinearDamping", "Torque", "LinearDamping 2", "HeatBath", "HeatBath 2", "LinearDamping 3")
     assert system.name == f"rigid_body with {', '.join(system.labels)}"
     assert BODY.with_forces(first, second, third).reversible and not system.reversible
     with refused(ValueError, "seed", "stream"):

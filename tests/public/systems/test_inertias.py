@@ -124,6 +124,18 @@ def test_moments_whose_inverse_overflows(place):
             make(least / 2)
 
 
+@pytest.mark.parametrize("place", range(3))
+def test_unequal_moments_about_a_rod_are_refused(place):
+    """With the place of the moment that is zero, the body, and the two others in their order."""
+    moments = np.insert([1.5, 1.75], place, 0.0)
+    with refused(ValueError, f"inertia[{place}]", "1.5 and 1.75"):
+        S.body(moments)
+    with refused(ValueError, f"inertias[1][{place}]", "1.5 and 1.75"):
+        S.bodies([(1, 2, 2.5), moments])
+    with refused(ValueError, f"inertias[0][{place}]", "1.5 and 1.75"):
+        S.gravitating_bodies([moments, (1, 2, 2.5)], (1.0, 2.0))
+
+
 @pytest.mark.parametrize(
     ("make", "given", "named"),
     [

@@ -35,9 +35,10 @@ EXACT_BODIES = {"parts": "free_body"}
 
 
 def mixture(name="droplet"):
-    """Return five molecules of three kinds, and their state; across a side of the box, if there is one."""
+    """Return five molecules of three kinds, and their state; across all sides of the box, if there is one."""
     system = S.rigid_molecules(**MIXTURE, **SURROUNDINGS[name])
-    places = np.array(PLACES) + (np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, -2, 0], [0, 0, 0]]) * (name == "box"))
+    images = np.array([[0, 0, 0], [1, 1, 0], [0, 0, -1], [0, -2, 2], [-1, 0, 1]])
+    places = np.array(PLACES) + images * np.array(SURROUNDINGS[name].get("box", (0, 0, 0)))
     return system, system.state(places, SPEEDS, TURNED, SPINS)
 
 
@@ -91,6 +92,22 @@ def test_energies_and_forces_to_fifty_digits(name):
             m, i, j = k // 12, k % 12 // 4, k % 4
             found = slope[75 + 3 * m + i] if j == 3 else slope[12 * m + 3 + 3 * i + j]
             assert found == pytest.approx(float((right - left) / (2 * h)), rel=1e-11, abs=1e-11 * np.abs(slope).max())
+
+
+def test_forces_on_atoms_with_any_number_of_neighbours():
+    """Molecule m has 19 - m later ones: each number from 1 to 19 once."""
+    k = np.arange(20)
+    r = np.stack([0.5 * (k % 3), 0.55 * (k // 3 % 3), 0.6 * (k // 9)], axis=1) + 0.05 * np.sin(7.0 * k)[:, None]
+    charge, epsilon, sigma = 0.25, 0.5, 0.375
+    system = S.rigid_molecules([(0, 0, 0)], [charge], [(epsilon, sigma)], [1.0], 20)
+    free = S.bodies(np.zeros((20, 3)), np.ones(20))
+    x = system.state(r)
+    found = (system.hamiltonian.gradient(x) - free.hamiltonian.gradient(x))[-61:-1].reshape(20, 3)
+    d = r[:, None] - r
+    s = np.sqrt((d * d).sum(axis=-1)) + np.eye(20)
+    slope = 138.935458 * charge**2 / -(s**2) + 24.0 * epsilon * (sigma**6 / s**7 - 2.0 * sigma**12 / s**13)
+    wanted = (slope / s)[..., None] * d
+    np.testing.assert_allclose(found, wanted.sum(axis=1), rtol=0, atol=64 * 2.0**-53 * np.abs(wanted).max())
 
 
 def inertias(system):

@@ -11,18 +11,25 @@ from scipy.special import ellipj
 import coadjoint as co
 from refusals import refused
 from satellite_forces import (
+    AREAS,
     CASES,
+    CENTRES,
     DAMPING,
     LAW,
+    NORMALS,
     PERIOD,
     PYRAMID,
+    SLOW,
     SPIN,
     STEP,
     STIFF,
     TENSOR,
+    TOWARD,
     TURNED,
+    WANTED,
     WHEELS,
     F,
+    Q,
     S,
     error_of,
     reference,
@@ -462,3 +469,34 @@ def test_gyros_beside_wheels_point_the_body():
     body = co.systems.body((1.0, 2.0, 2.5), wheels=0.01 * np.eye(3), gyros=gyros).with_forces(motors)
     run = co.integrate(body, body.state([0.0, 0.0, 0.6, 0.8]), (0, 80), 0.125)
     assert run.rotation[0].magnitude() > 1.0 and run.rotation[-1].magnitude() < 1e-6
+
+
+PLATES = AREAS, NORMALS, CENTRES
+PRESCRIBED = [
+    (F.GravityGradient(0.8, (1.2, -0.5, 0.7), Q), "position"),
+    (F.MagneticDipole((0.2, -0.3, 0.5), (0.3, 0.4, -0.1)), "B"),
+    (F.SolarPressure(0.02, TOWARD, *PLATES), "sun"),
+    (F.Drag(0.2, TOWARD, *PLATES), "velocity"),
+    *((F.Pointing(k, SLOW, WANTED, (0.1, -0.2, 0.3)), field) for k in (STIFF, 0.0) for field in ("attitude", "rate")),
+]
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("force", "field"), PRESCRIBED)
+def test_a_function_of_the_time_acts_as_the_constant_that_it_returns(force, field):
+    """Each prescribed vector, also where it is all that a force has of the attitude."""
+    free, value = S.body(TENSOR), np.array(getattr(force, field))
+    given = dataclasses.replace(force, **{field: lambda t: value})
+    x = free.state(TURNED, SPIN)
+    constant, timed, none = (system.vector_field(x, 0.7) for system in (*map(free.with_forces, (force, given)), free))
+    assert np.abs(constant - none).max() > 1e-4
+    np.testing.assert_array_equal(timed, constant)
+
+
+def test_the_smallest_impulse_fires_and_any_smaller_one_does_not():
+    torque = np.array([0.25, -0.5, 0.125])
+    for factor, fires in ((1.0, True), (np.nextafter(1.0, 2.0), False)):
+        jets = F.Thrusters(F.Torque(torque), PERIOD, 1.0, min_impulse=factor * PERIOD * np.abs(torque))
+        sat = S.body((1.0, 1.0, 1.0), attitude=False).with_forces(jets)
+        end = sat.forces[0].flow(sat, sat.state(), 0.0, PERIOD)
+        np.testing.assert_array_equal(end[:3], fires * PERIOD * torque)

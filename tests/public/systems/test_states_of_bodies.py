@@ -29,6 +29,7 @@ def test_states_from_matrices_rotations_and_quaternions():
         (matrices, {}),
         (list(TURNED), {}),
         ([TURNED[0], matrices[1]], {}),
+        ([TURNED[0], quaternions[1][[3, 0, 1, 2]]], {"scalar_first": True}),
         ([matrices[0], TURNED[1]], {}),
         (quaternions, {}),
         ([TURNED[0], quaternions[1]], {}),
@@ -95,6 +96,26 @@ def test_wrong_states_are_refused():
         (ValueError, ("order", "3"), lambda: S.gravitating_bodies(order=3)),
     ):  # fmt: skip
         with refused(error, *words):
+            call()
+
+
+@pytest.mark.parametrize("k", range(2))
+def test_the_body_with_a_wrong_value_is_refused_by_its_number(k):
+    def at(wrong, other):
+        return [wrong, other] if k == 0 else [other, wrong]
+
+    rod = at((2.0, 2.0, 0.0), (1.0, 2.0, 2.5))
+    pair = S.bodies(rod)
+    for words, call in (
+        ((f"masses[{k}]", "1e+40"), lambda: S.bodies(masses=at(1e40, 1.0))),
+        ((f"attitudes[{k}]", "no rotation"), lambda: pair.state(PLACES, attitudes=at(2.0 * np.eye(3), TURNED[0]))),
+        (
+            (f"angular_velocities of body {k}", "0.5"),
+            lambda: pair.state(PLACES, angular_velocities=at((0.0, 0.0, 0.5), (0.1, 0.2, 0.3))),
+        ),
+        ((f"body {k} ", f"inertias[{k}]"), lambda: S.bodies(rod, potential=lambda r, A: A[0, 0, 0] + A[1, 0, 0])),
+    ):
+        with refused(ValueError, *words):
             call()
 
 
