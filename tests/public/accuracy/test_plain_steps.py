@@ -26,6 +26,24 @@ def test_runs_agree_with_steps_in_forty_digits(scheme):
         assert np.max(np.abs(exact - run.x[-1])) <= bound, system.name
 
 
+EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
+COMPOSED = [co.Composition(scheme, (0.75, -0.5, 0.75)) for scheme in EVERY_SCHEME if scheme.symmetric]
+
+
+@pytest.mark.parametrize("h", [1, -1])
+@pytest.mark.parametrize("scheme", EVERY_SCHEME + COMPOSED, ids=str)
+def test_steps_take_numbers_of_any_type(scheme, h):
+    """Whole numbers, arrays without axes, single precision and lists are the same numbers; states are not changed."""
+    case = witnesses(scheme, "e(3), heavy top")[0]
+    system, x = case.system, np.float32(0.125 * np.asarray(case.x0)).astype(float)
+    x.flags.writeable = False
+    end = scheme.step(system, x, 0.5, float(h))
+    assert np.abs(end - x).max() > 1e-3
+    for length in (h, np.int64(h), np.float32(h), np.array(h), np.array(float(h))):
+        np.testing.assert_array_equal(scheme.step(system, x, 0.5, length), end)
+    np.testing.assert_array_equal(scheme.step(system, x.tolist(), 0.5, h), end)
+
+
 def test_schemes_have_their_orders_in_time():
     """A spin in a field that rotates about the third axis, at rest in the frame that rotates with it."""
     rate, end, x0 = 2.0, 1.5, np.array([0.6, 0.0, 0.8])
