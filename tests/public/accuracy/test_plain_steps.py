@@ -3,6 +3,7 @@
 import mpmath
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
@@ -42,6 +43,49 @@ def test_steps_take_numbers_of_any_type(scheme, h):
     for length in (h, np.int64(h), np.float32(h), np.array(h), np.array(float(h))):
         np.testing.assert_array_equal(scheme.step(system, x, 0.5, length), end)
     np.testing.assert_array_equal(scheme.step(system, x.tolist(), 0.5, h), end)
+
+
+OWN_BRACKET = co.PoissonSystem(  # affine, with a motion from the origin
+    lambda x: np.array([[0, 1 + x[2], -x[1]], [-1 - x[2], 0, x[0]], [x[1], -x[0], 0]]),
+    co.Quadratic([1.0, 0.5, 0.25], linear=[0.5, -0.25, 1.0]),
+)
+LINEAR = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.25], linear=[0.5, -0.25, 1.0]))
+
+
+SERVED = [(scheme, one) for one in (OWN_BRACKET, LINEAR) for scheme in EVERY_SCHEME + COMPOSED if serves(scheme, one)]
+
+
+@pytest.mark.parametrize(("scheme", "system"), SERVED, ids=str)
+def test_steps_from_the_origin(scheme, system):
+    """There sizes of states, and gradients of Casimirs, vanish."""
+    origin, h = np.zeros(3), 0.25
+    step = co.stepper(system, scheme, h)
+    try:
+        end = step(origin)
+    except co.IntegrationError as failure:
+        with pytest.raises(co.IntegrationError) as same:
+            scheme.step(system, origin, 0.0, h)
+        assert str(same.value) in str(failure)
+        return
+    np.testing.assert_allclose(scheme.step(system, origin, 0.0, h), end, rtol=0, atol=64 * UNIT_ROUNDOFF)
+    exact = solve_ivp(lambda t, x: system.vector_field(x), (0.0, h), origin, rtol=1e-12, atol=1e-14).y[:, -1]
+    np.testing.assert_allclose(end, exact, rtol=0, atol=h ** (scheme.order + 1))
+
+
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("scheme", [scheme for scheme in EVERY_SCHEME if not scheme.explicit], ids=str)
+def test_steps_in_hundreds_of_digits(scheme):
+    """Iterations take as many rounds as their digits need: a step in more digits agrees in all of them."""
+    case = witnesses(scheme, "so(3), diagonal")[0]
+    if isinstance(case.system, co.MatrixSystem):
+        pytest.skip("steps of matrices are floats")
+    ends = []
+    for digits in (320, 330):
+        with mpmath.workdps(digits):
+            x = np.array([mpmath.mpf(v) for v in case.x0], dtype=object)
+            ends.append(scheme.step(case.system, x, mpmath.mpf(0), mpmath.mpf(0.125)))
+    with mpmath.workdps(330):
+        assert max(abs(a - b) for a, b in zip(*ends, strict=True)) < mpmath.mpf(10) ** -316
 
 
 def test_schemes_have_their_orders_in_time():
