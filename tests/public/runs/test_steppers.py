@@ -205,17 +205,12 @@ SCHEMES_BY = [
     (co.ReversibleSteps(co.Kahan()), BY[1]),
     (co.ReversibleSteps(co.Splitting()), BY[2]),
 ]
-FORCES_BY = [
-    ((), BY[0]),
-    (FORCES[:1], BY[0]),
-    (FORCES, BY[1]),
-    ((co.forces.Torque(lambda x: 0.1 * real(x)), *FORCES), BY[2]),
-]
+FORCES_BY = [(FORCES[:1], BY[0]), (FORCES, BY[1]), ((co.forces.Torque(lambda x: 0.1 * real(x)), *FORCES), BY[2])]
+FACTORS = [(*one, (), BY[0]) for one in SCHEMES_BY] + [(*one, *two) for one in SCHEMES_BY[-7::2] for two in FORCES_BY]
 
 
-@pytest.mark.thinned(8)
-@pytest.mark.parametrize(("forces", "of_forces"), FORCES_BY, ids=["alone", "damped", "pushed", "pushed in floats"])
-@pytest.mark.parametrize(("scheme", "of_scheme"), SCHEMES_BY, ids=str)
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("scheme", "of_scheme", "forces", "of_forces"), FACTORS)
 def test_tangents_are_computed_as_their_least_accurate_factor(scheme, of_scheme, forces, of_forces):
     body = co.systems.rigid_body(inertia=(1, 2, 2.5))
     step = co.stepper(body.with_forces(*forces) if forces else body, scheme, 0.25)
