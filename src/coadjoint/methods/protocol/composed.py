@@ -218,7 +218,7 @@ class Substeps(Composed):
         return self.base.derivative_tables_of_substeps(system, h, representation, energies, self.coefficients)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
-        h = full_precision(h)
+        x, h = np.array(x), full_precision(h)  # a step of the user may write into its state
         for fraction in map(type(h), self.coefficients):
             x, t = self.base.step(system, x, t, h * fraction), t + h * fraction
         return x
