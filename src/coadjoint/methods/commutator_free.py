@@ -204,7 +204,7 @@ class CommutatorFree(CompiledStepMethod):
         products = TYPICAL_DEGREE * (len(stages) + len(out))
         if system.has_matrices:
             return work_of_products(system, substeps * products)
-        return work_of_evaluations(system, substeps * (len(stages) + 1 + products), self.explicit)
+        return work_of_evaluations(system, len(stages) + 1 + products, self.explicit, substeps)
 
 
 def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any]], h: Any) -> tuple[Any, Any]:
