@@ -88,6 +88,21 @@ def test_steps_in_hundreds_of_digits(scheme):
         assert max(abs(a - b) for a, b in zip(*ends, strict=True)) < mpmath.mpf(10) ** -316
 
 
+TURNING = co.MatrixSystem(co.MatrixAlgebra("gl", 3), lambda W, t: (1.0 + 0.5 * np.sin(3.0 * t)) * W.T)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("h", [0.25, -0.25])
+@pytest.mark.parametrize("scheme", [one for one in EVERY_SCHEME + COMPOSED if serves(one, TURNING)], ids=str)
+def test_stages_of_matrices_have_their_times(scheme, h):
+    """With a stream of the time, in which the stages of a step are not alike."""
+    W, step = np.random.default_rng(5).uniform(-0.5, 0.5, (3, 3)), co.stepper(TURNING, scheme, h)
+    for t in (0.4, -3.0):
+        end = scheme.step(TURNING, W, t, h)
+        np.testing.assert_allclose(step(W, t), end, rtol=0, atol=256 * UNIT_ROUNDOFF)
+        np.testing.assert_allclose(scheme.tangent(TURNING, W, t, h)[0], TURNING.to_vector(end), rtol=0, atol=1e-14)
+
+
 def test_schemes_have_their_orders_in_time():
     """A spin in a field that rotates about the third axis, at rest in the frame that rotates with it."""
     rate, end, x0 = 2.0, 1.5, np.array([0.6, 0.0, 0.8])

@@ -229,7 +229,7 @@ class Substeps(Composed):
         return x
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        product = np.eye(len(x))
+        product = np.eye(system.dim)  # of coordinates, also for a matrix
         for fraction in self.coefficients:
             x, derivative = self.base.tangent(system, x, t, h * fraction)
             product, t = derivative @ product, t + h * fraction
