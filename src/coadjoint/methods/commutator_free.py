@@ -19,7 +19,7 @@ from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, wor
 from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
-from coadjoint.program.numbers import Number, array_of, roundoff
+from coadjoint.program.numbers import Number, array_of, full_precision, roundoff
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
@@ -179,7 +179,7 @@ class CommutatorFree(CompiledStepMethod):
         self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
     ) -> tuple[NDArray[Any], Any]:
         """Return the new state, and its derivative if that of x is given."""
-        (stages, out), point = SCHEMES[self.order], np.asarray(x)
+        (stages, out), point, h = SCHEMES[self.order], np.asarray(x), full_precision(h)
         number: Number = float if point.dtype != object else type(point[0])
         states: list[Any] = [(point if point.dtype.kind == "c" else array_of(number, point), tangent)]
         gradients: list[Any] = []
@@ -204,7 +204,7 @@ class CommutatorFree(CompiledStepMethod):
         products = TYPICAL_DEGREE * (len(stages) + len(out))
         if system.has_matrices:
             return work_of_products(system, substeps * products)
-        return work_of_evaluations(system, substeps * (len(stages) + 1 + products), self.explicit)
+        return work_of_evaluations(system, len(stages) + 1 + products, self.explicit, substeps)
 
 
 def combined(combination: Sequence[Fraction], gradients: Sequence[tuple[Any, Any]], h: Any) -> tuple[Any, Any]:

@@ -196,7 +196,7 @@ class Forced(Wrapper):
         self.properties(system)
         if np.ndim(x) > 1 and system.unforced.has_matrices:
             return np.asarray(system.unforced.from_vector(self.step(system, system.unforced.to_vector(x), t, h)))
-        y = np.asarray(x)
+        y = np.array(x)  # steps and flows of the user may write into their states
         for begin, length in substeps_of(self.fractions, t, h):
             half = 0.5 * length
             for force in system.forces:

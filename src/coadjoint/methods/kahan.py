@@ -94,7 +94,7 @@ class Kahan(CompiledStepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the work of the field, of its derivative, and of the linear system."""
-        return work_of_evaluations(system, substeps * (1 + min(system.dim, TYPICAL_COLUMNS)), self.explicit)
+        return work_of_evaluations(system, 1 + min(system.dim, TYPICAL_COLUMNS), self.explicit, substeps)
 
 
 def _derivative(system: System, x: NDArray[Any], t: Any) -> NDArray[Any]:

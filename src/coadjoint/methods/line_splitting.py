@@ -19,6 +19,7 @@ from coadjoint.methods.protocol.method import Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.methods.splitting import DEFAULT_SCHEMES, SCHEMES
+from coadjoint.program.numbers import full_precision
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.matrices.streams import Circulants
@@ -172,7 +173,7 @@ class LineSplitting(SubstepMethod):
 
     def flows(self, N: int, h: float) -> Iterator[tuple[Line, float]]:
         """Yield the lines whose flows make up a step, and the time of each."""
-        forward = lines(N)
+        forward, h = lines(N), full_precision(h)
         for fraction in self.fractions:
             for line in forward[:-1]:
                 yield line, fraction * h / 2

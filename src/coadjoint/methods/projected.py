@@ -104,7 +104,7 @@ class Projected(Wrapper):
         self.properties(system)
         point = np.asarray(x)
         number: Number = float if point.dtype != object else type(point[0])
-        end = np.asarray(self.base.step(system, point, t, h))
+        end = np.asarray(self.base.step(system, point.copy(), t, h))  # a step of the user may write into its state
         return project(restored_invariants(system), point, end, number, float(t))[0]
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -159,7 +159,7 @@ class ReversibleSteps(Wrapper):
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
         """Return the motion over h by variable steps from a fresh start, in NumPy for any number type."""
         self.properties(system)
-        speed, y, elapsed = self._speed(system), np.asarray(x), 0 * h
+        speed, y, elapsed = self._speed(system), np.array(x), 0 * h
         rho = None
         for _ in range(MAX_STEPS):
             length, rho = self._length(system, speed, y, t, h, rho)

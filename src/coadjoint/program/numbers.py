@@ -35,6 +35,11 @@ def array_of(number: Number, values: Iterable[Any]) -> NDArray[Any]:
     return result
 
 
+def full_precision(value: Any) -> Any:
+    """Return a whole number or one of single precision as a float, so that fractions of it are not rounded more."""
+    return float(value) if np.asarray(value).dtype.kind in "biuf" else value
+
+
 def is_exact(number: Number) -> bool:
     """Test whether a number type is exact: fractions, and power series with exact coefficients."""
     one = number(1)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.schemes_under_test import witnesses
 from long import long_where
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
@@ -113,6 +114,44 @@ def test_the_pair_of_euler_methods_is_the_trapezoidal_rule() -> None:
     end = co.methods.even_order(Euler(), 2).step(system, x0, 0.0, h)
     residual = end - x0 - h / 2 * (system.vector_field(x0) + system.vector_field(end))
     np.testing.assert_allclose(residual, 0, atol=1e-15)
+
+
+DRIVEN = co.LiePoissonSystem(
+    co.algebras.so(3),
+    co.Quadratic([1.0, 0.5, 0.4])
+    + co.Separable({i: (lambda y, t: np.sin(3.0 * t) * y, lambda y, t: np.sin(3.0 * t) + 0.0 * y) for i in (0, 2)}),
+)
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("h", [0.25, -0.25])
+@pytest.mark.parametrize("base", [*BASES[1:2], *BASES[3:6]], ids=str)
+def test_the_second_half_undoes_the_base_backward_in_time(base, h):
+    """By the definition of the adjoint, with an energy of the time, alone and composed."""
+    x, t, pair = np.array([0.5, -0.75, 0.625]), 0.375, co.methods.even_order(base, 2)
+    for step in (pair.step, co.Composition(pair, (1.0,)).step, lambda _, x, t, h: co.stepper(DRIVEN, pair, h)(x, t)):
+        end = step(DRIVEN, x, t, h)
+        middle = base.step(DRIVEN, end, t + h, -h / 2)
+        np.testing.assert_allclose(middle, base.step(DRIVEN, x, t, h / 2), rtol=0, atol=64 * UNIT_ROUNDOFF)
+
+
+SYMMETRIC = [one for name in co.methods.names() for one in co.methods.registry.scheme(name).examples() if one.symmetric]
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("base", SYMMETRIC, ids=str)
+def test_compositions_of_compositions_take_the_substeps_in_turn(base):
+    inner, outer, h, t = (0.375, 0.25, 0.375), (1.25, -0.5, 0.25), 0.25, 0.5
+    case = witnesses(base)[0]
+    nested = co.Composition(co.Composition(base, inner), outer)
+    fractions = [c * f for c in outer for f in inner]
+    wanted, time = np.asarray(case.x0), t
+    for fraction in fractions:
+        wanted, time = co.stepper(case.system, base, fraction * h)(wanted, time), time + fraction * h
+    bound = 4096 * len(base.fractions) * UNIT_ROUNDOFF * np.abs(wanted).max()
+    for method in (nested, co.Composition(base, fractions)):
+        for step in (co.stepper(case.system, method, h), lambda x, t, m=method: m.step(case.system, x, t, h)):
+            np.testing.assert_allclose(step(np.asarray(case.x0), t), wanted, rtol=0, atol=bound)
 
 
 @pytest.mark.thinned(1)

@@ -123,6 +123,26 @@ def test_orders_against_another_solver(name, method, backward):
     assert np.all(np.log2(errors[:-1] / errors[1:])[above][-1:] > method.order - 0.5)
 
 
+OPTIONS = [{"parts": "coordinates"}, {"parts": "free_body"}, {"parts": "coordinates", "rotation": "rational"},
+    {"parts": [[2], [0], [1]]}, {"compensated": True}]  # fmt: skip
+
+
+@pytest.mark.parametrize("h", [0.25, -0.25])
+@pytest.mark.parametrize("which", [{"order": 4}, {"scheme": "yoshida4"}], ids=str)
+@pytest.mark.parametrize("option", OPTIONS, ids=str)
+def test_steps_between_forces_have_the_options_of_the_splitting(option, which, h):
+    system = co.systems.rigid_body(inertia=(1, 2, 2.5)).with_forces(co.forces.Torque(of_both))
+    x, t, method = np.array([0.6, -0.4, 0.5]), 0.5, co.Splitting(**which, **option)
+    outer = 1.0 / (4.0 - 4.0 ** (1 / 3)) if "order" in which else 1.0 / (2.0 - 2.0 ** (1 / 3))
+    sides = [outer] * (2 if "order" in which else 1)
+    wanted, time = x, t
+    for fraction in (*sides, 1.0 - 2.0 * sum(sides), *sides):
+        step = co.stepper(system, co.Splitting(order=2, **option), fraction * h)
+        wanted, time = step(wanted, time), time + fraction * h
+    np.testing.assert_allclose(co.stepper(system, method, h)(x, t), wanted, rtol=0, atol=1e-14)
+    assert co.prepare(system, method, step=0.25).scheme.inner == co.Splitting(order=2, **option)
+
+
 @pytest.mark.parametrize("order", [4, 6])
 def test_torques_on_matrices_keep_the_order(order):
     body = co.systems.matrix_body((1.0, 2.0, 3.0)).with_forces(co.forces.Torque(of_matrix))

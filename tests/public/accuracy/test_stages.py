@@ -409,6 +409,12 @@ def test_a_change_of_sign_of_x_grad_h_is_told_and_not_stepped_over():
         told.append(str(failure.value))
     # Near the crossing the multiplier grows without bound: it may also be that the iteration does not get there.
     assert all("vanishes" in one or "converge" in one for one in told) and any("vanishes" in one for one in told)
+    # In one step, in which the sign changes before the first stage or between stages, and in Python.
+    for h in (1 / 16, 1 / 32, 1 / 64, 1 / 128):
+        with pytest.raises(co.IntegrationError, match=r"vanishes|converge"):
+            co.stepper(system, co.RadauEnergy(2), h)(truth.x[crossing])
+        with pytest.raises(co.IntegrationError, match=r"vanishes|converge"):
+            co.RadauEnergy(2).step(system, truth.x[crossing], 0.0, h)
 
 
 def test_failures_on_energy_surfaces():

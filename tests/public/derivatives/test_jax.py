@@ -1,6 +1,8 @@
 """Runs as functions of JAX: values, derivatives, transformations and refused arguments."""
 
 import os
+from functools import partial
+from itertools import product
 
 import numpy as np
 import pytest
@@ -128,6 +130,32 @@ def test_vmap_agrees_with_a_loop(f, name, wrapped):
     for one, *each in zip(*map(jax.tree.leaves, (found, *rows)), strict=True):
         exact = name in ("states", "ensembles", "parameters")
         np.testing.assert_allclose(one, np.stack(each, axis=out), rtol=0, atol=0 if exact else 256 * ROUNDING)
+
+
+def along_both(f, x0, i, v, w):
+    """Return the derivative along a state and parameters."""
+    return jax.jvp(lambda x, i: f(x, inertia=i), (x0, i), (v, w))[1]
+
+
+def pulled_back(f, x0, i, w):
+    """Return the gradients for a cotangent of all states."""
+    return jax.vjp(lambda x, i: f(x, inertia=i), x0, i)[1](w)
+
+
+COTANGENTS = np.sin(np.arange(60.0)).reshape(4, 5, 3)
+MAPS = [(along_both, axes) for axes in product((0, None), repeat=4)]
+MAPS += [(pulled_back, axes) for axes in product((0, None), repeat=3)]
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("function", "axes"), [one for one in MAPS if 0 in one[1]])
+def test_any_of_the_arguments_of_derivatives_may_be_mapped(f, function, axes):
+    many = (MANY, INERTIAS, MANY[::-1], INERTIAS) if len(axes) == 4 else (MANY, INERTIAS, COTANGENTS)
+    given = [one if axis == 0 else one[0] for one, axis in zip(many, axes, strict=True)]
+    found = jax.vmap(partial(function, f), axes)(*given)
+    rows = [function(f, *(a[k] if axis == 0 else a for a, axis in zip(given, axes, strict=True))) for k in range(4)]
+    for one, *each in zip(*map(jax.tree.leaves, (found, *rows)), strict=True):
+        np.testing.assert_allclose(one, np.stack(each), rtol=0, atol=256 * ROUNDING)
 
 
 def test_ensembles_share_parameters(f):

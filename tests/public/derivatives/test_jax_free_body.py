@@ -83,9 +83,11 @@ def test_a_tensor_is_that_of_the_rotated_body(kind):
     u, x, I, h = UNITS[kind], np.array((0.3, 0.7, -0.5), kind), np.array((1.0, 1.5, 2.5)), 2.5
     end, A = co.jax.free_body(x, np.eye(3, dtype=kind), I.astype(kind), kind(h))
     tensor = (AXES @ np.diag(I) @ AXES.T).astype(kind)
-    turned, B = co.jax.free_body((AXES @ x).astype(kind), np.eye(3, dtype=kind), tensor, kind(h))
-    assert np.abs(AXES @ end - turned).max() <= 100 * u
-    assert np.abs(AXES @ A @ AXES.T - B).max() <= 100 * u
+    for skew in (0.0, [[0.0, 0.5, -0.25], [-0.5, 0.0, 0.125], [0.25, -0.125, 0.0]]):  # which does not count
+        inertia = tensor + np.array(skew, kind)
+        turned, B = co.jax.free_body((AXES @ x).astype(kind), np.eye(3, dtype=kind), inertia, kind(h))
+        assert np.abs(AXES @ end - turned).max() <= 100 * u
+        assert np.abs(AXES @ A @ AXES.T - B).max() <= 100 * u
 
 
 def differences(function, values, along):

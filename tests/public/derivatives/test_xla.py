@@ -336,14 +336,15 @@ def clipped(x, t, tau):
 WHEELED = co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3))
 LAW = co.forces.Pointing(0.5, 1.5, error="quaternion")
 forces, PLATES = co.forces, (([2.0, 1.0], [(1, 0, 0), (0, 1, 0)], [(0, 0, 0.5), (0.1, 0.2, 0.3)]))
+RATES = ((0.1, 0.2, 0.0), (0.0, 0.3, 0.1), (0.1, 0.0, 0.2))
 FORCED = {
     "damping, torque": (BODY, [forces.LinearDamping((0.1, 0.2, 0.3), (1.0, 0.0, 0.0)), forces.Torque((0.0, 0.3, 1.0))]),
     "energy of the time": (IN_TIME, [forces.DoubleBracketDamping(0.9)]),
     "heat bath": (SPIN, [forces.HeatBath(0.3, temperature=0.5, seed=7)]),
-    "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping((0.1, 0.2, 0.3))]),
+    "order 6": (BODY, [forces.Torque(lambda x, t: 0.3 * np.cos(x + t)), forces.LinearDamping(RATES, (1.0, 0.0, -0.5))]),
     "branches": (BODY, [forces.Torque(kicked)]),
     "sampled": (None, [forces.Sampled(forces.Pointing(0.5, 1.5), period=0.2, max_torque=0.3)]),
-    "full damping": (BODY, [forces.LinearDamping(((0.1, 0.2, 0.0), (0.0, 0.3, 0.1), (0.1, 0.0, 0.2)))]),
+    "full damping": (BODY, [forces.LinearDamping(RATES), forces.LinearDamping(0.2, (0.3, 0.0, -0.5))]),
     "order 4 on the orbit": (SPIN, [forces.DoubleBracketDamping(0.1), forces.Torque((0.0, 0.3, 0.1))]),
     "of time": (BODY, [forces.Torque(lambda t: np.array([np.cos(t), 0.0, t]))]),
     "own flow": (BODY, [forces.OwnForce(lambda x, t, tau: x / (1.0 + np.abs(x) * tau), backward=False)]),

@@ -301,3 +301,71 @@ def test_a_step_may_run_other_loops(inner):
         for _ in range(20):
             state = co.stepper(system, inner, 0.1)(state)
         assert np.array_equal(found.x[-1], state), depth
+
+
+@dataclasses.dataclass(frozen=True)
+class Heun(Plain):
+    """Heun's method, with or without writing into its state."""
+
+    writes: bool = False
+
+    order, explicit, symmetric, compiles = 2, True, True, False  # said to be symmetric, for compositions
+
+    def step(self, system, x, t, h):
+        change = h * system.vector_field(x, t)
+        change = (change + h * system.vector_field(x + change, t + h)) / 2
+        if not self.writes:
+            return x + change
+        x += change
+        return x
+
+
+def shrunk(x, t, tau):
+    return x * (1.0 - 0.25 * tau * np.cos(t) * x)
+
+
+def shrunk_in_place(x, t, tau):
+    x *= 1.0 - 0.25 * tau * np.cos(t) * x
+    return x
+
+
+def braked(x, t):
+    return -0.5 * np.cos(t) * x * x
+
+
+def braked_in_place(x, t):
+    x *= x
+    x *= -0.5 * np.cos(t)
+    return x
+
+
+FORCES = [
+    (),
+    (co.forces.OwnForce(shrunk), co.forces.OwnForce(shrunk_in_place)),
+    (co.forces.Torque(braked), co.forces.Torque(braked_in_place)),
+]
+AROUND = [lambda one: one, co.Projected, co.ReversibleSteps, lambda one: co.Composition(one, (0.75, -0.5, 0.75))]
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
+@pytest.mark.parametrize("forces", FORCES, ids=["alone", "flow", "torque"])
+@pytest.mark.parametrize("around", AROUND, ids=["itself", "projected", "reversible", "composed"])
+def test_functions_may_write_into_their_states(around, forces):
+    """Steps, tangents and runs are those of functions that do not, and what the caller gave stays as it was."""
+    body, x, t, h = co.systems.rigid_body((1.0, 2.0, 2.5)), np.array([0.3, 1.0, 0.2]), 0.5, 0.25
+    found = []
+    for k in range(2):
+        method, given = around(Heun(writes=bool(k))), x.copy()
+        system = body.with_forces(forces[k]) if forces else body
+        step, scheme = co.stepper(system, method, h), co.methods.Forced(method) if forces else method
+        end = step(given, t)
+        found.append([end, step.tangent(given, t), *scheme.tangent(system, given, t, h)])
+        found[-1].append(co.integrate(system, given, (t, t + 3 * h), h, method).x)
+        assert np.array_equal(given, x)
+        # The step of the scheme of the user is the function itself.
+        found[-1].append(scheme.step(system, given if forces else given.copy(), t, h))
+        assert np.array_equal(given, x)
+        np.testing.assert_allclose(found[-1][-1], end, rtol=0, atol=16 * UNIT_ROUNDOFF)
+    for pure, other in zip(*found, strict=True):
+        np.testing.assert_allclose(other, pure, rtol=0, atol=64 * UNIT_ROUNDOFF)

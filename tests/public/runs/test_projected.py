@@ -171,6 +171,14 @@ def test_casimirs_that_cannot_be_restored_are_not_lost_in_silence(copies, sign):
                 assert abs(C(y) - C(x)) <= 16 * UNIT_ROUNDOFF * np.sum(np.abs(x * C.gradient(x)))
 
 
+@pytest.mark.parametrize("h", [0.3, -0.3])
+@pytest.mark.parametrize("scheme", [co.Projected(co.ExplicitRungeKutta("rk4")), co.Taylor(3)], ids=str)
+def test_tangents_where_gradients_are_dependent_everywhere(scheme, h):
+    system, x = DEPENDENT["Casimirs of Casimirs"]
+    step = co.stepper(system, scheme, h)
+    np.testing.assert_allclose(step.tangent(x), difference_of(step, np.array(x)), rtol=0, atol=1e-8)
+
+
 def check_nearest_point(base, system, h, x=None):
     """y - z is a combination of the gradients at the step z of the base, and the values at y are those at x."""
     method, x = co.Projected(base), start_of(system) if x is None else x

@@ -1,5 +1,6 @@
 """Single steps as functions: group elements, derivatives, threads and refusals."""
 
+import dataclasses
 import math
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,6 +9,7 @@ import pytest
 
 import coadjoint as co
 from drawn_matrices import wide
+from own_schemes import OwnKahan
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
@@ -149,19 +151,70 @@ def takes(scheme, system):
     return True
 
 
-@pytest.mark.thinned(1)
+def pushing(x, t):
+    """Return a torque of state and time."""
+    return 0.5 * np.cos(x + t) * x[1]
+
+
+# Neither commutes with the other, so that their order counts.
+FORCES = (
+    co.forces.LinearDamping(np.array([[0.3, 0.2, -0.1], [-0.4, 0.2, 0.3], [0.1, 0.5, 0.4]]), toward=(0.2, -0.1, 0.3)),
+    co.forces.Torque(pushing),
+)
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("forces", [(), FORCES], ids=["alone", "forced"])
 @pytest.mark.parametrize("scheme", [one for one in EVERY_SCHEME + COMPOSED if takes(one, PUSHED)], ids=str)
-def test_tangents_of_every_scheme_are_those_at_their_time(scheme):
+def test_tangents_of_every_scheme_are_those_at_their_time(scheme, forces):
     """For an energy of the time, in compositions also in each substep; the reference are differences of steps."""
     x, e = np.array([0.3, 1.0, 0.2]), 2.0**-7
     for t, h in ((-3.0, 0.25), (2.0, -0.25)):
-        step = co.stepper(PUSHED, scheme, h)
+        step = co.stepper(PUSHED.with_forces(*forces) if forces else PUSHED, scheme, h)
         # Of order 4, with an error of some e^4 and U / e.
         differences = [
             (8 * (step(x + by, t) - step(x - by, t)) - (step(x + 2 * by, t) - step(x - 2 * by, t))) / (12 * e)
             for by in e * np.eye(3)
         ]
         np.testing.assert_allclose(step.tangent(x, t), np.transpose(differences), rtol=0, atol=8 * e**4)
+
+
+def real(x):
+    """Return numbers that cannot be complex."""
+    return np.array([float(one) for one in x])
+
+
+@dataclasses.dataclass(frozen=True)
+class RealMidpoint(OwnKahan):
+    """The implicit midpoint rule for floats alone."""
+
+    compiles = False
+
+    def step(self, system, x, t, h):
+        return co.GaussLegendre(1).step(system, real(x), t, h)
+
+
+BY = ("formula", "complex step", "differences")  # from the most accurate one
+HALVES = (0.5, 0.5)
+SCHEMES_BY = [
+    *((one, BY[0]) for one in EVERY_SCHEME if not one.own_steps and takes(one, PUSHED)),
+    *((around(OwnKahan()), BY[1]) for around in (co.Projected, co.ReversibleSteps, lambda one: one)),
+    *((around(RealMidpoint()), BY[2]) for around in (co.Projected, co.ReversibleSteps, lambda one: one)),
+    (co.Composition(OwnKahan(), HALVES), BY[1]),
+    (co.Composition(RealMidpoint(), HALVES), BY[2]),
+    (co.ReversibleSteps(co.Kahan()), BY[1]),
+    (co.ReversibleSteps(co.Splitting()), BY[2]),
+]
+FORCES_BY = [(FORCES[:1], BY[0]), (FORCES, BY[1]), ((co.forces.Torque(lambda x: 0.1 * real(x)), *FORCES), BY[2])]
+FACTORS = [(*one, (), BY[0]) for one in SCHEMES_BY] + [(*one, *two) for one in SCHEMES_BY[-7::2] for two in FORCES_BY]
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("scheme", "of_scheme", "forces", "of_forces"), FACTORS)
+def test_tangents_are_computed_as_their_least_accurate_factor(scheme, of_scheme, forces, of_forces):
+    body = co.systems.rigid_body(inertia=(1, 2, 2.5))
+    step = co.stepper(body.with_forces(*forces) if forces else body, scheme, 0.25)
+    assert step.tangent_by(np.array([0.3, 1.0, 0.2]), 0.5) == max(of_scheme, of_forces, key=BY.index)
 
 
 def test_steppers_are_safe_in_threads_and_after_failures():

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
-from coadjoint.methods.numerics.solvers import linear_solve
+from coadjoint.methods.numerics.solvers import linear_solve, most_rounds
 from coadjoint.program.numbers import Number, array_of, roundoff
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -71,11 +71,11 @@ def project(
     free = independent(gradients)
     directions = gradients[free]
     multipliers = directions @ z * 0
-    y, residual = z, float("inf")
-    for _ in range(limit("PROJECTION_CORRECTIONS") + 1):
+    y, residual = z, number("inf")
+    for _ in range(most_rounds(limit("PROJECTION_CORRECTIONS"), unit) + 1):
         before = residual
         defects = np.array([target - C.value(y) for target, C in zip(targets, invariants, strict=True)])
-        residual = float(max(abs(defects)))
+        residual = max(abs(defects))
         allowed = exact * (stagnant if residual >= 0.5 * before else 1)
         if all(abs(d) <= allowed * unit * size for d, size in zip(defects, sizes, strict=True)):
             return y, dict(zip(free, multipliers, strict=True))
@@ -85,10 +85,10 @@ def project(
         multipliers = multipliers + change
         y = z + directions.T @ multipliers
     raise IntegrationError(
-        f"the projection of a step does not converge (defect {residual:.3g}); take a smaller step",
+        f"the projection of a step does not converge (defect {float(residual):.3g}); take a smaller step",
         step=1,
         time=time,
-        residual=residual,
+        residual=float(residual),
     )
 
 

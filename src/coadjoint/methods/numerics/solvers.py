@@ -171,6 +171,11 @@ def begin(tableau: Callable[[Number], Coefficients], system: System, x: Any, t: 
     return StageProblem(system, coefficients, point, times, [length * b for b in coefficients.scale])
 
 
+def most_rounds(limit_of_floats: int, unit: Any) -> int:
+    """Return the limit of an iteration that converges linearly, for numbers of this unit round-off."""
+    return limit_of_floats * max(1, int(1 / unit).bit_length() // 53)
+
+
 def linear_solve(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     """Solve a linear system in any number type, by elimination with partial pivoting; `right` is (m, lanes)."""
     if matrix.dtype != object:
@@ -349,7 +354,7 @@ def iterate_to_stagnation(step: StageProblem, slopes_at: Callable[[NDArray[Any]]
             "the stages are computed by iteration, which does not terminate in exact fractions; take floats or "
             "mpmath.mpf"
         )
-    max_iterations = MAX_ITERATIONS * max(1, int(-np.log2(float(unit)) / 53))
+    max_iterations = most_rounds(MAX_ITERATIONS, unit)
     points, stagnant, largest, first = step.start(), 0, None, 0
     smallest = np.full(step.x.size, np.inf, dtype=step.x.dtype)
     with np.errstate(over="ignore", invalid="ignore"):  # divergence is detected by the last correction

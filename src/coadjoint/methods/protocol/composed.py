@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.loop import CompiledLoop
 from coadjoint.methods.protocol.method import Method, Representation, is_short
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep, joined_steps
+from coadjoint.program.numbers import full_precision
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import of
@@ -217,8 +218,8 @@ class Substeps(Composed):
         return self.base.derivative_tables_of_substeps(system, h, representation, energies, self.coefficients)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
-        number = type(h)
-        for fraction in map(number, self.coefficients):
+        x, h = np.array(x), full_precision(h)  # a step of the user may write into its state
+        for fraction in map(type(h), self.coefficients):
             x, t = self.base.step(system, x, t, h * fraction), t + h * fraction
         return x
 
@@ -228,7 +229,7 @@ class Substeps(Composed):
         return x
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
-        product = np.eye(len(x))
+        product = np.eye(system.dim)  # of coordinates, also for a matrix
         for fraction in self.coefficients:
             x, derivative = self.base.tangent(system, x, t, h * fraction)
             product, t = derivative @ product, t + h * fraction

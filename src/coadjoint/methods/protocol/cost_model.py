@@ -170,11 +170,12 @@ def work_of_iterations(system: System, group: Any) -> Work:
     return Work(cost)
 
 
-def work_of_evaluations(system: System, evaluations: int, explicit: bool) -> Work:
-    """Return the work of a step with this number of evaluations of the field, and a linear system unless explicit."""
+def work_of_evaluations(system: System, evaluations: int, explicit: bool, substeps: int = 1) -> Work:
+    """Return the work of a step with evaluations of the field in each substep, and a linear system unless explicit."""
     cost = evaluations * iteration_work(system, 1, None)
     if not explicit:
         cost += newton_work(system.dim, 1)
+    cost *= substeps
     return Work(lambda iterations, counted: cost)
 
 

@@ -98,7 +98,7 @@ class StepMethod(SubstepMethod):
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
         """Return the estimated work of a step: as many evaluations of the field as its order."""
-        return work_of_evaluations(system, substeps * self.order, self.explicit)
+        return work_of_evaluations(system, self.order, self.explicit, substeps)
 
 
 @dataclass(frozen=True)

@@ -203,7 +203,7 @@ class OwnForce(Force):
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if system.has_matrices:
             return np.asarray(system.to_vector(self.function(system.from_vector(x), t, tau)))
-        return np.asarray(self.function(x, t, tau))
+        return np.asarray(self.function(x.copy(), t, tau))
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         return reader.flow(self.function)
