@@ -123,21 +123,22 @@ def test_events_at_both_ends_of_the_span():
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_error_names_the_first_undefined_event(way):
+@pytest.mark.parametrize("t0", [0.0, 5.0, -1.5])
+def test_error_names_the_first_undefined_event(way, t0):
     """The later one is given first."""
 
     def later(x, t):
-        return np.sqrt(9.0 - t * t) - 10.0
+        return np.sqrt(9.0 - (t - t0) ** 2) - 10.0
 
     def first(x, t):
-        return np.sqrt(4.0 - t * t) - 10.0
+        return np.sqrt(4.0 - (t - t0) ** 2) - 10.0
 
     events = [co.Event("x2"), co.Event(later, name="later"), co.Event(first, name="first")]
     for x0, who in ((FLIPPING, ""), (np.tile(FLIPPING, (3, 1)), r" for 3 of 3 members \(first: member 0\)")):
-        words = rf"step 17, .*event first .* t = {2.125 * way:g}.*{who}$"
+        words = rf"step 17, .*event first .* t = {t0 + 2.125 * way:g}.*{who}$"
         with pytest.raises(co.IntegrationError, match=words) as failure:
-            co.integrate(BODY, x0, (0, 8 * way), 0.125, events=events)
-        assert failure.value.step == 17 and failure.value.time == 2.0 * way
+            co.integrate(BODY, x0, (t0, t0 + 8 * way), 0.125, events=events)
+        assert failure.value.step == 17 and failure.value.time == t0 + 2.0 * way
 
 
 @pytest.mark.parametrize("members", [None, 2])

@@ -19,7 +19,6 @@ from satellite_forces import (
     NORMALS,
     PERIOD,
     PYRAMID,
-    SLOW,
     SPIN,
     STEP,
     STIFF,
@@ -147,6 +146,18 @@ def test_a_sampled_damper_and_a_constant_torque_are_exact():
             driven = S.body((1.0, 2.0, 2.5), attitude=False).with_forces(F.Sampled(law, 0.5))
             run = co.integrate(driven, driven.state(), (0, 8), h)
             np.testing.assert_array_equal(run.x[:, 1], 0.25 * run.t)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize(("period", "steps"), [(0.1, 5), (0.1, 3), (0.2, 5), (0.3, 2), (0.7, 2), (0.01, 10)])
+@pytest.mark.parametrize("start", [0, -40])
+def test_no_sample_is_missed_by_rounding(period, steps, start):
+    """Of periods and steps that are not floats: times divided by them lie on either side of whole numbers."""
+    sat = S.body(TENSOR).with_forces(F.Sampled(F.Torque(lambda t: np.array([t / 1024, 0.0, 0.0])), period))
+    span = (start * period, (start + 100) * period)
+    held = co.integrate(sat, sat.state(TURNED), span, period / steps, splitting(1)).x[1:, -3]
+    wanted = np.repeat(period * np.arange(start, start + 100), steps)
+    np.testing.assert_allclose(1024 * held, wanted, rtol=0, atol=100 * 2.0**-50)
 
 
 @pytest.mark.parametrize("name", ["Sampled", "ReactionWheels", "ControlMomentGyros", "Thrusters"])
@@ -477,7 +488,11 @@ PRESCRIBED = [
     (F.MagneticDipole((0.2, -0.3, 0.5), (0.3, 0.4, -0.1)), "B"),
     (F.SolarPressure(0.02, TOWARD, *PLATES), "sun"),
     (F.Drag(0.2, TOWARD, *PLATES), "velocity"),
-    *((F.Pointing(k, SLOW, WANTED, (0.1, -0.2, 0.3)), field) for k in (STIFF, 0.0) for field in ("attitude", "rate")),
+    *(
+        (F.Pointing(k, DAMPING, WANTED, (0.1, -0.2, 0.3)), field)
+        for k in (STIFF, 0.0)
+        for field in ("attitude", "rate")
+    ),
 ]
 
 
