@@ -272,8 +272,7 @@ def same_fingerprint(first: Mapping[str, Any], second: Mapping[str, Any]) -> boo
     if not {"python", "contents", "written"} <= first.keys() & second.keys():
         return False
     compared = "contents" if first["python"] == second["python"] else "written"
-    # Values that are nested too deep have an empty digest, which says nothing.
-    return bool(first[compared]) and bool(first[compared] == second[compared])
+    return bool(first[compared] and first[compared] == second[compared])  # empty for values that are nested too deep
 
 
 def functions_in(system: Any) -> list[str]:

@@ -98,6 +98,14 @@ class StoredSolution(Solution):
         except ValueError:  # its Hamiltonian is a function, which was not stored, and may depend on time
             return True
 
+    @property
+    def _forces_keep_casimirs(self) -> bool:
+        try:
+            return super()._forces_keep_casimirs
+        except ValueError:  # as above; balances that are missing are stored as NaN
+            missing = np.isnan(self._worst[..., 1 + len(self.casimirs) :])
+            return not missing.reshape(-1, missing.shape[-1]).all(axis=0).any()
+
     @cached_property
     def watched(self) -> bool:
         return bool(self.attributes["watch"])

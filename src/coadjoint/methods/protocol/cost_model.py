@@ -175,8 +175,7 @@ def work_of_evaluations(system: System, evaluations: int, explicit: bool, subste
     cost = evaluations * iteration_work(system, 1, None)
     if not explicit:
         cost += newton_work(system.dim, 1)
-    cost *= substeps
-    return Work(lambda iterations, counted: cost)
+    return Work(lambda iterations, counted: substeps * cost)
 
 
 def work_of_products(system: Any, products: int, iterated: bool = False) -> Work:

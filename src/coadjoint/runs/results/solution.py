@@ -166,8 +166,7 @@ class Solution(SolutionOutput):
         -------
         dict
             As `drift`, for ``invariant - work of all forces``. Without forces it is `drift`. For matrices it has the
-            energy and the Casimirs of degree two of a single block, since work is recorded for these only; and all
-            Casimirs, if the forces preserve them.
+            energy, the Casimirs whose work is recorded (degree two, one block), and all that the forces preserve.
 
         Examples
         --------
@@ -183,17 +182,12 @@ class Solution(SolutionOutput):
         accounted = {invariant for _, invariant in self._accounts}
         conserves_casimirs = accounted == {"energy"} and self._forces_keep_casimirs
         deviations = self._deviations(1 + len(self.casimirs), relative)
-        balances = {name: drift for name, drift in deviations.items() if conserves_casimirs or name in accounted}
-        return NamedValues(balances)
+        return NamedValues({name: one for name, one in deviations.items() if conserves_casimirs or name in accounted})
 
     @property
     def _forces_keep_casimirs(self) -> bool:
         """Whether the forces preserve all Casimirs. Accounts do not show it: matrices of several blocks have none."""
-        try:
-            return all(force.casimirs for force in self.system.forces)
-        except ValueError:  # functions that are not stored; where there is no balance, NaN is
-            missing = np.isnan(self._worst[..., 1 + len(self.casimirs) :])
-            return not missing.reshape(-1, missing.shape[-1]).all(axis=0).any()
+        return all(force.casimirs for force in self.system.forces)
 
     @suggest_keywords
     def change(self, relative: bool = True) -> dict[str, Drift]:

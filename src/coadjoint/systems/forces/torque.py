@@ -42,7 +42,7 @@ class StateTorque(Force):
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         function, arguments = self.on_state(system)
-        return np.asarray(function(*({"x": x.copy(), "t": t}[one] for one in arguments.split(", "))))
+        return np.asarray(function(*(x.copy() if one == "x" else t for one in arguments.split(", "))))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if self.tangent(system, x, t, tau) is not None:
