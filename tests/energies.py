@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 import coadjoint as co
@@ -16,3 +19,12 @@ def polynomial(n: int, degree: int, seed: int | np.random.Generator) -> co.Polyn
             exponents = np.bincount(rng.integers(0, n, d), minlength=n)
             monomials[tuple(exponents.tolist())] = float(np.round(rng.uniform(-0.25, 0.25), 3))
     return co.Polynomial(monomials)
+
+
+def pulsed(rate: float) -> tuple[Callable[[Any, Any], Any], ...]:
+    """Return ``cos(y) (1 + sin(rate t))`` and its first two derivatives by y."""
+    return (
+        lambda y, t: np.cos(y) * (1.0 + np.sin(rate * t)),
+        lambda y, t: -np.sin(y) * (1.0 + np.sin(rate * t)),
+        lambda y, t: -np.cos(y) * (1.0 + np.sin(rate * t)),
+    )

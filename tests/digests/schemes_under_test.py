@@ -10,6 +10,9 @@ from .systems_under_test import Case, all_cases, cases
 
 C1 = 1 / (2 - 2 ** (1 / 3))
 TRIPLE_JUMP = (C1, 1 - 2 * C1, C1)
+EXAMPLES = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()]
+"""Every registered scheme with the options of its examples."""
+COMPOSED = [co.Composition(method, (0.75, -0.5, 0.75)) for method in EXAMPLES if method.symmetric]
 
 
 @cache

@@ -6,6 +6,7 @@ import re
 from functools import cache
 
 import coadjoint as co
+from digests.schemes_under_test import EXAMPLES
 
 OTHERS = (
     "co.Splitting(order=2, parts='free_body')",
@@ -59,5 +60,4 @@ def text_of(method: co.methods.Method) -> str:
 @cache
 def schemes() -> tuple[str, ...]:
     """Return every example of every registered scheme, and the others."""
-    examples = [text_of(each) for name in co.methods.names() for each in co.methods.registry.scheme(name).examples()]
-    return (*examples, *OTHERS)
+    return (*map(text_of, EXAMPLES), *OTHERS)

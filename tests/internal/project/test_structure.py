@@ -18,6 +18,7 @@ DOCUMENTED = {"_replace", "_asdict", "_fields", "_exit", "_repr_html_", "_idlist
 IN_TEXT = re.compile(r"\b(?:from|import) coadjoint\.(\w+)(\.\w+)?|^coadjoint\.(\w+)(\.\w+\.)?")
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", MAXIMA)
 def test_figures_are_within_the_budget(name):
     """A change that needs more says in `structure.py` what users gain for it."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from digests.schemes_under_test import witnesses
+from digests.schemes_under_test import EXAMPLES, witnesses
 from long import long_where
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
@@ -135,11 +135,8 @@ def test_the_second_half_undoes_the_base_backward_in_time(base, h):
         np.testing.assert_allclose(middle, base.step(DRIVEN, x, t, h / 2), rtol=0, atol=64 * UNIT_ROUNDOFF)
 
 
-SYMMETRIC = [one for name in co.methods.names() for one in co.methods.registry.scheme(name).examples() if one.symmetric]
-
-
 @pytest.mark.thinned(2)
-@pytest.mark.parametrize("base", SYMMETRIC, ids=str)
+@pytest.mark.parametrize("base", [one for one in EXAMPLES if one.symmetric], ids=str)
 def test_compositions_of_compositions_take_the_substeps_in_turn(base):
     inner, outer, h, t = (0.375, 0.25, 0.375), (1.25, -0.5, 0.25), 0.25, 0.5
     case = witnesses(base)[0]

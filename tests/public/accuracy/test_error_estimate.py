@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from digests.explicit_systems import LONG, many_digits, written_out
-from digests.schemes_under_test import schemes, serves
+from digests.schemes_under_test import EXAMPLES, schemes, serves
 from digests.systems_under_test import matrices
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
@@ -77,9 +77,7 @@ ABOVE_ROUNDING = 1e-12  # error below which a run is not counted
 @cache
 def schemes_of_own_steps() -> dict[str, co.methods.Method]:
     """Return the schemes that choose their steps: the examples and candidates, and others of more orders."""
-    found = [
-        each for name in co.methods.names() for each in co.methods.registry.scheme(name).examples() if each.own_steps
-    ]
+    found = [each for each in EXAMPLES if each.own_steps]
     bases = [(SPLITTING, 0.05), (GAUSS(1), 0.1), (co.Splitting(order=4), 0.1), (co.Kahan(), 0.1), (GAUSS(3), 0.4)]
     found += [co.ReversibleSteps(base, stride) for base, stride in bases]
     found += [co.Taylor(order, tolerance=size) for order in (6, 12) for size in (1e-3, 1e-6, 1e-8)]

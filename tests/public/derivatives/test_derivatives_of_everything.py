@@ -7,6 +7,8 @@ import pytest
 from derivative_checks import DIFFERENCE_ERROR, DISTANCE, assert_derivatives, difference, outputs
 
 import coadjoint as co
+from digests.schemes_under_test import EXAMPLES
+from energies import pulsed
 from rounding import UNIT_ROUNDOFF
 
 F, H = co.forces, 0.0625
@@ -211,13 +213,6 @@ def test_derivatives_by_torques_that_are_inputs(scheme):
                        values=values)  # fmt: skip
 
 
-WAVE = (
-    lambda y, t: np.cos(y) * (1.0 + np.sin(6.0 * t)),
-    lambda y, t: -np.sin(y) * (1.0 + np.sin(6.0 * t)),
-    lambda y, t: -np.cos(y) * (1.0 + np.sin(6.0 * t)),
-)
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("sign", [1, -1])
@@ -226,7 +221,7 @@ WAVE = (
 )
 def test_dampings_on_the_orbit_are_differentiated_with_an_energy_of_the_time(damping, sign):
     """In long steps, within which the energy changes, against differences of the runs."""
-    H = co.Separable(dict.fromkeys(range(3), WAVE))
+    H = co.Separable(dict.fromkeys(range(3), pulsed(6.0)))
     system = co.LiePoissonSystem(co.algebras.so(3), H, sign).with_forces(damping)
     ready, x0, span, h = co.prepare(system, co.Splitting(), 0.25), np.array([0.3, -0.8, 0.5]), (0.5, 1.0), 2.0**-14
     _, tangents = ready.jvp(x0, span, {"x0": np.eye(3)})
@@ -250,9 +245,8 @@ def test_gradients_of_long_steps_on_the_orbit(force):
     assert any(name.endswith(".alpha") for name in gradient)
 
 
-EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
 OF_FIELDS = ("IsospectralGauss", "LineSplitting")
-WITH_STEPS = [one for one in EVERY_SCHEME if not one.own_steps and type(one).__name__ not in OF_FIELDS]
+WITH_STEPS = [one for one in EXAMPLES if not one.own_steps and type(one).__name__ not in OF_FIELDS]
 
 
 @pytest.mark.parametrize("scheme", WITH_STEPS, ids=str)

@@ -5,6 +5,8 @@ import pytest
 
 import coadjoint as co
 from core_only import run_python
+from digests.schemes_under_test import EXAMPLES
+from energies import pulsed
 from long import long_beyond, long_where
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
@@ -44,12 +46,7 @@ def of_algebra(algebra):
 BODY = co.systems.rigid_body((1.0, 2.0, 2.5))
 DIAGONAL = co.LiePoissonSystem(co.algebras.get("A3,2"), co.Quadratic([0.9, 0.5, 0.7], [0.1, 0.2, 0.3]))
 FREE = co.LiePoissonSystem(co.algebras.su(3), co.Quadratic(np.linspace(0.3, 1.0, 8)))
-WAVE = (
-    lambda y, t: np.cos(y) * (1.0 + np.sin(6.0 * t)),
-    lambda y, t: -np.sin(y) * (1.0 + np.sin(6.0 * t)),
-    lambda y, t: -np.cos(y) * (1.0 + np.sin(6.0 * t)),
-)
-IN_TIME = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.1, 0.2, 0.3]) + co.Separable({0: WAVE}))
+IN_TIME = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.1, 0.2, 0.3]) + co.Separable({0: pulsed(6.0)}))
 get = co.algebras.get
 SYSTEMS = {
     "body, 1": lambda: (BODY, co.Splitting(order=1)),
@@ -461,7 +458,7 @@ def test_ready_made_systems_agree_with_the_compiled_run():
         np.testing.assert_allclose(x, wanted, rtol=0, atol=1e-13 * max(1.0, np.abs(wanted).max()), err_msg=name)
 
 
-SCHEMES = {str(one): one for name in co.methods.names() for one in co.methods.registry.scheme(name).examples()}
+SCHEMES = {str(one): one for one in EXAMPLES}
 
 
 @pytest.mark.thinned(4)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.schemes_under_test import EXAMPLES
 from matrix.forces import forces_on
 
 STEP, SPAN, MEMBERS = 1.0 / 64.0, (0.0, 0.5), 6
@@ -21,7 +22,6 @@ METHODS = {
     "taylor": co.Taylor(order=8),
     "midpoint": co.SphericalMidpoint(),
 }
-SCHEMES = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()]
 
 
 def varied(value, rng):
@@ -173,7 +173,7 @@ FAMILIES = {
 
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("family", FAMILIES)
-@pytest.mark.parametrize("method", [*METHODS.values(), *SCHEMES], ids=str)
+@pytest.mark.parametrize("method", [*METHODS.values(), *EXAMPLES], ids=str)
 def test_schemes_of_all_kinds(method, family):
     try:
         assert_as_alone(FAMILIES[family](MEMBERS), method)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.schemes_under_test import EXAMPLES
 from refusals import refused
 
 
@@ -33,8 +34,8 @@ def _systems():
 
 
 SYSTEMS = dict(_systems())
-METHODS = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()]
-METHODS += [co.Splitting(parts=parts) for parts in ("free_body", "bonds", ((0,), (1,)), ((0,), (1,), (2,)))]
+PARTS = ("free_body", "bonds", ((0,), (1,)), ((0,), (1,), (2,)))
+METHODS = [*EXAMPLES, *(co.Splitting(parts=parts) for parts in PARTS)]
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5)
 
 

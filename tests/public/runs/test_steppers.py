@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from digests.schemes_under_test import COMPOSED, EXAMPLES, serves
 from drawn_matrices import wide
+from energies import pulsed
 from own_schemes import OwnKahan
 from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
@@ -131,24 +133,8 @@ def test_derivatives_of_a_step_are_those_at_its_time(method):
         np.testing.assert_allclose(step.tangent_by_inputs(x, t, rotors=u), np.transpose(by_u), rtol=0, atol=8 * e**4)
 
 
-EVERY_SCHEME = [scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()]
-SYMMETRIC = [scheme for scheme in EVERY_SCHEME if scheme.symmetric and not isinstance(scheme, co.Composition)]
-COMPOSED = [co.Composition(scheme, (0.75, -0.5, 0.75)) for scheme in SYMMETRIC]
-WAVE = (
-    lambda y, t: np.cos(y) * (1.0 + np.sin(3.0 * t)),
-    lambda y, t: -np.sin(y) * (1.0 + np.sin(3.0 * t)),
-    lambda y, t: -np.cos(y) * (1.0 + np.sin(3.0 * t)),
-)
-PUSHED = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.4]) + co.Separable({0: WAVE, 2: WAVE}))
-
-
-def takes(scheme, system):
-    """Return whether a scheme supports a system."""
-    try:
-        scheme.properties(system)
-    except (TypeError, ValueError):
-        return False
-    return True
+WAVES = co.Separable(dict.fromkeys((0, 2), pulsed(3.0)))
+PUSHED = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.4]) + WAVES)
 
 
 def pushing(x, t):
@@ -165,7 +151,7 @@ FORCES = (
 
 @pytest.mark.thinned(2)
 @pytest.mark.parametrize("forces", [(), FORCES], ids=["alone", "forced"])
-@pytest.mark.parametrize("scheme", [one for one in EVERY_SCHEME + COMPOSED if takes(one, PUSHED)], ids=str)
+@pytest.mark.parametrize("scheme", [one for one in EXAMPLES + COMPOSED if serves(one, PUSHED)], ids=str)
 def test_tangents_of_every_scheme_are_those_at_their_time(scheme, forces):
     """For an energy of the time, in compositions also in each substep; the reference are differences of steps."""
     x, e = np.array([0.3, 1.0, 0.2]), 2.0**-7
@@ -197,7 +183,7 @@ class RealMidpoint(OwnKahan):
 BY = ("formula", "complex step", "differences")  # from the most accurate one
 HALVES = (0.5, 0.5)
 SCHEMES_BY = [
-    *((one, BY[0]) for one in EVERY_SCHEME if not one.own_steps and takes(one, PUSHED)),
+    *((one, BY[0]) for one in EXAMPLES if not one.own_steps and serves(one, PUSHED)),
     *((around(OwnKahan()), BY[1]) for around in (co.Projected, co.ReversibleSteps, lambda one: one)),
     *((around(RealMidpoint()), BY[2]) for around in (co.Projected, co.ReversibleSteps, lambda one: one)),
     (co.Composition(OwnKahan(), HALVES), BY[1]),

@@ -316,7 +316,7 @@ def test_dampers_act_on_classical_bodies(damping):
         damped, x = system.with_forces(F.Pointing(0.0, damping)), 0.3 + 0.1 * np.arange(system.dim)
         change = damped.vector_field(x) - system.vector_field(x)
         omega = system.hamiltonian.gradient(x)[:3]
-        np.testing.assert_allclose(change, np.r_[-C @ omega, np.zeros(system.dim - 3)], atol=1e-14)
+        np.testing.assert_allclose(change, np.r_[-C @ omega, np.zeros(system.dim - 3)], atol=1e-15)
         assert damped.power(x)["Pointing"] < 0.0
         assert co.integrate(damped, x, (0, 1), 0.125).x.shape == (9, system.dim)
 
