@@ -31,12 +31,13 @@ CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),pac
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
 
-# Hypothesis draws the same cases on every machine; in `make long` others each time.
+# Hypothesis draws the same cases on every machine; in `make long` others each time. Numba optimizes functions less, which
+# takes half the time to compile and does not change their bits; in `make long` as for users.
 test: kernels
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy > $(VENV)/types.txt & types=$$!; \
-	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci; tests=$$?; \
+	NUMBA_OPT=1 $(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci; tests=$$?; \
 	wait $$types || tests=1; cat $(VENV)/types.txt; exit $$tests
 
 # More seeds, schemes and compilers than `make test` has time for.

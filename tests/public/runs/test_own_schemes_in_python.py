@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from long import long_beyond
 from own_schemes import Failing, Interpreted, OwnKahan, Plain
 from refusals import refused
 from rounding import UNIT_ROUNDOFF
@@ -134,9 +135,11 @@ class AdjustedAgain(Adjusted):
     factor: float = 4.0
 
 
-@pytest.mark.long
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize(
-    "scheme", [Turned(), Back(), Adjusted(0.25), AdjustedAgain(other="plain")], ids=lambda scheme: type(scheme).__name__
+    "scheme",
+    long_beyond(2, [Turned(), AdjustedAgain(other="plain"), Back(), Adjusted(0.25)]),
+    ids=lambda scheme: type(scheme).__name__,
 )
 def test_parameters_of_a_compiled_step_are_those_of_the_scheme(scheme):
     """Also where they are inherited, redefined, or fields."""
