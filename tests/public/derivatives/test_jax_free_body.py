@@ -147,8 +147,7 @@ def test_second_derivatives_and_attitudes(kind):
     for start in (x, np.zeros(3)):
         product = both(start, v)[1]
         np.testing.assert_allclose(u @ product, v @ both(start, u)[1], rtol=0, atol=1e-14)
-        found = differences(lambda x: both(x, v)[0], [start], [v])
-        np.testing.assert_allclose(product, found, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(product, differences(lambda x: both(x, v)[0], [start], [v]), rtol=0, atol=1e-11)
     # A rotation of space turns the attitude, and does nothing else.
     turn = np.array([[0.0, -0.3, 0.2], [0.3, 0.0, -0.1], [-0.2, 0.1, 0.0]])
     (_, A), (dx, dA) = jax.jvp(lambda A: co.jax.free_body(x, A, inertia, h), (np.eye(3),), (turn,))
