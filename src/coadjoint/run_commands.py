@@ -178,8 +178,8 @@ def resume_archive(
     A finished run is left unchanged, unless a later end is given. At the end the results are written that the
     configuration file of the run declares: file, figure and movie, relative to the current directory.
     """
-    from coadjoint.files.archives.archive import read_archive_path
     from coadjoint.files.archives.archived_solution import open_archive
+    from coadjoint.files.archives.folder import read_archive_path
     from coadjoint.files.archives.resume import resume
     from coadjoint.files.archives.run_checks import requires_argument
     from coadjoint.files.configuration.loading import CONFIGURATION, outputs_of_text, system_of_text

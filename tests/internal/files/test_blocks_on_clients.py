@@ -16,8 +16,9 @@ from distributed import Client
 
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
-from coadjoint.files.archives.archive import ArchiveError, MemberBlock, blocks_of
+from coadjoint.files.archives.archive import MemberBlock, blocks_of
 from coadjoint.files.archives.ensemble import BUSY, WorkerPool, read_worker_pool, run_block, run_in_blocks
+from coadjoint.files.archives.folder import ArchiveError
 from coadjoint.files.archives.new_archive import size_of_blocks
 from coadjoint.files.archives.store import ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
@@ -168,7 +169,7 @@ def test_unencrypted_remote_client_warns(address):
 
 def run_one_block(path, number=1):
     ready = PreparedRun(BODY, None, 0.125)
-    return run_block(str(path), MemberBlock(number, 3 * number, min(3 * number + 3, 7)), ready, True, 1)
+    return run_block(str(path), MemberBlock(number, 3 * number, min(3 * number + 3, 7)), ready, True, "", 1)
 
 
 @pytest.mark.parametrize("case", ["no folder", "no archive", "file", "damaged"])

@@ -13,9 +13,11 @@ from typing import Any
 from distributed import Client, Nanny, Scheduler, SpecCluster, Worker, wait
 from distributed.security import Security
 
-from coadjoint.files.archives.archive import ArchiveError, MemberBlock
+from coadjoint.files.archives.archive import MemberBlock
 from coadjoint.files.archives.ensemble import BUSY, run_block
+from coadjoint.files.archives.folder import ArchiveError
 from coadjoint.files.archives.new_archive import PlannedRun
+from coadjoint.files.archives.root import identity_of
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.long_operations import progress_bar
 from coadjoint.private_folders import private_folder
@@ -71,7 +73,7 @@ def _run_round(
 ) -> tuple[list[MemberBlock], BaseException | None]:
     """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
     archive, token, prepared = str(store.path), secrets.token_hex(4), planned.prepared
-    shared_tables = not prepared.system.is_batch
+    run, shared_tables = identity_of(store.attributes), not prepared.system.is_batch
     try:
         shared_run: Any = client.scatter(prepared, broadcast=True, hash=False) if shared_tables else None
     except (OSError, CancelledError) as lost:
@@ -83,7 +85,8 @@ def _run_round(
     def submitted(block: MemberBlock, attempt: int) -> Any:
         prepared_run = shared_run if shared_tables else prepared.among(block.first, block.last)
         key = f"coadjoint-{token}-{block.number}-{attempt}"
-        return client.submit(run_block, archive, block, prepared_run, shared_tables, threads, key=key, pure=False)
+        arguments = archive, block, prepared_run, shared_tables, run, threads
+        return client.submit(run_block, *arguments, key=key, pure=False)
 
     tasks = {submitted(block, 0): block for block in remaining}
     unfinished: list[MemberBlock] = []
