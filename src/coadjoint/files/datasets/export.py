@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError, OneLineError
-from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, stacked, unstacked
+from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, in_order, stacked, unstacked
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
     OBSERVED_NAMES,
@@ -296,6 +296,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
         system = system_of(parsed(attributes["system"], "system"), int(np.prod(list(sizes.values()))))
     if "component" in sizes:
         system = system.in_numbers  # states of matrices may be rows of numbers
+        x0 = state_of(in_order(dataset, "component", coordinate_names(system)), "x0", STATE_DIMENSIONS)
     shape = x0.shape if members is None else x0.shape[1:]
     if given and (system.shape != shape or (system.is_batch and len(system) != members)):
         count = f"{len(system)} members with " if system.is_batch else ""

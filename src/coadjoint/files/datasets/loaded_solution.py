@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
-from coadjoint.files.archives.archive import HIDDEN_FOLDER
 from coadjoint.files.archives.archived_solution import solution_at
 from coadjoint.files.archives.folder import remote_folder
+from coadjoint.files.archives.root import HIDDEN_FOLDER
+from coadjoint.files.archives.run_checks import ARRAY_TYPES, FLOAT_ARRAYS, SERIES_PREFIXES, check_arrays
+from coadjoint.files.archives.stored_arrays import TYPES, StoredArray
 from coadjoint.files.datasets.export import (
     ENDED_ATTRIBUTE,
     REQUIRED_ATTRIBUTES,
@@ -23,7 +27,7 @@ from coadjoint.files.datasets.export import (
     events_of_dataset,
     stored_inputs,
 )
-from coadjoint.files.datasets.named_axes import stacked
+from coadjoint.files.datasets.named_axes import in_order, stacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.files.datasets.writers import CHECKSUM, checksum_of
@@ -34,6 +38,7 @@ from coadjoint.optional_packages import require_packages
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
+from coadjoint.runs.times import output_times_of, times_of
 from coadjoint.systems.batch import SUFFIX
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.validation import read_path
@@ -198,7 +203,7 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     >>> bool((again.x == sol.x).all()), again.drift() == sol.drift(), again.method
     (True, True, Splitting(order=2...))
     """
-    source = remote_folder(path) or read_path(path, "path")
+    source = remote_folder(path) or read_path(path, "path").absolute()
     if not isinstance(source, Path):
         return solution_at(source, system)
     shown = in_one_line(str(source), 200)
@@ -229,7 +234,9 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
             check_available_memory(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
             dataset = opened.load()
         checksum = dataset.attrs.get(CHECKSUM)
-        if checksum is not None and checksum != checksum_of(dataset):
+        if checksum is None:  # changed, or copied from an archive
+            dataset = _checked(dataset, system)
+        elif checksum != checksum_of(dataset):
             raise OneLineError(
                 f"{shown}: its content does not match its checksum: it was damaged, or changed after it was "
                 f"written; if the change was intended, remove its attribute {CHECKSUM} and write it again"
@@ -239,6 +246,36 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     except Exception as reason:  # readers raise errors of any type for damaged files
         raise OneLineError(f"{shown}: cannot be read as a dataset ({in_one_line(str(reason), 200)})") from None
     return solution_of_dataset(source, dataset, system)
+
+
+def _checked(dataset: xarray.Dataset, system: Any) -> xarray.Dataset:
+    """Return a dataset whose coordinates are in the order of its run; ValueError unless it describes one run."""
+    content, attributes = stacked(dataset), dataset.attrs
+    arrays = {
+        name: StoredArray(
+            tuple(map(str, array.dims)), TYPES.get(array.dtype.kind, "string"), array.shape, array.shape, array.attrs
+        )
+        for name, array in ((str(name), array) for name, array in content.variables.items())
+        if name in (*FLOAT_ARRAYS, *ARRAY_TYPES) or name.startswith(SERIES_PREFIXES)
+    }
+    check_arrays(arrays, content["account"].values.tolist() if "account" in content.coords else [])
+    span, step = json.loads(attributes["t_span"]), float(attributes["step"])
+    times, t = times_of(span, step, int(attributes["save_every"])), content["time"].values
+    try:
+        saved = output_times_of(t, times)
+    except ValueError as reason:
+        raise ValueError(str(reason).replace("t_eval", "time")) from None
+    # The last interval may be shorter, and an event may end the run at any time.
+    at_steps = (saved.length[:-1] == 0.0) & (saved.number[:-1] % times.save_every == 0)
+    if not (attributes["between_steps"] or at_steps.all()):
+        first = float(t[int(at_steps.argmin())])
+        raise ValueError(f"the time {first!r} is none at which the run saves; its times begin at {times.t0!r}")
+    if "component" in dataset.coords:
+        with suppress(ValueError):  # functions of the system were not stored
+            system = stored_inputs(dataset, system, ())["system"]
+    if "component" in dataset.coords and system is not None:
+        dataset = in_order(dataset, "component", coordinates_of(system))
+    return dataset
 
 
 def _reader(path: Path) -> tuple[str, tuple[str, ...]]:

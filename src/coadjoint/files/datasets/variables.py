@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.files.datasets.named_axes import unstacked
+from coadjoint.files.datasets.named_axes import COMPLEX_PARTS, unstacked
 from coadjoint.files.datasets.writers import CHECKSUM, with_checksum
 from coadjoint.files.records.records import safe_name
 from coadjoint.memory import check_available_memory
@@ -20,8 +20,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 
-COMPLEX_PARTS = ("real", "imaginary")
-"""Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
 STATE_DIMENSIONS = (("component",), ("row", "column"), ("layer", "row", "column"))
 """Dimensions of a state: a vector, a matrix, or matrices in layers."""
 
