@@ -32,6 +32,8 @@ from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.files.datasets.writers import CHECKSUM, checksum_of
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
+from coadjoint.files.records.entries import parsed
+from coadjoint.files.records.records import system_of
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
@@ -40,7 +42,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.times import output_times_of, times_of
 from coadjoint.systems.batch import SUFFIX
-from coadjoint.systems.coordinates import coordinates_of
+from coadjoint.systems.coordinates import coordinate_names, coordinates_of
 from coadjoint.validation import read_path
 
 if TYPE_CHECKING:
@@ -271,10 +273,11 @@ def _checked(dataset: xarray.Dataset, system: Any) -> xarray.Dataset:
         first = float(t[int(at_steps.argmin())])
         raise ValueError(f"the time {first!r} is none at which the run saves; its times begin at {times.t0!r}")
     if "component" in dataset.coords:
-        with suppress(ValueError):  # functions of the system were not stored
-            system = stored_inputs(dataset, system, ())["system"]
-    if "component" in dataset.coords and system is not None:
-        dataset = in_order(dataset, "component", coordinates_of(system))
+        with suppress(ValueError):  # its functions were not stored
+            stored = parsed(attributes["system"], "system")
+            system = system_of(stored, dataset.sizes["component"]) if system is None else system
+        if system is not None:
+            dataset = in_order(dataset, "component", coordinate_names(system.in_numbers))
     return dataset
 
 

@@ -101,10 +101,11 @@ def in_order(dataset: xarray.Dataset, dim: str, labels: Sequence[Any]) -> xarray
 
 def _by_names(dataset: xarray.Dataset, axes: Sequence[str]) -> xarray.Dataset:
     """Return a dataset whose arrays have dimensions and labels in the order of a run, whatever their own order."""
-    order = (*BEFORE_MEMBERS, *axes, MEMBER, *AFTER_MEMBERS, ..., "part")
+    # An axis may be called member.
+    order = dict.fromkeys((*BEFORE_MEMBERS, *axes, MEMBER, *AFTER_MEMBERS, ..., "part"))
     dataset = dataset.transpose(*order, missing_dims="ignore")
     dataset = in_order(dataset, "part", COMPLEX_PARTS)
-    dataset = in_order(dataset, "tenth", range(1, 1 + dataset.sizes.get("tenth", 0)))
+    dataset = in_order(dataset, "tenth", range(1, 11))
     if "invariant" in dataset.coords:
         names = [str(name) for name in dataset["invariant"].values]
         if len(set(names)) < len(names) or "energy" not in names:
