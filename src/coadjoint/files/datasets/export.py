@@ -296,7 +296,6 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
         system = system_of(parsed(attributes["system"], "system"), int(np.prod(list(sizes.values()))))
     if "component" in sizes:
         system = system.in_numbers  # states of matrices may be rows of numbers
-        x0 = state_of(in_order(dataset, "component", coordinate_names(system)), "x0", STATE_DIMENSIONS)
     shape = x0.shape if members is None else x0.shape[1:]
     if given and (system.shape != shape or (system.is_batch and len(system) != members)):
         count = f"{len(system)} members with " if system.is_batch else ""
@@ -304,6 +303,8 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
             f"the given system, {short(system.name, 60)}, has {count}states of shape {system.shape}, but x0 of the run "
             f"has the shape {x0.shape}; give the system of the run, as its solution had it, `sol.system`"
         )
+    if "component" in sizes:
+        x0 = state_of(in_order(dataset, "component", coordinate_names(system)), "x0", STATE_DIMENSIONS)
     if events is None:
         events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
     return {
