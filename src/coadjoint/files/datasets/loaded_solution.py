@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import cached_property
@@ -37,6 +36,7 @@ from coadjoint.files.records.records import system_of
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
+from coadjoint.regular_files import open_regular
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
@@ -290,15 +290,9 @@ def _reader(path: Path) -> tuple[str, tuple[str, ...]]:
                 f"{in_one_line(str(path), 200)}: is a folder that holds no run; give a .nc file or a .zarr folder"
             )
         return "zarr", ("xarray", "zarr")
-    if path.exists() and not path.is_file():
-        raise OneLineError(f"{shown}: is no file and no folder")
-    with open(path, "rb", opener=_open_nonblocking) as file:
+    with open_regular(path) as file:
         signature = file.read(4)
     for known_signature, engine in FILE_SIGNATURES.items():
         if signature.startswith(known_signature):
             return engine
     raise OneLineError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
-
-
-def _open_nonblocking(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

@@ -23,6 +23,7 @@ from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, with_chec
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
+from coadjoint.regular_files import open_regular
 from coadjoint.validation import read_path, read_positive
 
 if TYPE_CHECKING:
@@ -93,7 +94,7 @@ def _check_replaceable(target: Path) -> None:
     if target.suffix != ".zarr":
         if target.is_dir():
             raise OutputError(f"{target}: is a folder; give the name of a file")
-        if target.suffix in HEADERS and target.exists() and OWN_HEADER not in target.read_bytes()[:MOST_OF_A_TITLE]:
+        if target.suffix in HEADERS and target.exists() and OWN_HEADER not in _title_of(target):
             raise OutputError(
                 f"{target}: is a header that coadjoint did not write, so it is not replaced; give another name"
             )
@@ -105,6 +106,11 @@ def _check_replaceable(target: Path) -> None:
             raise OutputError(
                 f"{target}: holds {other}, which coadjoint did not write, so it is not replaced; give another name"
             )
+
+
+def _title_of(header: Path) -> bytes:
+    with open_regular(header) as file:
+        return file.read(MOST_OF_A_TITLE)
 
 
 def _try_target(target: Path) -> None:

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
+from coadjoint.regular_files import open_regular, read_array_file
 from coadjoint.short_repr import short
 from coadjoint.validation import (
-    read_array_file,
     read_finite,
     read_integer,
     read_number,
@@ -315,6 +315,7 @@ def read_field(
     require_packages(f"{short(file.name)}: NetCDF", "xarray", "h5netcdf")
     import xarray
 
+    open_regular(file).close()
     with xarray.open_dataset(file) as dataset:
         return _read_dataset(dataset, short(file.name), variable, select)
 
