@@ -26,7 +26,7 @@ from coadjoint.files.archives.archive import (
     total_progress,
 )
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
-from coadjoint.files.archives.folder import ArchiveError, open_folder, read_archive_path
+from coadjoint.files.archives.folder import ArchiveError, open_folder, read_archive_path, timeout
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
 from coadjoint.files.archives.root import HIDDEN_FOLDER, identity_of, read_root
 from coadjoint.files.archives.run_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
@@ -261,6 +261,8 @@ def run_in_blocks(
 def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int | None, progress: bool) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
     began, prepared, is_new = time.perf_counter(), planned.prepared, not path.exists()
+    if pool.client is not None and pool.client.status != "running":
+        raise ValueError(f"the client is {pool.client.status}; give one that is connected to a scheduler")
     if is_new:
         store = create_archive(planned, path, pool.worker_count, size)
     else:
@@ -332,7 +334,7 @@ def run_block(
                 f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {host} has "
                 f"{__version__}; install the same version everywhere"
             )
-        if not store.lock():
+        if not store.lock() and not store.take_over(timeout()):
             return BUSY
         times = times_of(json.loads(attributes["t_span"]), float(attributes["step"]), int(attributes["save_every"]))
         first, last = (block.first, block.last) if all_members else (0, block.last - block.first)

@@ -277,9 +277,9 @@ def remote_folder(value: Any) -> RemoteFolder | Path | None:
     return Path(root) if isinstance(filesystem, LocalFileSystem) else RemoteFolder(filesystem, root, url)
 
 
-def request(work: Callable[[], Result]) -> Result:
-    """Return the result of a request to a file system of fsspec; OSError with `strerror`, also if it takes too long."""
-    # In a thread: file systems have limits of their own, or none.
+def within_limit(work: Callable[[], Result]) -> Result:
+    """Return the result of a call, or raise what it raises; TimeoutError after the time limit."""
+    # In a thread: file systems and clusters have limits of their own, or none.
     results, errors, limit = list[Result](), list[BaseException](), timeout()
 
     def run() -> None:
@@ -291,15 +291,23 @@ def request(work: Callable[[], Result]) -> Result:
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
     thread.join(limit)
-    if results:
-        return results[0]
-    if not errors:
-        raise TimeoutError(errno.ETIMEDOUT, f"no answer within {limit:g} s, a limit that {TIMEOUT_VARIABLE} sets")
-    reason = errors[0]
-    if _is_absent(reason):
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from None
-    if isinstance(reason, ImportError | MemoryError):
+    for reason in errors:
         raise reason
+    if not results:
+        raise TimeoutError(f"no answer within {limit:g} s, a limit that {TIMEOUT_VARIABLE} sets")
+    return results[0]
+
+
+def request(work: Callable[[], Result]) -> Result:
+    """Return the result of a request to a file system of fsspec; OSError with `strerror` for whatever it raises."""
+    try:
+        return within_limit(work)
+    except (ImportError, MemoryError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        reason: BaseException = error
+    if _is_absent(reason):
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
     while isinstance(reason, FileNotFoundError) and reason.__cause__ is not None:
         reason = reason.__cause__
     problem = getattr(reason, "strerror", None) or in_one_line(str(reason), 200) or type(reason).__name__

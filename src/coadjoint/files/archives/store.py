@@ -27,6 +27,7 @@ import hashlib
 import json
 import os
 import secrets
+import time
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from pathlib import Path
@@ -112,7 +113,23 @@ class ArchiveStore(Archive):
     def lock(self) -> bool:
         """Lock the archive, or the block; return whether no other process holds the lock."""
         self._lock = self.folder.lock(HIDDEN_FOLDER, self._lock_file)
+        self._touch_lock()
         return self._lock is not None
+
+    def take_over(self, seconds: float) -> bool:
+        """Lock the block in place of a process that has not written for so long; return whether this was possible."""
+        # A process that was stopped finds its lock replaced before it writes again.
+        with suppress(OSError):
+            status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
+            if time.time() - status.st_mtime > seconds:
+                self.folder.remove(HIDDEN_FOLDER, self._lock_file)
+                return self.lock()
+        return False
+
+    def _touch_lock(self) -> None:
+        """Set the time of the lock, by which other processes see that this one is alive."""
+        if self._lock is not None and os.utime in os.supports_fd:
+            os.utime(self._lock)
 
     @classmethod
     def create_archive(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
@@ -185,6 +202,7 @@ class ArchiveStore(Archive):
             raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
         if not self._is_own_lock(status):
             raise OSError(REPLACED, "its lock file was replaced, so that another process may write to it")
+        self._touch_lock()
 
     def check_not_replaced(self) -> None:
         """Raise OSError of `REPLACED` if the path of the archive no longer leads to the folder being written."""
@@ -196,7 +214,6 @@ class ArchiveStore(Archive):
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later."""
         # Along the dimension that grows it may begin within a chunk, along the others it consists of whole ones.
-        self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))
         for indices, inside, outside in array.chunks_in(
@@ -206,6 +223,7 @@ class ArchiveStore(Archive):
             if array.grows and inside[0].start > 0:
                 chunk[: inside[0].start] = self.chunk(self.folder, name, indices)[: inside[0].start]
             chunk[inside] = region[outside]
+            self.check_lock()
             self.folder.write(name, chunk_file(indices), array.encoded(chunk))
             place = self.place_of(name, indices)
             self._pending.setdefault(name, {})[place] = inside[0].stop, array.sum_of(chunk[: inside[0].stop])
@@ -255,6 +273,7 @@ class ArchiveStore(Archive):
         raw = self._numbers_and_sums(stored, before[1] if before else {})
         head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
         line = f"{digest_of_marker(self.attributes, block, head)} {head}\n"
+        self.check_lock()
         self.folder.write(HIDDEN_FOLDER, block.marker, line.encode() + raw)
         self.folder.sync_to_disk([HIDDEN_FOLDER])
         self._progress[block.number] = about["rows"], self._next_sums or {}
