@@ -190,7 +190,10 @@ def test_blocks_of_silent_workers_go_to_others(tmp_path, monkeypatch):
     with pytest.warns(RuntimeWarning, match="the worker a has not answered for 0.2 s"):
         found = ensemble(client, tmp_path / "many.zarr")
     assert found.finished and client.tries == [0, 2, 1] and len(client.cancelled) == 1
-    with pytest.warns(RuntimeWarning, match="has not answered"), refused(OSError, "no worker has answered", "next call"):
+    with (
+        pytest.warns(RuntimeWarning, match="has not answered"),
+        refused(OSError, "no worker has answered", "next call"),
+    ):
         ensemble(Silent({"a", "b"}), tmp_path / "other.zarr")
     assert co.resume(tmp_path / "other.zarr").finished
 

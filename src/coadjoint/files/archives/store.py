@@ -9,6 +9,9 @@ Content of the folder::
     .coadjoint/state-...   numbers and arrays from which the run resumes, `ArchiveStore.store_state`
     .coadjoint/block-...   of an ensemble: markers of blocks, `ArchiveStore.write_marker`, and their locks
 
+States and markers have a checksum of the committed rows of each chunk. Chunks that are rewritten, the last ones of
+arrays that grow, keep these rows.
+
 **Replacing the root is the commit**: chunks are written first, then the state, then the root. The root holds the number
 of rows of every array, and the state that belongs to them. Anything else in the folder is ignored: uncommitted rows are
 invisible, and are overwritten on resume. Every file is replaced atomically. So the process may be killed at any moment,
