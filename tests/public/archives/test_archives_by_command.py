@@ -123,7 +123,7 @@ name = "GaussLegendre"
 t_span = [0.0, {end}]
 step = 0.0625
 """
-END = 320.0
+END = 4096.0
 # A signal, or a full disk, at one of the written files.
 AT_WRITE = """
 import os, signal, sys
