@@ -88,7 +88,8 @@ def by_labels(
     for k, along in labels.items():
         array = np.take(array, _order(along, dims[k], axes, order or {}, what), axis=k)
     rest = [k for k, dim in enumerate(dims) if dim not in axes]
-    array = array.transpose(*rest, *(dims.index(axis) for axis in axes))
+    # In the layout of other arrays, which sums in BLAS depend on.
+    array = np.ascontiguousarray(array.transpose(*rest, *(dims.index(axis) for axis in axes)))
     return array[..., 0] + 1j * array[..., 1] if axes[-1] == "part" else array
 
 
