@@ -159,6 +159,18 @@ def test_states_with_other_labels_are_refused(case):
             run(given)
 
 
+def test_arrays_of_jax_have_no_labels():
+    jax = pytest.importorskip("jax")
+    before = jax.config.jax_enable_x64
+    jax.config.update("jax_enable_x64", True)
+    solution = co.jax.solution(co.prepare(BODY, co.Splitting(), 0.1), (0, 1))
+    labelled = pd.Series(X, NAMES)
+    for wrong in (lambda: solution(labelled), lambda: co.jax.free_body(labelled, np.eye(3), np.array([1.0, 2, 3]), 0.1)):
+        with refused(TypeError, "x", "labels", "to_numpy"):
+            wrong()
+    jax.config.update("jax_enable_x64", before)
+
+
 def test_labels_that_say_nothing_else_are_accepted():
     """Those of a coordinate itself, 0, 1, 2, ..., names by default, and the labels of one point of a dataset."""
     times = RUN.to_xarray().time[::5]

@@ -53,7 +53,7 @@ def vorticity(
     centre: tuple[float, float] = (0.0, 0.0),
     limit: float | None = None,
 ) -> Paint:
-    """Show the vorticity of a quantized fluid at one time, for the first member.
+    """Show the vorticity of a quantized fluid, relative to its frame, at one time, for the first member.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ def random(
     energy: float | None = None,
     enstrophy: float | None = None,
 ) -> Complexes:
-    """Return the state of a random smooth vorticity with a given spectrum.
+    """Return the state of a random smooth vorticity with a given spectrum, relative to a rotating frame.
 
     The vector of the modes of each degree has a uniformly distributed random direction and a prescribed length. Numbers
     are drawn degree by degree, so a seed determines the same field for every N that resolves it.
@@ -53,7 +53,8 @@ def random(
         The energy of each degree: ``spectrum(l)`` of an array of degrees, or ``spectrum[l]``. By default every mode has
         the same share of the enstrophy.
     energy, enstrophy : float, optional
-        The field is scaled so that the integral of |u|^2/2, or of omega^2/2, over the surface has this value.
+        The field is scaled so that the integral of |u|^2/2, or of omega^2/2, over the surface has this value, in the
+        frame.
         With neither, and without a spectrum, the vorticity has a root mean square of 1.
 
     Returns
@@ -94,7 +95,7 @@ def random(
 
 @suggest_keywords
 def blobs(self: FluidSystem, places: Any, strengths: Any, widths: Any) -> Complexes:
-    """Return the state of round blobs of vorticity, diffused point vortices.
+    """Return the state of round blobs of vorticity, diffused point vortices, relative to a rotating frame.
 
     On the torus, and approximately on the sphere, each is a Gaussian. The vorticity of a flow on a closed surface has
     zero mean: strength over area is subtracted everywhere.
@@ -132,7 +133,7 @@ def blobs(self: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comple
 
 @suggest_keywords
 def patches(self: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
-    """Return the state of round patches of constant vorticity.
+    """Return the state of round patches of constant vorticity, relative to a rotating frame.
 
     The mean of the vorticity is subtracted, so that the total is zero.
 
