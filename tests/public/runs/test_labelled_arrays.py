@@ -30,7 +30,6 @@ def with_foreign_labels(array):
         yield pd.DataFrame(array, labels["d0"])
 
 
-@pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ENTRIES)
 def test_labels_that_mean_nothing_are_refused_by_every_public_function(name):
     function, known = ENTRIES[name]
@@ -165,7 +164,10 @@ def test_arrays_of_jax_have_no_labels():
     jax.config.update("jax_enable_x64", True)
     solution = co.jax.solution(co.prepare(BODY, co.Splitting(), 0.1), (0, 1))
     labelled = pd.Series(X, NAMES)
-    for wrong in (lambda: solution(labelled), lambda: co.jax.free_body(labelled, np.eye(3), np.array([1.0, 2, 3]), 0.1)):
+    for wrong in (
+        lambda: solution(labelled),
+        lambda: co.jax.free_body(labelled, np.eye(3), np.array([1.0, 2, 3]), 0.1),
+    ):
         with refused(TypeError, "x", "labels", "to_numpy"):
             wrong()
     jax.config.update("jax_enable_x64", before)

@@ -105,8 +105,11 @@ def test_the_frame_is_subtracted_once():
     absolute = SPHERE.enstrophy_spectrum(W, absolute=True)[1].sum()
     assert absolute == pytest.approx(np.vdot(W, W).real / SPHERE.scale**2 / 2, rel=1e-12)
     for run in (lambda *start: co.integrate(SPHERE, *start, 0.1), co.prepare(SPHERE, step=0.1).run):
-        with refused(ValueError, "x0", "relative", "absolute(x0)"):
+        with refused(ValueError, "x0", "relative", "absolute"):
             run(relative, (0, 1))
+    for function in (SPHERE.vector_field, SPHERE.stream_of, SPHERE.angular_momentum, partial(SPHERE.exact, t=1.0)):
+        with refused(ValueError, "relative", "absolute"):
+            function(relative)
 
 
 def test_a_changed_default_warns_once():

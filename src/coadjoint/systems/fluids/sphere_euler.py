@@ -274,7 +274,7 @@ class SphereEuler(FluidSystem):
         return relative.view(RelativeVorticity) if self.rotation else relative
 
     def absolute(self, W: Any) -> Matrix:
-        return np.asarray(self.matrices(W) + self.planetary)
+        return np.asarray(self.matrices(np.asarray(W)) + self.planetary)
 
     def exact(self, x0: Any, t: Any, attitude: Any = False) -> Matrix:
         """Return the exact motion (N, N) or (k, N, N) of a state at one time or several (k,).

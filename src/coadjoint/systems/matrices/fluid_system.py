@@ -100,14 +100,26 @@ class FluidSystem(MatrixSystem):
         """Return the state W of the values of a field at the points of a grid; the mean is removed."""
 
     def read_matrices(self, given: Any, what: str) -> Complexes:
+        return super().read_matrices(self._checked(given, what), what)
+
+    def matrices(self, x: Any) -> Complexes:
+        return super().matrices(self._checked(x, "a state"))
+
+    def _checked(self, given: Any, what: str) -> Any:
+        """Raise ValueError for relative vorticities in place of states; return anything else."""
         if self.rotation and isinstance(given, RelativeVorticity):
-            raise ValueError(f"{what} is a vorticity relative to the frame of {self.name}; give absolute({what})")
-        return super().read_matrices(given, what)
+            raise ValueError(
+                f"{what} is a vorticity relative to the frame of {self.name}; give the state, by absolute, or the "
+                "matrix alone by np.asarray"
+            )
+        return given
 
     def _shown(self, W: Any, absolute: Any, name: str) -> Complexes:
         """Return the matrices that a conversion of states shows: of the relative vorticity by default."""
-        is_absolute = self._is_absolute(absolute, name, isinstance(W, RelativeVorticity))
-        return self.matrices(W) if is_absolute else self.relative(W)
+        relative = isinstance(W, RelativeVorticity)
+        if not self._is_absolute(absolute, name, relative):
+            return self.relative(W)
+        return self.matrices(np.asarray(W) if relative else W)
 
     def _state(self, W: Complexes, absolute: Any, name: str) -> Complexes:
         """Return the states of matrices that a conversion has made: of a relative vorticity by default."""
