@@ -91,6 +91,9 @@ coverage: kernels
 	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci --cov --cov-context=test --cov-report=
 	$(BIN)/coverage report --sort=miss --skip-covered | tail -n 40
 
+build/coverage/tests:
+	$(MAKE) coverage
+
 # Draws N defects in FILES (patterns of paths from src/coadjoint), plants one after the other in a copy, runs the tests
 # that cover it, and prints those that no test notices; with LISTED=tests/mutants/standing.txt those of a list. Defects
 # in C++ are tested by the tests of the kernels.
@@ -98,7 +101,7 @@ FILES ?= *.py
 N ?= 100
 SEED ?= 0
 
-mutants: kernels
+mutants: kernels build/coverage/tests
 	cd tests && "$(CURDIR)/$(BIN)/python" -m mutants.plant $(foreach file,$(FILES),'$(file)') --count $(N) \
 		--seed $(SEED) $(if $(LISTED),--listed "$(abspath $(LISTED))")
 
