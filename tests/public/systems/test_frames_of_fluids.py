@@ -93,7 +93,8 @@ def test_the_frame_is_subtracted_once():
     relative = SPHERE.relative(W)
     wanted = SPHERE.to_grid(W, absolute=True) - 2 * OMEGA * np.sin(SPHERE.grid()[0])[:, None]
     size = np.abs(wanted).max() + 2 * OMEGA
-    for given in (W, relative, SPHERE.relative(relative), 2.0 * relative - relative, -(-1.0 * relative)):
+    sums = 2.0 * relative - relative, -(-1.0 * relative), relative + SPHERE.planetary
+    for given in (W, relative, SPHERE.relative(relative), *sums):
         np.testing.assert_allclose(SPHERE.to_grid(given, absolute=False), wanted, rtol=0, atol=ROUNDED * size)
         for spectrum in (SPHERE.energy_spectrum, SPHERE.enstrophy_spectrum):
             np.testing.assert_allclose(spectrum(given)[1], spectrum(W)[1], rtol=0, atol=ROUNDED * size**2)
@@ -196,6 +197,7 @@ FIELDS = {
 }
 
 
+@pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", FIELDS)
 def test_a_field_is_read_by_its_coordinates(name, tmp_path):
     """From an array and from a file, alone and at several times."""
