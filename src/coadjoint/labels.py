@@ -53,6 +53,8 @@ def lost_labels(values: Any) -> str | None:
     if found is None or not found.dims:
         return None
     kind, (dims, data, labels) = type(values).__name__, found
+    if hasattr(data, "units"):
+        return f"a {kind} with units, and they"
     if labels:
         # The coordinate of an axis itself, such as the times of a dataset, has its values as labels.
         is_own = len(dims) == 1 and hasattr(data, "tolist") and data.tolist() == labels[0]
@@ -101,10 +103,11 @@ def _order(
         return list(range(len(given)))
     known = order.get(dim)
     wanted: list[Any] = list(range(len(given))) if known is None else list(known)
-    if len(given) != len(wanted) or any(given.count(label) != 1 for label in wanted):
+    places = {label: k for k, label in enumerate(given)}
+    if not len(given) == len(wanted) == len(places) or any(label not in places for label in wanted):
         expected = "0, 1, 2, ..." if known is None else short(wanted)
         raise ValueError(
             f"{what} has the labels {short(given)} of {dim}; they must be {expected} in any order, or give its "
             "to_numpy() if its order is right"
         )
-    return [given.index(label) for label in wanted]
+    return [places[label] for label in wanted]

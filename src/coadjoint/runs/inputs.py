@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import unknown_name
 from coadjoint.kernels.tables.compiled import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
-from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels, labelled
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
@@ -180,10 +180,9 @@ class Inputs:
 
     def _numbers(self, value: Any, name: str) -> Floats:
         """Return the numbers of an input; those of coordinates may be labelled by their names."""
-        indices = self.indices[name] % self.system.dim
-        if indices.ndim == 1 and not isinstance(value, np.ndarray):
+        if labelled(value) is not None and self.indices[name].ndim == 1:
             names = coordinate_names(self.system)
-            order = {"component": [names[k] for k in indices], **MEMBERS}
+            order = {"component": [names[k % self.system.dim] for k in self.indices[name].tolist()], **MEMBERS}
             value = by_labels(value, name, STATE_DIMENSIONS[0], order)
         return read_numbers(value, name)
 

@@ -1,12 +1,14 @@
 """Arrays of xarray and tables of pandas: used by their names and labels, or refused, never taken by position."""
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import coadjoint as co
 from fuzz.calls import ENTRIES, call
+from fuzz.values import HOSTILE
 from refusals import refused
 
 xarray, pd = pytest.importorskip("xarray"), pytest.importorskip("pandas")
@@ -156,6 +158,17 @@ def test_states_with_other_labels_are_refused(case):
     for run in (lambda x: co.integrate(BODY, x, (0, 1), 0.1), lambda x: READY.run(x, (0, 1)), step):
         with refused(ValueError, "x", *named):
             run(given)
+
+
+def test_many_labels_and_labels_with_units():
+    """The time is proportional to the number of labels; of a quantity the unit would be lost."""
+    order = np.random.default_rng(0).permutation(30_000)
+    many = xarray.DataArray(X + 1e-6 * order[:, None], {"member": order}, ("member", "component"))
+    assert np.array_equal(BODY.energy(many[:3].drop_vars("member")), BODY.energy(many.values[:3]))
+    started = co.prepare(BODY, co.Splitting(), 0.1, watch=False).run(many, (0, 0.1)).x0
+    assert np.array_equal(started, X + 1e-6 * np.arange(30_000)[:, None])
+    with refused(TypeError, "units"):
+        co.Quadratic(SimpleNamespace(dims=("k",), coords={}, data=HOSTILE["a quantity"]))
 
 
 def test_arrays_of_jax_have_no_labels():
