@@ -273,10 +273,16 @@ class Run:
         if member in self.failure_reasons:
             message = f"in step {step}, {self.failure_reasons[member]}{members}"
         else:
-            reason = failure_text(status, self.plan.method, residual, bool(self.loops.accounts))
-            advice = self._advice(member, step, status)
+            reason, advice = self._cause(member, step) if status in ("OVERFLOWED", "UNDEFINED") else ("", "")
+            reason = reason or failure_text(status, self.plan.method, residual, bool(self.loops.accounts))
+            advice = advice or self._advice(member, step, status)
             message = f"in step {step}, at t = {self._shown(when)}, {reason}{members}; {advice}"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
+
+    def _cause(self, member: int, step: int) -> tuple[str, str]:
+        from coadjoint.runs.failure_causes import cause_of_failure
+
+        return cause_of_failure(self, member, step)
 
     def _advice(self, member: int, step: int, status: str) -> str:
         # The step of a run does not affect adaptive schemes.

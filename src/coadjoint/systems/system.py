@@ -329,6 +329,18 @@ class System:
         return self.unforced.with_forces(*(force.of_members_from(first) for force in self.forces))
 
     @property
+    def flows(self) -> tuple[tuple[int, Force], ...]:
+        """Flows of the forces with their positions, as in the first half of a step: laws are sampled before all act."""
+        numbered = tuple(enumerate(self.forces))
+        sampled = [(k, force) for k, force in numbered if force.sampled]
+        if not sampled:
+            return numbered
+        from coadjoint.systems.forces.sampled import first_flow
+
+        first, others = sampled[0][0], (pair for pair in numbered if pair != sampled[0])
+        return ((first, first_flow([force for _, force in sampled])), *others)
+
+    @property
     def distinct(self) -> tuple[Self, ...]:
         """The different systems of the members of an ensemble: this one, which all members share."""
         return (self,)

@@ -285,8 +285,8 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: TableNumbers, in
     if inner.compensated:
         raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
     lines, n = inner.lines, prepared.system.dim
-    for k, (label, table) in enumerate(zip(prepared.system.labels, forces, strict=True)):
-        flow, change = _flow_of_force(label, table, numbers, n)
+    for k, ((position, _), table) in enumerate(zip(prepared.system.flows, forces, strict=True)):
+        flow, change = _flow_of_force(prepared.system.labels[position], table, numbers, n)
         lines += function(f"force_{k}", f"double *x{inputs}, double tau", flow)
         if tangent:
             lines += function(f"force_change_{k}", "double *v, double tau", change)

@@ -74,6 +74,9 @@ class Force(metaclass=ExplainedCalls):
     uses_energy: ClassVar[bool] = True
     """Whether its flow may depend on the Hamiltonian or another parameter of the system."""
 
+    sampled: ClassVar[bool] = False
+    """Whether it holds numbers in the state, evaluated by a law at the start of a step, before all flows."""
+
     selectors: ClassVar[tuple[str, ...]] = ()
     """Parameters that select among cases, by which runs are not differentiated although they are numbers."""
 
@@ -320,6 +323,8 @@ def read_state(argument: Any, what: str, number: bool = False) -> Any:
     if isinstance(argument, Mapping) and argument.keys() == {"real", "imaginary"}:  # the form used in records
         argument = read_finite(argument["real"], what) + 1j * read_finite(argument["imaginary"], what)
     matrix = to_array(argument, what, "iufc")
+    if matrix.ndim == 2 and matrix.shape[1] == 3 != matrix.shape[0] and matrix.size:  # one row for each body
+        return as_tuples(read_finite(argument, what))
     if matrix.ndim not in (2, 3):
         return read_matrix(argument, what, (0, 1) if number else (1,))
     if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():
