@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.methods.forced import Forced, substeps_of
+from coadjoint.methods.spherical_midpoint import spins_of
 from coadjoint.runs.partial_steps import PartialSteps, noises_of
 from coadjoint.short_repr import short
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 MOST_REPEATED = 4096
 """Steps that are repeated from the last saved state to find the cause of a failure, in less than a second."""
+UNIT = 1e-6  # deviation of the length of a spin from 1 that is taken for rounding
 BLOWN_UP = 1e100  # size of a state beyond which cubes of its numbers overflow: no function is the cause
 MOST_TEXT = 200  # characters of the message of an exception
 CORRECT = "correct the function, or end t_span before"
@@ -57,6 +59,20 @@ def _state_before(run: Run, member: int, step: int) -> NDArray[np.float64]:
         at, length = np.array([times.t0 + k * times.h]), np.array([times.h])
         rows, groups, *_ = parts.attempt(rows, groups, at, length, np.array([member]))
     return np.asarray(rows[0] if np.isfinite(rows).all() else x)[:n]
+
+
+def hint_of_spins(system: Any, x: NDArray[np.float64]) -> str:
+    """Return a hint for spins of a lattice that are not unit vectors; "" for all others."""
+    if "lattice" not in system.layout or system.has_matrices:
+        return ""
+    try:
+        lengths = np.sqrt((x[spins_of(system)] ** 2).sum(axis=1))
+    except ValueError:  # it is not made of spins
+        return ""
+    if np.abs(lengths - 1.0).max() <= UNIT:
+        return ""
+    least, most = lengths.min(), lengths.max()
+    return f"; spins are unit vectors, and those of x0 have lengths of {least:.3g} to {most:.3g}: divide them by these"
 
 
 def cause_in_step(system: Any, method: Any, x: NDArray[Any], t: float, h: float) -> Cause:

@@ -234,7 +234,7 @@ class Preparation:
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"
             )
         read = momenta_of if begins else any_momenta_of
-        momenta, single = read(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
+        momenta, single = read(self.system, x0) if self._vector_size is None else vectors_of(x0, self.system)
         if values is not None and values.ndim > 1:
             if single:
                 momenta, single = np.tile(momenta, (len(values), 1)), False

@@ -290,11 +290,17 @@ class Run:
         advice = "end t_span before" if own_steps else f"take a smaller step than {abs(self.times.h):g}"
         if status == "PARALLEL":
             return advice + ", or make the vectors orthonormal more often: give a smaller renormalize_every"
+        advice += self._hint(member)
         if step > 1 and not own_steps and self._grown(member):
             advice += (
                 "; if that fails near the same time, the motion itself grows without bound there: end t_span before"
             )
         return advice
+
+    def _hint(self, member: int) -> str:
+        from coadjoint.runs.failure_causes import hint_of_spins
+
+        return hint_of_spins(self.start.system.of_member(member), self.start.momenta[member])
 
     def _shown(self, when: float) -> str:
         """Format the time of a step, with the digits that distinguish it from the step before."""

@@ -270,6 +270,8 @@ MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer li
 def forces_on(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
     """Return a system with space in its state for the numbers that forces hold, and the forces, which can act on it."""
     for force in forces:
+        if isinstance(force, Sequence) and any(isinstance(one, Force) for one in force):
+            raise TypeError(f"with_forces was given {short(force)}, a list; give the forces: with_forces(*forces)")
         if not isinstance(force, Force):
             raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
     counts = [force.held_numbers(system) for force in forces]

@@ -149,7 +149,7 @@ class _FirstFlow(Force):
 
     reversible = False
 
-    def __init__(self, forces: tuple[Sampled, ...]) -> None:
+    def __init__(self, forces: tuple[Any, ...]) -> None:
         self._forces = forces
 
     @property
@@ -170,9 +170,12 @@ class _FirstFlow(Force):
         return reader.flow(_flow_of(self._forces, self._forces[0], system))
 
 
-def first_flow(forces: Sequence[Any]) -> Force:
-    """Return the flow of the first of the sampled forces, before which the laws of all are evaluated."""
-    return _FirstFlow(tuple(forces))
+def flows_of(forces: Sequence[Force]) -> tuple[tuple[int, Force], ...]:
+    """Return the flows of forces with their positions: that of the first sampled one evaluates the laws of all."""
+    numbered = tuple(enumerate(forces))
+    sampled = [k for k, force in numbered if force.sampled]
+    first = _FirstFlow(tuple(forces[k] for k in sampled))
+    return ((sampled[0], first), *(pair for pair in numbered if pair[0] != sampled[0]))
 
 
 # Systems are immutable, and forces too. Derivatives by differences return to some hundred systems in each step.

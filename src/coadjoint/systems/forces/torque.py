@@ -16,6 +16,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import (
     SAMPLE_TIME,
+    attitude_arguments,
     callable_from_compiled,
     check_arguments,
     kind_of_name,
@@ -191,7 +192,7 @@ def _placed(function: Callable[..., Any], arguments: str, bodies: tuple[int, ...
     count = bodies[0] if bodies else 1
 
     def place(torque: Any, result: Any) -> Any:
-        torques = torque.reshape(count, 3)
+        torques = np.ascontiguousarray(torque).reshape(count, 3)
         for k in range(count):
             for i in range(3):
                 result[PER_BODY * k + i] = torques[k, i]
@@ -303,18 +304,18 @@ class Torque(StateTorque):
 
     def check(self, system: Any) -> None:
         if self.is_constant_torque:
-            if not is_on_bodies(np.shape(self.torque), system):
+            shape = np.shape(self.torque)
+            if hasattr(system, "bodies") and shape not in ((system.dim,), torque_shape(system)):
+                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {_shapes_on(system)}")
+            if not is_on_bodies(shape, system):
                 check_state(self.torque, "the torque", system)
             return
         arguments, failure = self._arguments(), ""
-        shape: tuple[int, ...] = (system.dim,)
-        samples = sample_states(system)
         if "A" in arguments:
             check_attitude(system)
-            shape = torque_shape(system)
-        if system.has_attitude:
-            samples = [sample_state(x, system) for x in samples]
-        for x in samples:
+        shape = torque_shape(system) if "A" in arguments else (system.dim,)
+        for sample in sample_states(system):
+            x = sample_state(sample, system) if system.has_attitude else sample
             try:
                 with np.errstate(all="ignore"):
                     value = self.torque(*_call_arguments(arguments, x, SAMPLE_TIME, system))
@@ -326,10 +327,9 @@ class Torque(StateTorque):
                 return
             torque = read_numbers(value, "the value of the torque")
             if torque.shape != shape and not is_on_bodies(torque.shape, system):
-                hint = f", or {torque_shape(system)} in the frame of the body" if hasattr(system, "bodies") else ""
                 raise ValueError(
                     f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
-                    f"{shape}{hint}"
+                    f"{_shapes_on(system) if 'A' not in arguments else shape}"
                 )
             return
         raise ValueError(
@@ -379,6 +379,10 @@ class Torque(StateTorque):
         return super().describe_to(reader, system)
 
 
+def _shapes_on(system: Any) -> str:
+    return f"({system.dim},)" + (f", or {torque_shape(system)} in body frames" if hasattr(system, "bodies") else "")
+
+
 @lru_cache(maxsize=64)
 def _shape_of_values(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[int, ...]:
     for x in sample_states(system):
@@ -393,16 +397,3 @@ def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple
         A = system.attitudes(x)
         return (x, A, t) if "t" in arguments else (x, A)
     return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]
-
-
-def attitude_arguments(torque: Callable[..., Any]) -> str | None:
-    """Return "x, A" or "x, A, t" for a function whose second parameter is named A; None for any other."""
-    parameters = parameters_of_function(torque)
-    if len(parameters) < 2 or parameters[1].name != "A":
-        if any(one.name == "A" and one.default is one.empty for one in parameters):
-            raise TypeError(f"the torque is a function of {names_of(parameters)}; give one of (x, A) or (x, A, t)")
-        return None
-    more = [one for one in parameters[2:] if one.default is one.empty or one.name == "t"]
-    if [one.name for one in more] not in ([], ["t"]) or any(one.kind is one.VAR_POSITIONAL for one in parameters):
-        raise TypeError(f"the torque is a function of {names_of(parameters)}; give one of (x, A) or (x, A, t)")
-    return "x, A, t" if more else "x, A"
