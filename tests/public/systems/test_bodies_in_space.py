@@ -296,7 +296,7 @@ def test_the_second_argument_of_a_torque_is_the_time():
     """Messages say with what a function is called, and names of an attitude in place of A are refused."""
     for system in (S.rigid_body(), S.body()):
         for function in (lambda t, x: -x, lambda time, x: -x):
-            with refused(TypeError, "x)", "time second", "(x, t)"):
+            with refused(TypeError, "x)", "(x, t)"):
                 system.with_forces(co.forces.Torque(function))
         for function in (lambda x, attitude: -x, lambda x, q: -x, lambda x, R: -x):
             with refused(TypeError, "second argument is the time t", "name the attitude A"):
@@ -305,8 +305,8 @@ def test_the_second_argument_of_a_torque_is_the_time():
             system.with_forces(co.forces.Torque(lambda x, B: B[0]))
         with refused(ValueError, "called with (x, t)", "(2,)", system.name):
             system.with_forces(co.forces.Torque(lambda x, t: x[:2]))
-    with refused(ValueError, "called with (x)", "(3,)", "(12,)", "(x, A)"):
-        S.body().with_forces(co.forces.Torque(lambda x: -x[:3]))
+    with refused(ValueError, "called with (x)", "(4,)", "(12,)", "(3,)"):
+        S.body().with_forces(co.forces.Torque(lambda x: -x[:4]))
     with refused((TypeError, ValueError), "(t, x)", "(x, t)"):
         co.integrate(S.rigid_body(), (1, 0, 0), (0, 1), 0.1, observe={"first": lambda t, x: x[0]})
 

@@ -202,6 +202,9 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, TableNumbers]:
     system, scheme = prepared.system, prepared.scheme
     if system.is_batch:
         raise TypeError(f"the {system.name} has several systems, and one is exported; prepare the system of a member")
+    sampled = [label for label, force in zip(system.labels, system.forces, strict=True) if force.sampled]
+    if sampled:
+        raise TypeError(f"{sampled[0]} calls a law, a function, which cannot be exported; give its torque as an input")
     if system.has_matrices:
         raise TypeError(
             f"{system.name} has matrices as states, which are multiplied by BLAS and not exported; give a system on a "
