@@ -30,8 +30,8 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
     """
     plain = system.unforced
     flows: list[Flow] = [
-        force.describe_to(ForceReaders(plain, field, f"a function of {label}", scheme.order), plain)
-        for label, force in zip(system.labels, system.forces, strict=True)
+        force.describe_to(ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order), plain)
+        for k, force in system.flows
     ]
 
     def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
