@@ -225,8 +225,10 @@ class _Members:
 
 
 def _shared(run: Any, names: Names, axes: Sequence[int | None]) -> bool:
-    """Whether no parameter has an axis of a batch."""
-    return all(axis is None for name, axis in zip(names, axes, strict=True) if run.is_parameter(name))
+    """Whether no parameter has an axis of a batch, and states may become members of one ensemble."""
+    return not run.has_batch and all(
+        axis is None for name, axis in zip(names, axes, strict=True) if run.is_parameter(name)
+    )
 
 
 def _in_turn(primitive: Primitive, arrays: Sequence[Any], axes: Sequence[int | None], **parameters: Any) -> Any:

@@ -24,6 +24,7 @@ LEAST_SHARED_BODIES, BODIES_OF_A_SHARE, MAX_SHARES = 57, 16, 32
 """Bodies from which on threads share a member of 18 coordinates each; what is done once for each share is small."""
 TIMES = ("t", "time")
 """Names of arguments that are the time."""
+MOVED = 2.0**-30  # part of its arguments by which those of a function may be moved for the same values
 MANY_COORDINATES = 1 << 16
 """Dimension above which one point is a sample."""
 
@@ -214,6 +215,33 @@ def evaluate(
             if failures is not None:
                 failures.append(reason)
             return None
+
+
+def first_difference(
+    reference: Callable[[Any, Any], Any], found: Any, y: npt.NDArray[np.float64], t: float, is_flow: bool = False
+) -> str | None:
+    """Return how values differ from those of a function at numbers y and a time, but for rounding; None if they do not.
+
+    Of a flow, a function of a state with the length of a step behind it, the changes of the state are compared.
+    """
+    # Values differ by rounding if they are those at arguments that are moved by this part of themselves.
+    states = y[: len(y) - 1] if is_flow else np.zeros(np.shape(found))
+    with np.errstate(all="ignore"):
+        wanted = np.asarray(reference(y, t), dtype=np.float64)
+        known, off = np.isfinite(wanted), np.abs(found - wanted)
+        tolerance = 16.0 * UNIT_ROUNDOFF * (np.abs(wanted) + np.abs(states)) + MOVED * np.abs(wanted - states)
+        if np.all(off[known] <= tolerance[known]):
+            return None
+        for signs in np.random.default_rng(SEED).choice([-1.0, 1.0], (4, len(y) + 1)):
+            moved = y * (1.0 + MOVED * signs[:-1])
+            change = np.asarray(reference(moved, t * (1.0 + MOVED * signs[-1])), dtype=np.float64) - wanted
+            change -= moved[: len(states)] - y[: len(states)] if is_flow else 0.0
+            tolerance = np.maximum(tolerance, 4.0 * np.abs(change))
+    wrong = known & ~(off <= tolerance)
+    if not wrong.any():
+        return None
+    k = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
+    return f"{float(found[k]):.6g} in place of {float(wanted[k]):.6g} at a sample point"
 
 
 def check_derivative(
