@@ -57,7 +57,7 @@ def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     given = {"x": x, "A": A, "inertia": inertia, "h": h}
     for name, value in given.items():
         if isinstance(value, np.ndarray) and value.dtype == np.float64 and not jax.config.jax_enable_x64:
-            raise TypeError(f"{name} is an array of float64, which JAX rounds; give float32, or set jax_enable_x64 first")
+            raise TypeError(f"{name} is an array of float64, which JAX rounds; give float32, or set jax_enable_x64")
     given = {name: jnp.asarray(value) for name, value in given.items() if value is not None}
     shapes = {"x": ((3,),), "A": ((3, 3),), "inertia": ((3,), (3, 3)), "h": ((),)}
     for name, value in given.items():
