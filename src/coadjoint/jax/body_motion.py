@@ -55,9 +55,7 @@ QUADRATURES: Mapping[Any, tuple[float, tuple[float, ...], tuple[float, ...]]] = 
 def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     """Validate shapes and types, and take a `step`."""
     given = {"x": x, "A": A, "inertia": inertia, "h": h}
-    for name, value in given.items():
-        if isinstance(value, np.ndarray) and value.dtype == np.float64 and not jax.config.jax_enable_x64:
-            raise TypeError(f"{name} is an array of float64, which JAX rounds; give float32, or set jax_enable_x64")
+    rounded = {name for name, value in given.items() if isinstance(value, np.ndarray) and value.dtype == np.float64}
     given = {name: jnp.asarray(value) for name, value in given.items() if value is not None}
     shapes = {"x": ((3,),), "A": ((3, 3),), "inertia": ((3,), (3, 3)), "h": ((),)}
     for name, value in given.items():
@@ -66,6 +64,8 @@ def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
                 f"{name} of co.jax.free_body has the shape {value.shape}; it must be "
                 f"{' or '.join(map(str, shapes[name]))}; apply jax.vmap for several bodies"
             )
+    if rounded and not jax.config.jax_enable_x64:
+        raise TypeError(f"{min(rounded)} is an array of float64, which JAX rounds; give float32, or set jax_enable_x64")
     kind = jnp.result_type(*given.values())
     kind = jnp.result_type(float) if jnp.issubdtype(kind, jnp.integer) else kind
     if kind not in QUADRATURES:

@@ -185,3 +185,19 @@ def test_wrong_arguments_are_refused(kind):
     ):
         with refused(error, *named):
             co.jax.free_body(*values)
+    # Arrays of float64, which JAX would round; numbers of Python take the precision of the others.
+    for name, values in (
+        ("x", (np.ones(3), None, x, 1.0)),
+        ("A", (x, np.eye(3), x, 1.0)),
+        ("h", (x, None, x, np.array(1.0))),
+    ):
+        if kind == np.float64:
+            assert co.jax.free_body(*values) is not None
+            continue
+        for called in (
+            co.jax.free_body,
+            lambda *values: jax.jit(lambda x: co.jax.free_body(x, *values[1:]))(values[0]),
+        ):
+            if name != "x" or called is co.jax.free_body:
+                with refused(TypeError, f"{name} ", "float64", "jax_enable_x64"):
+                    called(*values)
