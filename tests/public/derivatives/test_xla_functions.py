@@ -98,26 +98,26 @@ def sorted_in_place(x, t):
 
 def strided(x, t):
     y = x[:5].copy()
-    y[1:4].fill(2.0 * x[0])
-    y[::2] *= 3.0
+    y[::2][1] += x[0]
+    y[1:4][2] *= 3.0
     return y[2] + y[3] - y[0]
 
 
 def lengths(x, t):
-    return np.linalg.norm(x[:3]) - np.sqrt(np.sum(x[3:6] ** 2)) if x[0] > 0.0 or t > 0.5 else x[1]
+    return np.linalg.norm(x[:3]) - np.sqrt(np.sum(x[3:6] ** 2))
 
 
 IDIOMS = [names_of_a_number, running_total, number_of_a_caller, array_of_a_caller, reshaped, transposed]
-IDIOMS += [pieces, rows, sorted_in_place, strided, lengths, names_of_a_number]
+IDIOMS += [pieces, rows, sorted_in_place, strided, lengths]
 CALLED = [jitable(one) for one in IDIOMS]
-a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10, a11 = CALLED
+a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, a10 = CALLED
 
 
 def all_idioms(x, t):
     y = 0.0 * x
     y[0], y[1], y[2], y[3] = a0(x, t), a1(x, t), a2(x, t), a3(x, t)
     y[4], y[5], y[6], y[7] = a4(x, t), a5(x, t), a6(x, t), a7(x, t)
-    y[8], y[9], y[10], y[11] = a8(x, t), a9(x, t), a10(x, t), a11(x, t)
+    y[8], y[9], y[10], y[11] = a8(x, t), a9(x, t), a10(x, t), x[0]
     return y
 
 
