@@ -20,7 +20,7 @@ from coadjoint.systems.parameters import force_numbers, parameters_at, parameter
 ZERO_CHANGE = 256 * UNIT_ROUNDOFF
 
 
-class EnergyCoefficients:
+class CoefficientsAtParameters:
     """The coefficients of the energy of a system, or of the energies of a batch, in the table of a splitting."""
 
     # `caller` is the public function, in messages.

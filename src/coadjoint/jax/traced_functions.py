@@ -1,4 +1,4 @@
-"""Functions that users write for Numba or JAX as operations of JAX, compared with their compiled values."""
+"""Functions that users write for Numba as operations of JAX, compared with their compiled values."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ def plain(value: Any) -> Any:
 
 
 def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
-    """Return a function for arrays of JAX, of one that is written with JAX, or with NumPy for Numba."""
+    """Return a function for arrays of JAX, of one that is written with NumPy for Numba."""
     function = getattr(function, "py_func", function)
 
     @wraps(function, updated=())
@@ -198,7 +198,7 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
         except Exception as reason:
             raise TypeError(
                 f"JAX cannot trace {what} ({type(reason).__name__}: {in_one_line(str(reason), 160)}); write it with "
-                'jax.numpy, or take backend="compiled"'
+                'arithmetic and functions of NumPy alone, or take backend="compiled"'
             ) from reason
         for k in range(len(taken) - 1, len(given) - 1, -1):
             if 2 ** (k + 1) > MOST_BRANCHES:

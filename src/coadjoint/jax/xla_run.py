@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from coadjoint.jax.energy_coefficients import EnergyCoefficients
+from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.forces import steps_between_forces
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import StageField, Steps, stage_steps
@@ -58,7 +58,7 @@ class XlaRun:
             self._steps = steps_between_forces(steps, self._system, field, forced)
         else:
             self._steps, self._table = _steps_and_table(self._system.unforced, method, group)
-        self._energy = EnergyCoefficients(self._system, self._table, prepared.inputs, CALLER)
+        self._energy = CoefficientsAtParameters(self._system, self._table, prepared.inputs, CALLER)
         self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
         self._t0, self._h = times.t0, times.h
