@@ -80,22 +80,21 @@ class XlaRun:
         self._run.check({name: value.shape for name, value in values.items()})
         states = (self._intervals + 2) * values["x0"].size
         check_available_memory(8 * states, f"the {self._intervals + 2} states of the run, with {CALLER},")
-        traced = {name for name, value in given.items() if _is_traced(value)}
-        known = "x0" not in traced
-        if known:
-            self._prepared.start(np.asarray(x0))
-        if "attitude0" in traced:
+        known = {name: _known_numbers(value) for name, value in given.items()}
+        start, attitude = known["x0"], known.get("attitude0")
+        if start is not None:
+            self._prepared.start(start)
+        if attitude is not None:
+            check_attitude(self._prepared, attitude)
+        elif "attitude0" in values:
             values["attitude0"] = self._checked_attitude(values["attitude0"])
-        elif "attitude0" in given:
-            check_attitude(self._prepared, np.asarray(given["attitude0"]))
-        if self._steps.functions and not self._compared[known]:
-            samples = sample_states(self._system, np.asarray(x0, dtype=np.float64) if known else None)
+        if self._steps.functions and not self._compared[start is not None]:
             times = self._t0, self._t0 + SAMPLED_PART * self._h * self._run.times.steps
-            compare_with_compiled(self._steps.functions, samples, times, 0.5 * self._h)
-            self._compared[known] = True
+            compare_with_compiled(self._steps.functions, sample_states(self._system, start), times, 0.5 * self._h)
+            self._compared[start is not None] = True
         found = self.solve(values)
-        if not traced:
-            self._run.check_first_step(given)
+        if not any(value is None for value in known.values()):
+            self._run.check_first_step(known)
         return found
 
     def _checked_attitude(self, attitude: Any) -> Any:
@@ -198,8 +197,16 @@ def check_attitude(prepared: PreparedRun, attitude: Any) -> None:
     with_group(prepared.system, momenta, True, prepared.representation, attitude)
 
 
-def _is_traced(value: Any) -> bool:
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+def _known_numbers(value: Any) -> Any:
+    """Return the numbers of an argument, also where it is differentiated; None inside of `jit` and `vmap`."""
+
+    def known(leaf: Any) -> Any:
+        return lax.stop_gradient(leaf) if isinstance(leaf, jax.core.Tracer) else leaf
+
+    try:
+        return np.array(jax.tree.map(known, value), dtype=np.float64)
+    except jax.errors.TracerArrayConversionError:
+        return None
 
 
 def unit_or_nan(system: Any, x0: Any) -> Any:

@@ -252,6 +252,8 @@ def test_starts_that_are_no_states_are_refused_by_every_backend(name, backend):
         f(x0)
     with refused(ValueError, "x0", "NaN"):
         f(np.full(system.dim, np.nan))
+    with refused(ValueError, "must be 1"):
+        jax.grad(lambda x0: f(x0)[-1].sum())(x0)
     if name == "satellite":  # traced
         if backend == "xla":
             assert np.isnan(jax.jit(f)(x0)[-1]).all()
@@ -284,6 +286,9 @@ FIRST = {
     "xla, inertia and members": lambda ready, x0: co.jax.solution(ready, (0, 10), backend="xla")(
         np.tile(x0, (70, 1)), inertia=INERTIA
     ),
+    "xla, gradient": lambda ready, x0: jax.grad(lambda x: co.jax.solution(ready, (0, 10), backend="xla")(x)[-1].sum())(
+        x0
+    ),
     "jvp": lambda ready, x0: ready.jvp(x0, (0, 10), {"x0": X0}),
     "vjp": lambda ready, x0: ready.vjp(x0, (0, 10)),
     "vjp to a crossing": lambda ready, x0: ready.vjp(x0, (0, 10), events=co.Event("x2")),
@@ -291,7 +296,7 @@ FIRST = {
 }
 
 
-@pytest.mark.parametrize("name", FIRST)
+@pytest.mark.parametrize("name", long_where(["xla, gradient", "xla, inertia and members"], FIRST))
 def test_first_runs_warn_of_a_large_step_however_they_are_made(name):
     """Once, and not of slow motions."""
     with warnings.catch_warnings():

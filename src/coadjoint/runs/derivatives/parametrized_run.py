@@ -108,13 +108,13 @@ class ParametrizedRun:
         leading = (self._points, *x0[:-1])
         return [(*leading, x0[-1]), *([(*leading, self._side, self._side)] if self._side else [])]
 
-    def check_first_step(self, values: Mapping[str, Any]) -> None:
+    def check_first_step(self, given: Mapping[str, Floats]) -> None:
         """Warn if the step of a first run elsewhere is too large, by a run of the compiled loops of some members."""
         prepared, times = self._prepared, self.times
         if not prepared.cache.checks_step:
             return
         prepared.cache.checks_step = False
-        system, given = prepared.system, {name: np.array(value, dtype=np.float64) for name, value in values.items()}
+        system = prepared.system
         if system.has_noise:
             return
         run: PreparedRun = prepared if prepared.takes_inputs else self._run_at(given).prepared
