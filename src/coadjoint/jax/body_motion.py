@@ -23,6 +23,7 @@ import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
+from coadjoint.jax.primitives import unrounded
 from coadjoint.jax.stage_steps import sparse
 
 # The largest number of pieces of a motion; a longer one would not resolve it.
@@ -55,8 +56,7 @@ QUADRATURES: Mapping[Any, tuple[float, tuple[float, ...], tuple[float, ...]]] = 
 def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     """Validate shapes and types, and take a `step`."""
     given = {"x": x, "A": A, "inertia": inertia, "h": h}
-    rounded = {name for name, value in given.items() if isinstance(value, np.ndarray) and value.dtype == np.float64}
-    given = {name: jnp.asarray(value) for name, value in given.items() if value is not None}
+    given = {name: unrounded(name, value) for name, value in given.items() if value is not None}
     shapes = {"x": ((3,),), "A": ((3, 3),), "inertia": ((3,), (3, 3)), "h": ((),)}
     for name, value in given.items():
         if value.shape not in shapes[name]:
@@ -64,8 +64,6 @@ def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
                 f"{name} of co.jax.free_body has the shape {value.shape}; it must be "
                 f"{' or '.join(map(str, shapes[name]))}; apply jax.vmap for several bodies"
             )
-    if rounded and not jax.config.jax_enable_x64:
-        raise TypeError(f"{min(rounded)} is an array of float64, which JAX rounds; give float32, or set jax_enable_x64")
     kind = jnp.result_type(*given.values())
     kind = jnp.result_type(float) if jnp.issubdtype(kind, jnp.integer) else kind
     if kind not in QUADRATURES:

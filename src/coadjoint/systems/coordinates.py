@@ -16,6 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
 from coadjoint.algebra.polynomials.monomials import names_of_basis
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_finite
 
@@ -39,6 +40,14 @@ def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
 def coordinates_of(system: Any) -> tuple[str, ...]:
     """Return the names of the coordinates, for events and polynomials; empty for matrices, which have none."""
     return () if system.has_matrices else coordinate_names(system)
+
+
+def states_by_label(system: Any, x: Any, what: str = "x") -> Any:
+    """Return labelled states of a system as an array, by the names of dimensions and coordinates; others unchanged."""
+    if isinstance(x, np.ndarray | list | tuple):
+        return x
+    axes = STATE_DIMENSIONS[len(system.shape) - 1]
+    return by_labels(x, what, axes, {"component": coordinate_names(system), **MEMBERS})
 
 
 def in_coordinates_of(system: Any, function: Function) -> Function:

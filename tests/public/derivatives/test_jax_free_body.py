@@ -179,8 +179,8 @@ def test_wrong_arguments_are_refused(kind):
     for values, error, named in (
         ((x[:2], None, x, 1.0), ValueError, ("x ", "(2,)", "(3,)")),
         ((np.ones((5, 3), kind), None, x, 1.0), ValueError, ("x ", "(5, 3)", "vmap")),
-        ((x, np.eye(4), x, 1.0), ValueError, ("A ", "(4, 4)", "(3, 3)")),
-        ((x, None, x, np.ones(2)), ValueError, ("h ", "(2,)")),
+        ((x, np.eye(4, dtype=kind), x, 1.0), ValueError, ("A ", "(4, 4)", "(3, 3)")),
+        ((x, None, x, np.ones(2, kind)), ValueError, ("h ", "(2,)")),
         ((x.astype(np.float16), None, x.astype(np.float16), np.float16(1)), TypeError, ("float16", "float32")),
     ):
         with refused(error, *named):
