@@ -224,20 +224,23 @@ def first_difference(
 
     Of a flow, a function of a state with the length of a step behind it, the changes of the state are compared.
     """
-    # Values differ by rounding if they are those at arguments that are moved by this part of themselves.
+    # Values differ by rounding if they are those at arguments that are moved by this part of themselves. One that is
+    # not finite, as that of a compiled function that raises, may be finite if it is so there.
     states = y[: len(y) - 1] if is_flow else np.zeros(np.shape(found))
     with np.errstate(all="ignore"):
         wanted = np.asarray(reference(y, t), dtype=np.float64)
-        known, off = np.isfinite(wanted), np.abs(found - wanted)
+        known, finite = np.isfinite(wanted), np.isfinite(found)
+        off = np.where(known & finite, np.abs(found - wanted), np.where(known == finite, 0.0, np.inf))
         tolerance = 16.0 * UNIT_ROUNDOFF * (np.abs(wanted) + np.abs(states)) + MOVED * np.abs(wanted - states)
-        if np.all(off[known] <= tolerance[known]):
+        tolerance = np.where(known, tolerance, 0.0)
+        if np.all(off <= tolerance):
             return None
         for signs in np.random.default_rng(SEED).choice([-1.0, 1.0], (4, len(y) + 1)):
             moved = y * (1.0 + MOVED * signs[:-1])
-            change = np.asarray(reference(moved, t * (1.0 + MOVED * signs[-1])), dtype=np.float64) - wanted
-            change -= moved[: len(states)] - y[: len(states)] if is_flow else 0.0
-            tolerance = np.maximum(tolerance, 4.0 * np.abs(change))
-    wrong = known & ~(off <= tolerance)
+            there = np.asarray(reference(moved, t * (1.0 + MOVED * signs[-1])), dtype=np.float64)
+            change = there - wanted - (moved[: len(states)] - y[: len(states)] if is_flow else 0.0)
+            tolerance = np.where(known == np.isfinite(there), np.fmax(tolerance, 4.0 * np.abs(change)), np.inf)
+    wrong = ~(off <= tolerance)
     if not wrong.any():
         return None
     k = np.unravel_index(int(np.argmax(wrong)), wrong.shape)

@@ -155,6 +155,13 @@ def other_torque(x):
     return y
 
 
+# NumPy and compiled functions refuse an index, and JAX takes the nearest one.
+def index_beyond(x):
+    y = 0.1 * x
+    y[0] = x[np.argmax(x) + 2]
+    return y
+
+
 def other_law(x, A):
     y = -1.5 * x[:3]
     np.asarray(y)[1] = A[0, 1]
@@ -199,6 +206,7 @@ OTHERS = {
         co.GaussLegendre(2),
     ),
     "OwnForce": (SPHERE.with_forces(forces.OwnForce(other_flow, name="OwnForce")), co.Splitting()),
+    "index, Torque": (SPHERE.with_forces(forces.Torque(index_beyond)), co.Splitting()),
     "attitude, Torque": (BODY.with_forces(forces.Torque(other_law)), co.Splitting()),
     "law, Sampled": (BODY.with_forces(forces.Sampled(forces.Torque(other_law), period=0.2)), co.Splitting()),
     "B, MagneticDipole": (
