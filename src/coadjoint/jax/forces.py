@@ -31,8 +31,10 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
     The constants are those of the scheme, and the coefficients of the energy.
     """
     plain = system.unforced
-    readers = [ForceReaders(plain, field, f"a function of {label}", scheme.order) for label in system.labels]
-    flows: list[Flow] = [force.describe_to(reader, plain) for reader, force in zip(readers, system.forces, strict=True)]
+    readers = [ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order) for k, _ in system.flows]
+    flows: list[Flow] = [
+        force.describe_to(reader, plain) for reader, (_, force) in zip(readers, system.flows, strict=True)
+    ]
 
     def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
         own, energy = constants

@@ -23,6 +23,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
 from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.forces.torque import is_on_bodies, places_of_torques, torque_vector
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 
@@ -103,7 +104,8 @@ class Inputs:
             return
         from coadjoint.kernels.tables.forces import linear_coefficients_in
 
-        for label, force in zip(self.system.labels, self.system.forces, strict=True):
+        for k, force in self.system.flows:
+            label = self.system.labels[k]
             contained = sorted({*linear_coefficients_in(force, self._unforced)} & {*self.in_energy.tolist()})
             if contained:
                 raise TypeError(
@@ -140,12 +142,14 @@ class Inputs:
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
                 "Torque may be an input"
             )
-        if np.ndim(force.torque) > 1:
+        if np.ndim(force.torque) > 1 and self.system.has_matrices:
             raise TypeError(f"inputs has {short(label)} for {name}, which is a matrix; only a vector may be an input")
         if k in self._torques:
             raise ValueError(f"inputs name {short(label)} more than once; each torque is one input")
-        indices = self._torques[k] = len(self.values) + np.arange(self.system.dim)
-        self.values = np.concatenate([self.values, force.torque])
+        on_bodies = is_on_bodies(np.shape(force.torque), self.system)
+        places = places_of_torques(self.system) if on_bodies else np.arange(self.system.dim)
+        indices = self._torques[k] = len(self.values) + places
+        self.values = np.concatenate([self.values, torque_vector(force.torque, self.system)])
         return indices
 
     def __repr__(self) -> str:
@@ -242,9 +246,11 @@ class Inputs:
                 indices[int(present.number[own[0]])] = k
             else:
                 tangled += present.number[own].tolist()
-        for force, numbers in self._torques.items():
+        for k, (force, numbers) in enumerate(self._torques.items()):
+            # Each torque has a number for every coordinate; those of one on bodies are some of them.
+            places = numbers.ravel() - len(self._linear) - k * self.system.dim
             first = energy.size + force * self.system.dim
-            indices.update(zip(range(first, first + len(numbers)), numbers.tolist(), strict=True))
+            indices.update(zip((first + places).tolist(), numbers.ravel().tolist(), strict=True))
         return WritableTables(loop, watch, indices, values, tangled)
 
     def settled(self, method: Method, system: Any = None) -> Method:

@@ -235,10 +235,10 @@ class Preparation:
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"
             )
         read = momenta_of if begins else any_momenta_of
-        size = self._vector_size
-        momenta, single = (
-            read(self.system, x0) if size is None else vectors_of(states_by_label(self.system, x0, "x0"), size)
-        )
+        if self._vector_size is None:
+            momenta, single = read(self.system, x0)
+        else:
+            momenta, single = vectors_of(states_by_label(self.system, x0, "x0"), self.system)
         if values is not None and values.ndim > 1:
             if single:
                 momenta, single = np.tile(momenta, (len(values), 1)), False

@@ -15,7 +15,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.user_functions import check_skew, evaluate, sample_points
+from coadjoint.systems.user_functions import check_places, check_skew, evaluate, sample_points
 from coadjoint.validation import is_integer, is_real, read_integer, read_list, read_title, set_fields
 
 Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.float64]]
@@ -62,6 +62,8 @@ def read_closed_form(exact: Callable[..., Any] | None) -> Callable[..., Any] | N
     """Validate the closed form of a system: a function of (x0, t, attitude), or None."""
     if exact is not None and not callable(exact):
         raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
+    if exact is not None:
+        check_places(exact, "exact", "x0, t, attitude")
     return exact
 
 
