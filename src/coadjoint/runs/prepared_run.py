@@ -110,8 +110,7 @@ class PreparedRun(Preparation):
                     plan = cache.plan = plan.at_times(times) or plan
                 solution = solution_of_short_run(plan, x0.copy(), began) if plan.times is times else None
                 if solution is not None:
-                    if cache.checks_step:
-                        self._check_step(solution)
+                    self.check_first_step(solution)
                     return solution
         progress = progress is not False and read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
@@ -119,14 +118,14 @@ class PreparedRun(Preparation):
         event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         set_elapsed(solution, time.perf_counter() - began)
-        if self.cache.checks_step:
-            self._check_step(solution)
+        self.check_first_step(solution)
         return solution
 
-    def _check_step(self, solution: Solution) -> None:
-        """Warn if the step is too large for this run; loops of half a step are those of a copy, and not kept."""
-        self.cache.checks_step = False
-        self.in_one_thread().warn_of_large_step(solution)
+    def check_first_step(self, solution: Solution) -> None:
+        """Warn if the step is too large for the first run; loops of half a step are those of a copy, and not kept."""
+        if self.cache.checks_step:
+            self.cache.checks_step = False
+            self.in_one_thread().warn_of_large_step(solution)
 
     @property
     def parameters(self) -> Mapping[str, NDArray[np.float64]]:

@@ -22,6 +22,7 @@ SEED = 1993  # of sample points; any other would do
 SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
 LEAST_SHARED_BODIES, BODIES_OF_A_SHARE, MAX_SHARES = 57, 16, 32
 """Bodies from which on threads share a member of 18 coordinates each; what is done once for each share is small."""
+MOVED = 2.0**-30  # part of its arguments by which those of a function may be moved for the same values
 KNOWN_NAMES = {
     "x": ("x", "x0", "y", "z", "X", "Y", "Z", "L", "M", "S", "W", "state", "momentum"),
     "t": ("t", "time"),
@@ -266,6 +267,36 @@ def evaluate(
             if failures is not None:
                 failures.append(reason)
             return None
+
+
+def first_difference(
+    reference: Callable[[Any, Any], Any], found: Any, y: npt.NDArray[np.float64], t: float, is_flow: bool = False
+) -> str | None:
+    """Return how values differ from those of a function at numbers y and a time, but for rounding; None if they do not.
+
+    Of a flow, a function of a state with the length of a step behind it, the changes of the state are compared.
+    """
+    # Values differ by rounding if they are those at arguments that are moved by this part of themselves. One that is
+    # not finite, as that of a compiled function that raises, may be finite if it is so there.
+    states = y[: len(y) - 1] if is_flow else np.zeros(np.shape(found))
+    with np.errstate(all="ignore"):
+        wanted = np.asarray(reference(y, t), dtype=np.float64)
+        known, finite = np.isfinite(wanted), np.isfinite(found)
+        off = np.where(known & finite, np.abs(found - wanted), np.where(known == finite, 0.0, np.inf))
+        tolerance = 16.0 * UNIT_ROUNDOFF * (np.abs(wanted) + np.abs(states)) + MOVED * np.abs(wanted - states)
+        tolerance = np.where(known, tolerance, 0.0)
+        if np.all(off <= tolerance):
+            return None
+        for signs in np.random.default_rng(SEED).choice([-1.0, 1.0], (4, len(y) + 1)):
+            moved = y * (1.0 + MOVED * signs[:-1])
+            there = np.asarray(reference(moved, t * (1.0 + MOVED * signs[-1])), dtype=np.float64)
+            change = there - wanted - (moved[: len(states)] - y[: len(states)] if is_flow else 0.0)
+            tolerance = np.where(known == np.isfinite(there), np.fmax(tolerance, 4.0 * np.abs(change)), np.inf)
+    wrong = ~(off <= tolerance)
+    if not wrong.any():
+        return None
+    k = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
+    return f"{float(found[k]):.6g} in place of {float(wanted[k]):.6g} at a sample point"
 
 
 def check_derivative(

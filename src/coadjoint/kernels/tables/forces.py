@@ -172,12 +172,22 @@ class _ForceTableBuilder:
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         self.called = function
-        if not self._compiles:
-            return
-        require_packages(f"{what}, a Python function,", "numba")
-        timed = arguments != "x"
-        adapted = _adapted_arguments(function, arguments, self._shape)
-        self.keepalive = (compiled_function(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
+        if self._compiles:
+            self.keepalive = (compiled_force_function(function, arguments, size, self.n, what, self._shape),)
+
+
+def compiled_force_function(
+    function: Callable[..., Any],
+    arguments: str,
+    size: int,
+    results: int,
+    what: str,
+    shape: tuple[int, ...] | None = None,
+) -> KernelFunction:
+    """Compile the function of a force, as a function of `size` numbers and the time; `shape` is that of a matrix."""
+    require_packages(f"{what}, a Python function,", "numba")
+    adapted, timed = _adapted_arguments(function, arguments, shape), arguments != "x"
+    return compiled_function(adapted, size, results, scalar=False, flat=True, timed=timed, what=what)
 
 
 def _adapted_arguments(
