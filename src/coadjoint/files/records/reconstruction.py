@@ -359,4 +359,7 @@ def _event_of(name: str, record: Entry, system: Any) -> Event:
             return Event(**{**record.value, "g": not_stored}, name=name)
         if g.is_table:
             return Event(**{**record.value, "g": _form_of(g, system.dim)}, name=name)
+        if isinstance(g.value, str) and g.value not in coordinates_of(system):
+            # `event_record` writes polynomials in x1, x2, ..., whatever the names of the coordinates are.
+            return Event(**{**record.value, "g": parse_polynomial(g.value, system.dim)}, name=name)
         return event_of_file(name, record.value, system)

@@ -14,6 +14,7 @@ from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
 from coadjoint.algebra.polynomials.monomials import plain as text_of
+from coadjoint.algebra.polynomials.monomials import special_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.files.records.entries import CASIMIR, ENERGY, EXACT, INTEGRAL, STREAM
 from coadjoint.files.records.reconstruction import system_of
@@ -201,13 +202,13 @@ def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
 
 def _formula_record(function: ParsedFunction, factors: Sequence[Any]) -> dict[str, Any]:
     """Return the formula of a function as its text, and the factors that multiply it."""
-    names = None if function.names is None else list(function.names)
+    names = None if function.names is None else special_names(function.names)
     parameters = {name: plain(value) for name, value in function.parameters.items()}
     return {
         "kind": "formula",
         "dim": function.dim,
         "text": function.text,
-        "names": names,
+        "names": None if names is None else list(names),
         "parameters": parameters,
         "factors": list(factors),
     }
