@@ -91,6 +91,8 @@ class System:
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
+    _base_parameters: dict[str, Any] | None = None
+    """Those of the system from which this one differs in its linear term alone, as in runs with inputs; or None."""
     _kind = property(type, doc="The class of the systems with which a batch mixes this one.")
     closed_form: Callable[..., Any] | None = None
     """The given function ``exact(x0, t, attitude)``, or None."""

@@ -16,7 +16,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.user_functions import check_skew, evaluate, sample_points
+from coadjoint.systems.user_functions import check_skew, evaluate, sample_points, takes_time
 from coadjoint.validation import is_integer, is_real, read_integer, read_list, read_title, set_fields
 
 
@@ -114,6 +114,11 @@ def read_invariants(argument: Any, system: Any, kind: str) -> dict[str, Any]:
                     "give a Polynomial, a Quadratic, an Invariant or a function of x"
                 )
             invariant = Invariant(invariant)
+        if isinstance(invariant, Invariant) and takes_time(invariant.value, f"the {kind} {short(name)}"):
+            raise TypeError(
+                f"the {kind} {short(name)} is a function of (x, t), and {kind}s are functions of x; give one, or "
+                "record a function of (x, t) by observe="
+            )
         if isinstance(invariant, Polynomial) and invariant.dim != n:
             raise ValueError(f"the {kind} {short(name)} has {invariant.dim} variables but the system has dimension {n}")
         if isinstance(invariant, Polynomial):

@@ -21,6 +21,7 @@ from coadjoint.files.records.reconstruction import system_of
 from coadjoint.runs.events import Event
 from coadjoint.short_repr import plain
 from coadjoint.systems.batch import Axis, Batch
+from coadjoint.systems.coefficients import linear_of
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, formula_of
@@ -54,11 +55,14 @@ def _entries(system: Any, missing: list[str]) -> dict[str, Any]:
         return _batch_entries(system, missing)
     if system.forces:
         return _forced_entries(system, missing)
-    parameters = system.parameters
+    base = system._base_parameters
+    parameters = system.parameters if base is None else base
     if parameters is not None and system.name in importlib.import_module("coadjoint.systems").names():
         functions = [f"{system.name}: {key}" for key, value in parameters.items() if callable(value)]
-        missing += functions
-        return {} if functions else {"parameters": {key: plain(value) for key, value in parameters.items()}}
+        if base is None or not functions:
+            missing += functions
+            linear = {} if base is None else {"linear": linear_of(system.hamiltonian).tolist()}
+            return {} if functions else {"parameters": {key: plain(v) for key, v in parameters.items()}, **linear}
     match system:
         case MatrixSystem():
             return _matrix_entries(system, missing)

@@ -134,7 +134,8 @@ def check_observe(observe: Any) -> dict[str, Any]:
 def _value_at(quantity: Any, name: str, x0: Floats) -> Any:
     """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
     try:
-        return 0.0 if is_formula(quantity) or takes_time(quantity, name) else quantity(x0)
+        function = quantity.value if isinstance(quantity, Invariant) else quantity
+        return 0.0 if is_formula(quantity) or takes_time(function, name) else quantity(x0)
     except (ArithmeticError, ValueError, OSError):
         return float("nan")
     except (IndexError, KeyError, TypeError, AttributeError) as reason:
