@@ -174,6 +174,7 @@ def test_functions_written_in_other_names_are_refused(basis, written, texts):
         lambda: so3(basis, function),
         lambda: so3(basis, function / 2 + co.Quadratic(1.0)),
         lambda: so3(basis, casimirs={"C": written}),
+        lambda: co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1}}, basis=basis, casimirs={"C": written}),
         lambda: so3(basis, integrals={"C": written}),
         lambda: co.integrate(system, x0, (0, 1), 0.1, observe={"C": written}),
         lambda: co.integrate(system, x0, (0, 1), 0.1, events=co.Event(written)),
