@@ -24,6 +24,7 @@ from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
 from coadjoint.jax.stage_steps import sparse
+from coadjoint.validation import reject_lost_labels
 
 # The largest number of pieces of a motion; a longer one would not resolve it.
 MOST_PIECES = 65536
@@ -55,6 +56,8 @@ QUADRATURES: Mapping[Any, tuple[float, tuple[float, ...], tuple[float, ...]]] = 
 def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     """Validate shapes and types, and take a `step`."""
     given = {"x": x, "A": A, "inertia": inertia, "h": h}
+    for name, value in given.items():
+        reject_lost_labels(value, name)
     given = {name: jnp.asarray(value) for name, value in given.items() if value is not None}
     shapes = {"x": ((3,),), "A": ((3, 3),), "inertia": ((3,), (3, 3)), "h": ((),)}
     for name, value in given.items():

@@ -17,6 +17,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+from coadjoint.validation import reject_lost_labels
 
 Names = tuple[str, ...]
 
@@ -43,6 +44,7 @@ def doubles(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def _double(name: str, value: Any) -> Any:
     """Convert whole numbers to float64, and refuse numbers of lower precision."""
+    reject_lost_labels(value, name)
     array = jnp.asarray(value)
     if jnp.issubdtype(array.dtype, jnp.integer):
         return array.astype(jnp.float64)

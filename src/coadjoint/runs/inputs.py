@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from coadjoint.errors import unknown_name
 from coadjoint.kernels.tables.compiled import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels, labelled
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 
@@ -153,7 +155,7 @@ class Inputs:
         """Return the values with these inputs inserted: (m,), or (members, m) for individual values of members."""
         if self._full_input is not None and list(inputs) == [self._full_input]:
             # All coefficients in coordinate order are the array itself.
-            numbers = read_numbers(inputs[self._full_input], self._full_input)
+            numbers = self._numbers(inputs[self._full_input], self._full_input)
             if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
                 return numbers
         arrays, members = {}, None
@@ -161,7 +163,7 @@ class Inputs:
             indices = self.indices.get(name)
             if indices is None:
                 raise unknown_name("input of this run", name, self.indices)
-            numbers = read_numbers(value, name)
+            numbers = self._numbers(value, name)
             if numbers.shape != indices.shape:
                 per_member = numbers.shape[1:] == indices.shape and numbers.ndim > indices.ndim
                 if not per_member or not len(numbers) or members not in (None, len(numbers)):
@@ -175,6 +177,14 @@ class Inputs:
             indices = self.indices[name]
             values[..., indices.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - indices.ndim], -1)
         return values
+
+    def _numbers(self, value: Any, name: str) -> Floats:
+        """Return the numbers of an input; those of coordinates may be labelled by their names."""
+        if labelled(value) is not None and self.indices[name].ndim == 1:
+            names = coordinate_names(self.system)
+            order = {"component": [names[k % self.system.dim] for k in self.indices[name].tolist()], **MEMBERS}
+            value = by_labels(value, name, STATE_DIMENSIONS[0], order)
+        return read_numbers(value, name)
 
     def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
         expected = self.indices[name].shape

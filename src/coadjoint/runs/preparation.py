@@ -50,6 +50,7 @@ from coadjoint.runs.times import (
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
+from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_bool, read_integer
@@ -235,7 +236,10 @@ class Preparation(Immutable):
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"
             )
         read = momenta_of if begins else any_momenta_of
-        momenta, single = read(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
+        size = self._vector_size
+        momenta, single = (
+            read(self.system, x0) if size is None else vectors_of(states_by_label(self.system, x0, "x0"), size)
+        )
         if values is not None and values.ndim > 1:
             if single:
                 momenta, single = np.tile(momenta, (len(values), 1)), False

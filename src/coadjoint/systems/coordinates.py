@@ -16,6 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
 from coadjoint.algebra.polynomials.monomials import names_of_basis, numbers_by_name
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
 from coadjoint.systems.registry import gallery_entry_of
 from coadjoint.validation import read_choice, read_finite
 
@@ -55,6 +56,14 @@ def names_for(system: Any, function: Any) -> tuple[str, ...] | None:
     """Return the names of the coordinates if a function is a text, or may have been written in names; else None."""
     is_written = isinstance(function, str) or hasattr(function, "_written_names") or hasattr(function, "summands")
     return coordinate_names(system) if is_written else None
+
+
+def states_by_label(system: Any, x: Any, what: str = "x") -> Any:
+    """Return labelled states of a system as an array, by the names of dimensions and coordinates; others unchanged."""
+    if isinstance(x, np.ndarray | list | tuple):
+        return x
+    axes = STATE_DIMENSIONS[len(system.shape) - 1]
+    return by_labels(x, what, axes, {"component": coordinate_names(system), **MEMBERS})
 
 
 def in_coordinates_of(system: Any, function: Function) -> Function:

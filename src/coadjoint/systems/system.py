@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
+from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force, forces_on, forces_text, labels_of
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
@@ -112,6 +113,8 @@ class System:
         """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
 
+    states_by_label = states_by_label
+
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return the structure matrix J(x), dense.
 
@@ -179,7 +182,7 @@ class System:
 
     def _vector(self, x: Any) -> npt.NDArray[Any]:
         """Return a state of real numbers as a vector, in which forces take it."""
-        return read_point(read_numbers(x, "x"), self.dim)
+        return read_point(read_numbers(self.states_by_label(x), "x"), self.dim)
 
     @vectorized_over_states
     @ignore_overflow

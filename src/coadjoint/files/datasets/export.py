@@ -15,7 +15,6 @@ from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, 
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
     OBSERVED_NAMES,
-    STATE_DIMENSIONS,
     angular_motion_variables,
     coordinates_of,
     event_variables,
@@ -31,6 +30,7 @@ from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.reconstruction import events_of, not_stored
 from coadjoint.files.records.records import event_record, record_of, system_of
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import STATE_DIMENSIONS
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coadjoint.files.datasets.named_axes import unstacked
 from coadjoint.files.datasets.writers import CHECKSUM, with_checksum
 from coadjoint.files.records.records import safe_name
+from coadjoint.labels import COMPLEX_PARTS, STATE_DIMENSIONS
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import RecordedEvents
@@ -22,11 +23,6 @@ from coadjoint.systems.coefficients import linear_of
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-
-COMPLEX_PARTS = ("real", "imaginary")
-"""Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
-STATE_DIMENSIONS = (("component",), ("row", "column"), ("layer", "row", "column"))
-"""Dimensions of a state: a vector, a matrix, or matrices in layers."""
 
 Floats = NDArray[np.float64]
 MAX_DEFAULT_BYTES = 1 << 27
@@ -350,7 +346,7 @@ def with_vorticity(dataset: xarray.Dataset, solution: Solution, grid: Any) -> xa
 def _on_grid(fluid: FluidSystem, W: NDArray[Any], shape: Any) -> Floats:
     """Return the field of matrices (..., N, N) on a grid; NaN for states after a failure."""
     finite = np.isfinite(W).all(axis=(-2, -1))
-    values = fluid.to_grid(W[finite], shape)
+    values = fluid.to_grid(W[finite], shape, absolute=True)
     result = np.full((*finite.shape, *values.shape[1:]), np.nan)
     result[finite] = values
     return result

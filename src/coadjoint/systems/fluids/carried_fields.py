@@ -170,7 +170,8 @@ class TwoLayerSystem(MatrixSystem):
 
     def matrices(self, x: Any) -> Matrix:
         """Return states (..., 2, N, N) unchanged, and vectors as the nearest states."""
-        if np.shape(x)[-1:] == (self.dim,):
+        x = to_array(self.states_by_label(x, "a state"), "a state", "iufc")
+        if x.shape[-1:] == (self.dim,):
             return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
         X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
         if X.shape[-3:] != self.matrix_shape:
@@ -178,7 +179,7 @@ class TwoLayerSystem(MatrixSystem):
         return X
 
     def read_matrices(self, given: Any, what: str) -> Matrix:
-        state = to_array(given, what, "iufc")
+        state = to_array(self.states_by_label(given, what), what, "iufc")
         if state.shape[-3:] != self.shape or state.ndim > 4:
             raise ValueError(
                 f"{what} has the shape {state.shape}; it must be {self.shape}, the carried field and the vorticity, or "

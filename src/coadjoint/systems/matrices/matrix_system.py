@@ -319,7 +319,7 @@ class MatrixSystem(Immutable, System):
 
     def is_in_numbers(self, x: Any) -> bool:
         """Return whether states are vectors rather than matrices."""
-        shape = to_array(x, "a state", "iufc").shape
+        shape = to_array(self.states_by_label(x, "a state"), "a state", "iufc").shape
         return len(shape) > 0 and shape[-1] == self.dim
 
     def matrices(self, x: Any) -> Matrix:
@@ -330,6 +330,7 @@ class MatrixSystem(Immutable, System):
         TypeError, ValueError
             Not numbers, or the wrong shape.
         """
+        x = self.states_by_label(x, "a state")
         if self.is_in_numbers(x):
             return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
         W = to_array(x, "a state", "iufc")
@@ -346,7 +347,7 @@ class MatrixSystem(Immutable, System):
         """Validate initial states, and return them as vectors: one for a state, several for members."""
         if self.shape == self.matrix_shape:
             return self.to_vector(self.read_matrices(given, what))
-        rows = read_numbers(given, what)
+        rows = read_numbers(self.states_by_label(given, what), what)
         if rows.ndim not in (1, 2) or rows.shape[-1] != self.dim:
             raise ValueError(f"{what} has the shape {rows.shape}; it must be ({self.dim},) or (members, {self.dim})")
         check_finite(rows, what)
@@ -354,7 +355,7 @@ class MatrixSystem(Immutable, System):
 
     def read_matrices(self, given: Any, what: str) -> Matrix:
         """Validate initial states that are matrices, and return them."""
-        return self.algebra.read(given, what)
+        return self.algebra.read(self.states_by_label(given, what), what)
 
     def states_of(self, rows: Floats) -> Matrix:
         """Return rows of numbers as states, which are matrices unless the system is `in_numbers`."""
