@@ -12,6 +12,7 @@ import numpy as np
 from coadjoint.files.records.entries import parsed
 from coadjoint.files.records.reconstruction import Axes, axes_of_record
 from coadjoint.files.records.records import axes_record
+from coadjoint.labels import COMPLEX_PARTS
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import SUFFIX, Axis
 
@@ -24,8 +25,6 @@ MEMBER = "member"
 BEFORE_MEMBERS = ("time", "crossing")
 AFTER_MEMBERS = ("layer", "row", "column", "component", "account", "invariant", "tenth", "body", "axis")
 """Dimensions in the order of the arrays of a run, before others: fields over their grids, and parts of numbers."""
-COMPLEX_PARTS = ("real", "imaginary")
-"""Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
 
 
 def axes_of_system(system: Any) -> Axes:
