@@ -21,6 +21,7 @@ from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
+from coadjoint.systems.coordinates import check_moved, momenta_of
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 
@@ -72,7 +73,7 @@ class Inputs:
         named = specification if isinstance(specification, Mapping) else {"linear": specification}
         if not named:
             raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
-        torques = {name for name, target in named.items() if isinstance(target, str)}
+        torques = self._named_torques = {name for name, target in named.items() if isinstance(target, str)}
         self._linear = np.zeros(0)
         if len(torques) < len(named):
             check_linear(self._unforced)
@@ -151,6 +152,7 @@ class Inputs:
 
     def read(self, inputs: Mapping[str, Any]) -> Floats:
         """Return the values with these inputs inserted: (m,), or (members, m) for individual values of members."""
+        self._check_kinds(inputs)
         if self._full_input is not None and list(inputs) == [self._full_input]:
             # All coefficients in coordinate order are the array itself.
             numbers = read_numbers(inputs[self._full_input], self._full_input)
@@ -175,6 +177,15 @@ class Inputs:
             indices = self.indices[name]
             values[..., indices.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - indices.ndim], -1)
         return values
+
+    def _check_kinds(self, inputs: Mapping[str, Any]) -> None:
+        """Raise ValueError for torques on coordinates that are no momenta."""
+        momenta: Any = momenta_of(self._unforced) if self._torques else None
+        for name, value in inputs.items() if momenta is not None else ():
+            numbers = read_numbers(value, name)
+            if name in self._named_torques and numbers.shape[-1:] == momenta.shape:
+                moved = ~momenta & (numbers != 0.0).reshape(-1, len(momenta)).any(axis=0)
+                check_moved(name, self._unforced, moved)
 
     def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
         expected = self.indices[name].shape
@@ -256,7 +267,7 @@ class Inputs:
             return system
         for k, indices in self._torques.items():
             forces[k] = replace(forces[k], torque=values[indices])
-        return system.with_forces(*forces)
+        return system._with_acting(forces)
 
     def system_of(self, values: Floats) -> Any:
         """Return the system of a call, or a batch with one system for each member."""

@@ -157,7 +157,7 @@ def _flow_entries_of_inputs(run: DifferentiableRun, inputs: Inputs, values: Floa
 
 
 def _using_energy(run: DifferentiableRun) -> tuple[int, ...]:
-    return tuple(j for j, force in enumerate(run.system.forces) if force.uses_energy)
+    return tuple(j for j, force in enumerate(run.system.forces) if force._needs_energy(run.system.unforced))
 
 
 def _of_scheme(

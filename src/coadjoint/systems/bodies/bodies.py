@@ -9,7 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.bodies.body import axis_products, bodies_algebra, central_coordinate, momentum_in_space
+from coadjoint.systems.bodies.body import (
+    IN_SPACE,
+    axis_products,
+    bodies_algebra,
+    central_coordinate,
+    momentum_in_space,
+)
 from coadjoint.systems.bodies.body_systems import (
     Bodies,
     joined,
@@ -160,6 +166,7 @@ def _tumbling() -> Floats:
 
 @ready_made(
     unit="z",
+    coordinates=IN_SPACE,
     energy=kinetic_matrix,
     gallery_entry=GalleryEntry(
         x0=_tumbling,

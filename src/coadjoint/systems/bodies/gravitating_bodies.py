@@ -16,7 +16,7 @@ from coadjoint.systems.bodies.bodies import (
     read_masses,
     system_of_bodies,
 )
-from coadjoint.systems.bodies.body import momentum_in_space
+from coadjoint.systems.bodies.body import IN_SPACE, momentum_in_space
 from coadjoint.systems.bodies.inertia import anisotropic_part, read_in_range, read_inertias
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
@@ -79,6 +79,7 @@ def _potential(
 
 @ready_made(
     unit="z",
+    coordinates=IN_SPACE,
     energy=_energy,
     potential=_potential,
     gallery_entry=GalleryEntry(

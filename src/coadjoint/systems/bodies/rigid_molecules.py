@@ -12,7 +12,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import momentum_in_space
+from coadjoint.systems.bodies.body import IN_SPACE, momentum_in_space
 from coadjoint.systems.bodies.inertia import BodyInertia, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -90,6 +90,7 @@ def _distance(x: Any) -> Any:
 
 @ready_made(
     unit="z",
+    coordinates=IN_SPACE,
     gallery_entry=GalleryEntry(
         x0=_dimer,
         t_span=(0.0, 2.0),

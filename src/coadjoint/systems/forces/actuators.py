@@ -169,6 +169,7 @@ class ControlMomentGyros(Sampled):
     max_rate: Any = None
     regularization: float = 1e-3
 
+    moves: ClassVar[tuple[str, ...]] = ("momentum", "angle")
     selectors: ClassVar[tuple[str, ...]] = ("period", "first")
 
     def __post_init__(self) -> None:
