@@ -338,6 +338,17 @@ def test_failures_name_the_step(force, named):
         co.integrate(BODY.with_forces(force), (0.1, 0.2, 0.3), (0, 2), 0.125)
 
 
+def test_a_damped_moment_is_a_spin_of_the_other_sign():
+    """R. F. L. Evans et al., J. Phys.: Condens. Matter 26 (2014) 103202: m = (sech cos, sech sin, tanh) in a field B."""
+    a, B, t = 0.1, 2.0, 4.0
+    lattice = co.systems.spin_lattice([], 1, field=(0.0, 0.0, -B / (1 + a * a)))
+    damped = lattice.with_forces(co.forces.DoubleBracketDamping(a))
+    m = -co.integrate(damped, (-1.0, 0.0, 0.0), (0.0, t), 1 / 256).x[-1]
+    decay, angle = a * B * t / (1 + a * a), B * t / (1 + a * a)
+    wanted = np.array([np.cos(angle) / np.cosh(decay), np.sin(angle) / np.cosh(decay), np.tanh(decay)])
+    np.testing.assert_allclose(m, wanted, rtol=0, atol=1e-6)
+
+
 def test_damping_keeps_positions_and_the_central_coordinate():
     """By DOP853; errors are estimated, and steps continue from where they are."""
     system = co.systems.satellite().with_forces(co.forces.LinearDamping(0.1))

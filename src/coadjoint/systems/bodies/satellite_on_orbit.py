@@ -171,6 +171,9 @@ def satellite_on_orbit(
     3 mean_motion^2/r^3 X cross I X``, ``X' = X cross (Omega - f' Z)``, and so on. Sign -1, ``H = L . I^-1 L / 2 -
     f' L . Z + 3 mean_motion^2/(2 r^3) X . I X``.
 
+    Forces take the orbital frame as space: vectors have components along X, Y, Z, and damping is relative to the frame.
+    The gravity gradient is in H, so that `co.forces.GravityGradient` is refused.
+
     Parameters
     ----------
     inertia : (3,) or (3, 3)

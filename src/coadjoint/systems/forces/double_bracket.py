@@ -44,7 +44,8 @@ class DoubleBracketDamping(Force):
 
     For spins (copies of so(3), with H = -B.S and the like) this is Landau-Lifshitz damping,
     ``S' = -alpha S cross (S cross B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
-    1/(1 + a^2), and take alpha = a. For fluids it is the selective decay of energy at constant vorticity. The energy
+    1/(1 + a^2), and take alpha = a. Magnetic moments m, ``m' = -m cross B - alpha m cross (m cross B)``, are S = -m in
+    the field -B, with the same alpha. For fluids it is the selective decay of energy at constant vorticity. The energy
     decreases at the rate ``alpha f . P f``, f the Hamiltonian part of x'.
 
     Where axes, directions or positions are part of the state, a number as metric is that of these: they are not
