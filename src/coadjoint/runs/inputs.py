@@ -44,6 +44,7 @@ RESERVED_NAMES = frozenset(
         "progress",
         "directions",
         "reverse",
+        "fixed",
         "self",
     )
 )
