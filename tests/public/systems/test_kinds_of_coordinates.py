@@ -33,7 +33,7 @@ def test_every_force_keeps_what_is_no_momentum_or_is_refused(name):
     space = {"np": np, "co": co, "f": functions}
     actuators = {"ReactionWheels", "ControlMomentGyros", "Sampled", "Thrusters"}  # of a body with memories, below
     forces = {kind: eval(force_text(kind, system), space) for kind in set(F.names()) - actuators}
-    forces["matrix"] = F.LinearDamping(0.1 * np.eye(system.dim))
+    forces |= {"matrix": F.LinearDamping(0.1 * np.eye(system.dim)), "full": F.Torque(np.full(system.dim, 0.1))}
     for label, force in forces.items():
         try:
             forced = system.with_forces(force).forces[0]
@@ -44,9 +44,8 @@ def test_every_force_keeps_what_is_no_momentum_or_is_refused(name):
         assert not moved[~momenta].any() and moved[momenta].any(), label
     assert "LinearDamping" in acting and ("HeatBath" in acting) == ("DoubleBracketDamping" in acting)
     assert ("DoubleBracketDamping" in acting) == system.has_structure_constants
-    assert (
-        {"Torque", "OwnForce", "matrix"} <= acting if momenta.all() else not {"Torque", "OwnForce", "matrix"} & acting
-    )
+    others = {"full", "OwnForce", "matrix"}
+    assert "Torque" in acting and (others <= acting if momenta.all() else not others & acting)
     for one in (F.Torque(0.1 * momenta), F.LinearDamping(0.1 * momenta), F.LinearDamping(np.diag(0.1 * momenta))):
         if system.frame_rate is None or np.ndim(one.parameters().get("rate", ())) < 2:
             system.with_forces(one)
