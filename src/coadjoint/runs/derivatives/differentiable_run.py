@@ -148,6 +148,7 @@ class Trajectory:
             self.fixed_velocities = [FixedVelocity.at(self.system.of_member(m), x, t0) for m, x in enumerate(rows)]
         self.side = self.start.groups.shape[1]
         self._integrate(run, given, moments)
+        prepared.check_first_step(self.solution)
 
     def _integrate(self, run: DifferentiableRun, given: Arguments, moments: OutputTimes | None) -> None:
         """Take all steps, and store the solution and the outputs."""
