@@ -211,6 +211,10 @@ def gradient_of(
             total += tables.factors[name].of_entries(of_factors, total.shape[1])
     through_steps, of_element, coefficients = _through_steps(run, trajectory, tables, of_x, of_groups)
     of_x0 += through_steps
+    for name, total in totals.items() if trajectory.fixed_velocities else ():
+        for some, energy in run.energies(name, members):
+            for m in range(members)[some]:
+                total[m] += trajectory.fixed_velocities[m].pull(energy, of_x0[m])
     states0 = run.system.states_of(of_x0)
     values: dict[str, Any] = {"x0": states0[0] if start.single else states0}
     for name, total in totals.items():

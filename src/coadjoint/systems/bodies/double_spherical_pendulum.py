@@ -26,6 +26,7 @@ def _swinging() -> npt.NDArray[np.float64]:
 
 @ready_made(
     unit="z",
+    coordinates={"q": ("direction", "1"), "p": ("momentum", "mass length^2/time"), "z": ("constant", "1")},
     gallery_entry=GalleryEntry(
         x0=_swinging,
         t_span=(0.0, 20.0),

@@ -17,7 +17,7 @@ from coadjoint.systems.bodies.bodies import (
     read_masses,
     system_of_bodies,
 )
-from coadjoint.systems.bodies.body import drawn_bodies, momentum_in_space, relative_positions
+from coadjoint.systems.bodies.body import IN_SPACE, drawn_bodies, momentum_in_space, relative_positions
 from coadjoint.systems.bodies.inertia import anisotropic_part, read_in_range, read_inertias
 from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -86,6 +86,7 @@ def _potential(
 
 @ready_made(
     unit="z",
+    coordinates=IN_SPACE,
     energy=_energy,
     potential=_potential,
     gallery_entry=GalleryEntry(

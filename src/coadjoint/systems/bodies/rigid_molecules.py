@@ -13,7 +13,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import drawn_bodies, momentum_in_space, relative_positions
+from coadjoint.systems.bodies.body import IN_SPACE, drawn_bodies, momentum_in_space, relative_positions
 from coadjoint.systems.bodies.inertia import BodyInertia, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -101,6 +101,7 @@ def _dipoles(dim: int) -> dict[str, list[str]]:
 
 @ready_made(
     unit="z",
+    coordinates=IN_SPACE,
     gallery_entry=GalleryEntry(
         x0=_dimer,
         t_span=(0.0, 2.0),

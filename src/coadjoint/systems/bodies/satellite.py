@@ -15,6 +15,7 @@ from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.systems.bodies.body import IN_SPACE
 from coadjoint.systems.bodies.inertia import principal, read_body_inertia, read_in_range
 from coadjoint.systems.bodies.rigid_body import ClassicalBody
 from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
@@ -47,6 +48,7 @@ def _pitch(x: Any) -> Any:
 
 @ready_made(
     unit="z",
+    coordinates={name: IN_SPACE[name] for name in ("L", "p", "r", "z")},
     gallery_entry=GalleryEntry(
         x0=_librating,
         t_span=(0.0, 300.0),
