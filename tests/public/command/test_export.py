@@ -10,7 +10,7 @@ from configuration_files import READY_MADE
 
 
 def test_the_header_is_printed_or_written(tmp_path, monkeypatch, capsys):
-    """A file of another name includes itself by that name."""
+    """It includes nothing of its own, and so may have any name."""
     monkeypatch.chdir(tmp_path)
     status, text, err = command(capsys, "export", "--free-body")
     assert (status, err) == (0, "") and text.startswith("/* coadjoint.h") and text.endswith("#endif\n")
@@ -19,8 +19,8 @@ def test_the_header_is_printed_or_written(tmp_path, monkeypatch, capsys):
     assert Path("coadjoint.h").read_text() == text
     Path("include").mkdir()
     assert command(capsys, "export", "--free-body", "--out", "include/body.hpp").status == 0
-    assert Path("include/body.hpp").read_text() == text.replace('#include "coadjoint.h"', '#include "body.hpp"')
-    assert text.count('#include "coadjoint.h"') == 2
+    assert Path("include/body.hpp").read_text() == text
+    assert [line for line in text.splitlines() if "#include" in line] == ["#include <math.h>"]
 
 
 @pytest.mark.parametrize(
@@ -30,7 +30,6 @@ def test_the_header_is_printed_or_written(tmp_path, monkeypatch, capsys):
         (["--free-bodies"], "coadjoint: unknown option '--free-bodies'; did you mean '--free-body'?"),
         (["--free-body", "-o", "body.txt"], "body.txt: the suffix sets the format; it must be .h or .hpp"),
         (["--free-body", "-o", "no/body.h"], "no/body.h: the folder no does not exist; create it first"),
-        (["--free-body", "-o", 'a"b.h'], "coadjoint: --out: 'a\"b.h' cannot be included; give a name without"),
         (["--free-body", "step.toml"], "coadjoint: --free-body was given with 'step.toml'; give one of them"),
         (["--free-body", "--tangent"], "coadjoint: --free-body was given with --tangent; give one of them"),
         (["--free-body", "--name", "top"], "coadjoint: --free-body was given with --name; give one of them"),
