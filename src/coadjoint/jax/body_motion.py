@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import jax
@@ -88,11 +89,12 @@ def step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     if A is None:
         return x
     rows = [_plus(row, _turned(r, row)) for row in A]
-    for _ in range(CORRECTIONS):  # A - (A A^T - 1) A/2
-        wrong = [[0.5 * (dot(u, v) - (i == j)) for j, v in enumerate(rows)] for i, u in enumerate(rows)]
-        columns = list(zip(*rows, strict=True))
-        rows = [tuple(a - dot(w, c) for a, c in zip(u, columns, strict=True)) for u, w in zip(rows, wrong, strict=True)]
-    return x, jnp.array(rows)
+    product = partial(jnp.matmul, precision="highest")
+
+    def corrected(_: Any, A: Any) -> Any:
+        return A - 0.5 * product(A, product(A.T, A) - jnp.eye(3, dtype=A.dtype))
+
+    return x, lax.fori_loop(0, CORRECTIONS, corrected, jnp.array(rows))
 
 
 _compiled_step = jax.jit(step)
@@ -235,15 +237,14 @@ def _period(E: Vector, is_long: Any) -> tuple[Any, Any]:
         return e - jnp.where(slope > gap, (e * e * e - q * e - d) / jnp.where(slope > gap, slope, 1.0), 0.0)
 
     e = lax.fori_loop(0, 40, lambda _, e: newton(e, lax.stop_gradient(q), lax.stop_gradient(d)), e)
-    for _ in range(3):  # for derivatives of up to seventh order
-        e = newton(e, q, d)
+    e = lax.fori_loop(0, 3, lambda _, e: newton(e, q, d), e)  # for derivatives of up to seventh order
     product = 3 * e * e - q
     resolved = product > LEAST_GAP * radius * radius
     root = jnp.sqrt(jnp.where(resolved, product, LEAST_GAP * radius * radius))
     mean = 0.5 * jnp.sqrt(3 * e + 2 * root)
     other = jnp.sqrt(root)
-    for _ in range(8):
-        mean, other = 0.5 * (mean + other), jnp.sqrt(mean * other)
+    means = lax.fori_loop(0, 8, lambda _, two: (0.5 * (two[0] + two[1]), jnp.sqrt(two[0] * two[1])), (mean, other))
+    mean = means[0]
     speed = jnp.sqrt(2 * jnp.sqrt(lax.stop_gradient(q)))  # at least the root of e1 - e3
     period = 2 * np.pi / mean
     # Beside the separatrix the period has no derivative that is resolved.
