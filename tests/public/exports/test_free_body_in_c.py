@@ -38,6 +38,7 @@ SHAPES = {
     "near the axis of symmetry": ((-1.43875547, 0.55939662, 0.58660169), (-3.83793, 0.28704, 0.74043)),
     "any": ((0.3, 1.7, 0.9), (0.3, 0.7, -0.5)),
     "of both signs": ((-1.0, 0.4, 2.0), (0.3, 0.7, -0.5)),
+    "thin rod": ((1.0, 1.0, 2.0**20), (0.3, 0.2, 2.0**-20)),
 }
 
 
@@ -269,6 +270,21 @@ def test_attitudes_agree(body, kind):
         velocity = body.call("step_velocity", kind, 1 / m, h, m * x, q)
         assert np.abs(velocity.x - m * step.x).max() <= 200 * u
         assert np.abs(velocity.others[0] - step.others[0]).max() <= 200 * u
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_matrix_is_made_orthonormal_or_refused(body, kind):
+    """From lengths of 0.9 to 1.1, and as the same rotation; farther from a rotation it is NaN."""
+    kind, u = KINDS[kind], UNITS[KINDS[kind]]
+    m, x, h = drawn(4, kind)
+    wanted = body.call("step_matrix", kind, m, h, x, np.eye(3, dtype=kind)).others[0].reshape(3, 3)
+    for factor in (0.9, 0.999, 1.001, 1.1):
+        found = body.call("step_matrix", kind, m, h, x, factor * np.eye(3, dtype=kind)).others[0].reshape(3, 3)
+        assert np.abs(found.T @ found - np.eye(3)).max() <= 8 * u and np.abs(found - wanted).max() <= 16 * u
+    for matrix in (1.2 * np.eye(3), 0.5 * np.eye(3), np.eye(3) + [[0, 0.4, 0], [0, 0, 0], [0, 0, 0]]):
+        refused = body.call("step_matrix", kind, m, h, x, matrix.astype(kind))
+        assert refused.pieces == 0 and np.isnan(refused.others[0]).all()
 
 
 @pytest.mark.thinned(1)
