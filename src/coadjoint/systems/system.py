@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.rounding import in_standard_mode
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
@@ -248,6 +249,7 @@ class System:
         bracket_part = self.product_derivative(y, self.hamiltonian.gradient(y, t))
         return self.sign * (bracket_part + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 
+    @in_standard_mode
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Return the closed-form solution, if known.
 
@@ -272,6 +274,7 @@ class System:
         """
         return require_closed_form(self.closed_form, self.name)(x0, t, attitude)
 
+    @in_standard_mode
     def with_forces(self, *forces: Force) -> Self:
         """Return the system with damping, torques or noise, after the forces that it has.
 

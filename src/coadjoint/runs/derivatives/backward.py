@@ -14,6 +14,7 @@ from coadjoint.errors import LargeStepWarning, unknown_name
 from coadjoint.long_operations import warn_caller
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import derivative_of
+from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import overflow, read_like
 from coadjoint.runs.derivatives.located_trajectory import function_of_rows
@@ -122,6 +123,7 @@ class Pullback:
     def __repr__(self) -> str:
         return f"<pullback of {self.solution!r}>"
 
+    @in_standard_mode
     def __call__(
         self,
         x: Any = None,
