@@ -339,7 +339,7 @@ def test_failures_name_the_step(force, named):
 
 
 def test_a_damped_moment_is_a_spin_of_the_other_sign():
-    """R. F. L. Evans et al., J. Phys.: Condens. Matter 26 (2014) 103202: m = (sech cos, sech sin, tanh) in a field B."""
+    """R. F. L. Evans et al., J. Phys.: Condens. Matter 26 (2014) 103202: m = (sech cos, sech sin, tanh) in a field."""
     a, B, t = 0.1, 2.0, 4.0
     lattice = co.systems.spin_lattice([], 1, field=(0.0, 0.0, -B / (1 + a * a)))
     damped = lattice.with_forces(co.forces.DoubleBracketDamping(a))
