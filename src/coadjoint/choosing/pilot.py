@@ -295,7 +295,15 @@ def _agree(full: NDArray[np.float64] | None, halves: NDArray[np.float64] | None)
 
 def speeds_of(system: System | Batch, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
     """Return the norms of the vector field at states (members, n), each of its own system."""
-    return np.array([np.linalg.norm(system.of_member(m).vector_field(x, t)) for m, x in enumerate(states)])
+    return np.array([_norm(np.asarray(system.of_member(m).vector_field(x, t))) for m, x in enumerate(states)])
+
+
+def _norm(vector: NDArray[Any]) -> float:
+    """Return the norm, also of a vector whose squares overflow."""
+    with np.errstate(over="ignore"):
+        norm = float(np.linalg.norm(vector))
+    size = float(np.abs(vector).max(initial=0.0))
+    return norm if np.isfinite(norm) or not np.isfinite(size) else size * float(np.linalg.norm(vector / size))
 
 
 def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import Immutable
 from coadjoint.kernels.loop import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
@@ -92,7 +93,7 @@ class _Cache:
         return times
 
 
-class Preparation:
+class Preparation(Immutable):
     """A system, a scheme and a step with everything that does not depend on the initial state; immutable."""
 
     def __init__(

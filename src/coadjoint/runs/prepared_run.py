@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 class PreparedRun(Preparation):
     """A system, a scheme and a step with everything that does not depend on the initial state; see `prepare`.
 
-    It is immutable. Several threads may run it concurrently, since each run has its own arrays.
+    It is immutable: its attributes cannot be set. Several threads may run it concurrently, since each run has its own
+    arrays.
 
     Attributes
     ----------
@@ -290,11 +291,11 @@ class PreparedRun(Preparation):
 
     @suggest_keywords
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
-        """Return only the final state of a run, with a third of the overhead of `run`.
+        """Return only the final state of a run, with less than half of the overhead of `run`.
 
-        For shooting methods, maps and control loops of few steps: the overhead of a call is about 3 us. The result is
-        bitwise equal to ``run(x0, t_span).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs
-        prepared with an attitude or with inputs fall back to `run`.
+        For shooting methods, maps and control loops of few steps: no solution object is created. The result is bitwise
+        equal to ``run(x0, t_span).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs prepared with
+        an attitude or with inputs fall back to `run`.
 
         Parameters
         ----------

@@ -92,9 +92,9 @@ class System:
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
+    _base_parameters: dict[str, Any] | None = None  # of the system that has another linear term, without inputs
     _kind = property(type, doc="The class of the systems with which a batch mixes this one.")
-    closed_form: Callable[..., Any] | None = None
-    """The given function ``exact(x0, t, attitude)``, or None."""
+    closed_form: Callable[..., Any] | None = None  # ``exact(x0, t, attitude)``
 
     @cached_property
     def shape(self) -> tuple[int, ...]:

@@ -61,7 +61,8 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (matrices over ``row`` and
     ``column``, complex ones also over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; of fluids ``vorticity`` on a grid; of bodies
-    ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also over ``body``;
+    ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also over ``body``, with
+    attitudes as ``quaternion`` (x, y, z, w), and ``wheel_speed`` and ``gimbal_angle`` of rotors;
     ``drift`` over ``invariant`` and ``tenth`` of the run, replaced for systems with forces by ``change``, ``balance``,
     and ``work`` over ``account``; ``x0``, ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems
     of a batch differ are coordinates, such as ``swept_inertia_2``; a batch with named axes has these as dimensions in

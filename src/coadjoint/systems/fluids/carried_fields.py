@@ -20,7 +20,7 @@ from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_choice, to_array
+from coadjoint.validation import read_choice, set_fields, to_array
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -95,9 +95,9 @@ class TwoLayerSystem(MatrixSystem):
                 raise TypeError(f"{what} is a function; two layers need a Stream, such as Weights(w)")
         if self.second_stream is not None:
             self._check_stream(self.second_stream)
-        self.shape = self.matrix_shape = (2, *algebra.shape)
-        self.dim = 2 * self.dim
-        self.hamiltonian = MatrixEnergy(self)
+        shape = (2, *algebra.shape)
+        set_fields(self, shape=shape, matrix_shape=shape, dim=2 * self.dim)
+        set_fields(self, hamiltonian=MatrixEnergy(self))
 
     _fluid: Any = None
 

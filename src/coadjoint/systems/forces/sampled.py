@@ -66,6 +66,7 @@ class Sampled(Force):
     reversible: ClassVar[bool] = False
     uses_energy: ClassVar[bool] = False
     sampled: ClassVar[bool] = True
+    command_name: ClassVar[str] = "torque"
     selectors: ClassVar[tuple[str, ...]] = ("period", "first")
     _limits: ClassVar[Mapping[str, Callable[..., Any]]] = {"max_torque": read_limits}
 
@@ -90,6 +91,11 @@ class Sampled(Force):
     def _count(self, system: Any) -> int:
         """Return how many numbers are held."""
         return 3
+
+    def held_at(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the command that is held at states (..., dim), (..., count)."""
+        begin = system.dim - system.held + self.first
+        return x[..., begin : begin + self._count(system)]
 
     def _command(self, system: Any) -> Callable[..., Any]:
         """Return what is held, as a function of the torque (3,) of the law and of the state."""

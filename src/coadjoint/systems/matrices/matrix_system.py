@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.errors import Immutable
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
@@ -27,7 +28,15 @@ from coadjoint.systems.matrices.matrix_invariants import (
 from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import read_closed_form, read_parameters, read_sign
-from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
+from coadjoint.validation import (
+    check_finite,
+    not_numbers_error,
+    read_integer,
+    read_numbers,
+    read_title,
+    set_fields,
+    to_array,
+)
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -40,7 +49,7 @@ DEGENERACY_TOLERANCE = 1e-9
 
 
 @suggest_keywords
-class MatrixSystem(System):
+class MatrixSystem(Immutable, System):
     """A system whose state is a matrix W in a Lie algebra of matrices, ``W' = [P, W]`` with P = stream(W) + linear.
 
     Choose it for algebras too large for structure constants: the quantized sphere and torus, bodies of many dimensions.
@@ -180,7 +189,7 @@ class MatrixSystem(System):
         A vector represents the nearest matrix of the algebra.
         """
         view = copy.copy(self)
-        view.shape = (self.dim,)
+        set_fields(view, shape=(self.dim,))
         view._unforced = self.unforced.in_numbers if self.forces else None
         view.__dict__["in_numbers"] = view
         return view
