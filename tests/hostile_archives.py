@@ -9,6 +9,7 @@ import json
 import os
 import random
 import shutil
+from contextlib import suppress
 from math import inf, nan
 from pathlib import Path
 
@@ -22,6 +23,33 @@ BODY, X = co.systems.rigid_body(inertia=(1, 2, 2.5)), (0.3, -1.0, 0.7)
 SPAN, STEP = (0.0, 4.0), 0.125
 METHOD = co.GaussLegendre(2)
 ROOT, HIDDEN = "zarr.json", ".coadjoint"
+
+
+def sign(root):
+    """Give a root the checksum that the page on archives defines, as anybody can."""
+    root["attributes"].pop("archive_sha256", None)
+    content = {"attributes": root["attributes"], "metadata": root["consolidated_metadata"]["metadata"]}
+    root["attributes"]["archive_sha256"] = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def edit_root(path, change):
+    """Change attributes and arrays of an archive, with a matching checksum."""
+    root = json.loads((path / ROOT).read_text())
+    change(root["attributes"], root["consolidated_metadata"]["metadata"])
+    sign(root)
+    (path / ROOT).write_text(json.dumps(root))
+
+
+def edit_attributes(path, **attributes):
+    edit_root(path, lambda found, _: found.update(attributes))
+
+
+def write_marker(archive, number, head, raw):
+    """Write the marker of a block, with a matching checksum."""
+    run = json.loads((archive / ROOT).read_text())["attributes"]["archive_run"]
+    name = f"block-{number:06d}"
+    digest = hashlib.sha256(f"{run} {name} {head}".encode("utf-8", "surrogatepass")).hexdigest()
+    (archive / HIDDEN / name).write_bytes(f"{digest} {head}\n".encode("utf-8", "surrogatepass") + raw)
 
 
 def nested_lists(depth):
@@ -151,8 +179,7 @@ def change_metadata(archive, rng, outside):
         marker = rng.choice(markers)
         line, _, raw = marker.read_bytes().partition(b"\n")
         head = json.dumps(changed(json.loads(line.partition(b" ")[2]), rng, strange))
-        digest = hashlib.sha256(head.encode("utf-8", "surrogatepass")).hexdigest()
-        marker.write_bytes(f"{digest} {head}\n".encode("utf-8", "surrogatepass") + raw)
+        write_marker(archive, int(marker.name[-6:]), head, raw)
         return
     root = archive / ROOT
     if rng.random() < 0.1:
@@ -161,6 +188,8 @@ def change_metadata(archive, rng, outside):
         tree = json.loads(root.read_text())
         for _ in range(rng.choice([1, 1, 1, 2, 5])):
             tree = changed(tree, rng, strange)
+        with suppress(LookupError, TypeError, AttributeError):  # a root without attributes or metadata
+            sign(tree)
         root.write_text(json.dumps(tree))
 
 
@@ -233,8 +262,7 @@ def change_state(archive, rng):
         )
     (archive / HIDDEN / file).write_bytes(raw)
     states[-1] = [file, hashlib.sha256(raw).hexdigest(), about]
-    root["attributes"]["archive_states"] = json.dumps(states)
-    (archive / ROOT).write_text(json.dumps(root))
+    edit_attributes(archive, archive_states=json.dumps(states))
 
 
 class Sentinel:

@@ -60,6 +60,10 @@ def _count(arrays: Any) -> int:
     return sum(map(_count, arrays)) if isinstance(arrays, tuple) else int(arrays.size)
 
 
+class InsufficientMemoryError(ValueError, MemoryError):
+    """An allocation exceeds the memory that is available."""
+
+
 def available() -> int:
     """Return the memory available to this process in bytes; a large number if the system does not report it."""
     return max(0, min(_free(), _available_in_cgroups(), _available_address_space()))
@@ -156,11 +160,11 @@ def format_bytes(count: float) -> str:
 
 
 def check_available_memory(count: float, what: str, instead: str = "") -> None:
-    """Raise a ValueError that begins with `what` and ends with `instead` if `count` bytes are not available."""
+    """Raise `InsufficientMemoryError`, from `what` to `instead`, if `count` bytes are not available."""
     if count > UNCHECKED_BYTES:
         free = available()
         if count > free:
             ending = f"; {instead}" if instead else ""
-            raise ValueError(
+            raise InsufficientMemoryError(
                 f"{what} needs about {format_bytes(count)}; this machine has {format_bytes(free)} free{ending}"
             )

@@ -77,8 +77,12 @@ def _output_paths(name: str, declared: Mapping[str, str | None], options: Mappin
     from coadjoint.files.configuration.construction import section
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_movie, check_target
 
+    def new_archive(path: str) -> Path:
+        check_new(path)
+        return Path(path)  # as it was given, for messages
+
     checks: dict[str, Callable[[str], Path]] = {
-        "archive": check_new,
+        "archive": new_archive,
         "file": lambda path: check_target(path, DATASETS),
         "figure": lambda path: check_target(path, FIGURES),
         "movie": check_movie,
@@ -178,14 +182,14 @@ def resume_archive(
     A finished run is left unchanged, unless a later end is given. At the end the results are written that the
     configuration file of the run declares: file, figure and movie, relative to the current directory.
     """
-    from coadjoint.files.archives.archive import read_archive_path
     from coadjoint.files.archives.archived_solution import open_archive
+    from coadjoint.files.archives.folder import read_archive_path
     from coadjoint.files.archives.resume import resume
     from coadjoint.files.archives.run_checks import requires_argument
     from coadjoint.files.configuration.loading import CONFIGURATION, outputs_of_text, system_of_text
 
-    archive, system = read_archive_path(path), None
-    attributes = open_archive(archive).attributes
+    archive, system = Path(path), None
+    attributes = open_archive(read_archive_path(path)).attributes
     if CONFIGURATION in attributes and requires_argument(attributes, "system"):
         # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
         system = system_of_text(attributes[CONFIGURATION])

@@ -384,16 +384,3 @@ def from_description(what: str, kinds: Mapping[str, Callable[..., Any]], descrip
     if repeated:
         raise ValueError(f"the parameter {short(repeated[0])} of {name} is given twice; give it once")
     return construct(what, kinds, name, {**parameters, **nested})
-
-
-def read_array_file(path: Path, named: str) -> NDArray[Any]:
-    """Return the array of numbers in a file ``.npy``, without unpickling."""
-    with path.open("rb") as file:
-        check_available_memory(2 * path.stat().st_size, f"the array in {short(named)}")
-        try:
-            values = np.load(file, allow_pickle=False)
-        except Exception:  # a damaged header raises arbitrary errors, also those of Python's parser and of zip files
-            values = None
-    if not isinstance(values, np.ndarray) or values.dtype.kind not in "iufc":
-        raise ValueError(f"{short(named)} holds no array of numbers; give a file of numpy.save")
-    return values

@@ -50,14 +50,17 @@ def free_body(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     ValueError
         Wrong shapes.
     TypeError
-        Numbers of another type than float32 and float64.
+        Numbers of another type than float32 and float64, or arrays of float64 without ``jax_enable_x64``.
 
     Notes
     -----
     Results have the precision of the arguments, float32 also without ``jax_enable_x64``. The motion is x' = x cross w
     and A' = A hat(w), with w = inertia^-1 x. A step is computed in pieces: the largest difference of inverse moments,
-    times the length of x and the time, over 0.15 (float32: 0.4). Beyond 65536 pieces, and for numbers that are not
-    finite, the results are NaN. Derivatives are computed forward; those at rest are exact up to the second.
+    times the length of x and the time, over 0.15 (float32: 0.4). If that is more than 64, these are pieces of one
+    period of the momentum and of the rest; of a thin body on other than principal axes up to 65536 pieces. Beyond 2^30
+    radians (float32: 2^20) of the motion of the momentum, and for numbers that are not finite, the results are NaN. An
+    attitude whose rows have lengths from 0.8 to 1.2 is made orthonormal. Derivatives are computed forward; those at
+    rest are exact up to the second.
 
     See Also
     --------
@@ -125,10 +128,11 @@ def solution(
     ImportError
         JAX is not installed; the extra is ``coadjoint[jax]``.
     TypeError
-        The run has no derivatives or is not supported by the backend, or numbers are not of float64, which JAX has with
+        The run has no derivatives or is not supported by the backend; a function of a force or Hamiltonian has other
+        values where JAX traces it than compiled; or numbers are not of float64, which JAX has with
         ``jax.config.update("jax_enable_x64", True)``.
     ValueError
-        For unknown names and wrong shapes, when the function is called or traced.
+        For unknown names, wrong shapes, and initial states and attitudes that `PreparedRun.run` refuses.
     IntegrationError
         As in `integrate`; inside of ``jit`` the error of JAX contains its message. With ``backend="xla"`` states are
         NaN in place of an error.

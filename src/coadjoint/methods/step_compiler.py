@@ -26,6 +26,7 @@ from pathlib import Path
 from coadjoint.kernels.library import SOURCE, compiler_options, kernels, level_in_use, level_options
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.private_folders import WRITABLE_BY_OTHERS, check_private, private_folder
+from coadjoint.regular_files import open_regular
 from coadjoint.short_repr import short
 
 # On Windows GCC does not align the stack for vectors.
@@ -107,7 +108,8 @@ def compile_step(path: str | Path, name: str | None = None) -> CompiledSource:
     """
     source = Path(path)
     try:
-        text = source.read_text(encoding="utf-8")
+        with open_regular(source) as file:
+            text = file.read().decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{source}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
     names = re.findall(r"^\s*STEP_SCHEME\(\s*(\w+)\s*,", text, re.MULTILINE)

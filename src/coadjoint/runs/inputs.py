@@ -22,7 +22,8 @@ from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
-from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.coordinates import check_moved, coordinate_names, momenta_of
+from coadjoint.systems.forces.torque import is_on_bodies, places_of_torques, torque_vector
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 
@@ -45,6 +46,7 @@ RESERVED_NAMES = frozenset(
         "progress",
         "directions",
         "reverse",
+        "fixed",
         "self",
     )
 )
@@ -74,7 +76,7 @@ class Inputs:
         named = specification if isinstance(specification, Mapping) else {"linear": specification}
         if not named:
             raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
-        torques = {name for name, target in named.items() if isinstance(target, str)}
+        torques = self._named_torques = {name for name, target in named.items() if isinstance(target, str)}
         self._linear = np.zeros(0)
         if len(torques) < len(named):
             check_linear(self._unforced)
@@ -103,7 +105,8 @@ class Inputs:
             return
         from coadjoint.kernels.tables.forces import linear_coefficients_in
 
-        for label, force in zip(self.system.labels, self.system.forces, strict=True):
+        for k, force in self.system.flows:
+            label = self.system.labels[k]
             contained = sorted({*linear_coefficients_in(force, self._unforced)} & {*self.in_energy.tolist()})
             if contained:
                 raise TypeError(
@@ -140,12 +143,14 @@ class Inputs:
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
                 "Torque may be an input"
             )
-        if np.ndim(force.torque) > 1:
+        if np.ndim(force.torque) > 1 and self.system.has_matrices:
             raise TypeError(f"inputs has {short(label)} for {name}, which is a matrix; only a vector may be an input")
         if k in self._torques:
             raise ValueError(f"inputs name {short(label)} more than once; each torque is one input")
-        indices = self._torques[k] = len(self.values) + np.arange(self.system.dim)
-        self.values = np.concatenate([self.values, force.torque])
+        on_bodies = is_on_bodies(np.shape(force.torque), self.system)
+        places = places_of_torques(self.system) if on_bodies else np.arange(self.system.dim)
+        indices = self._torques[k] = len(self.values) + places
+        self.values = np.concatenate([self.values, torque_vector(force.torque, self.system)])
         return indices
 
     def __repr__(self) -> str:
@@ -179,12 +184,16 @@ class Inputs:
         return values
 
     def _numbers(self, value: Any, name: str) -> Floats:
-        """Return the numbers of an input; those of coordinates may be labelled by their names."""
+        """Return the numbers of an input, of coordinates perhaps labelled by their names; torques act on momenta."""
         if labelled(value) is not None and self.indices[name].ndim == 1:
             names = coordinate_names(self.system)
             order = {"component": [names[k % self.system.dim] for k in self.indices[name].tolist()], **MEMBERS}
             value = by_labels(value, name, STATE_DIMENSIONS[0], order)
-        return read_numbers(value, name)
+        numbers, momenta = read_numbers(value, name), momenta_of(self._unforced)
+        if name in self._named_torques and momenta is not None and numbers.shape[-1:] == momenta.shape:
+            moved = (numbers != 0.0).reshape(-1, len(momenta)).any(axis=0)
+            check_moved(name, self._unforced, moved & ~momenta)
+        return numbers
 
     def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
         expected = self.indices[name].shape
@@ -242,9 +251,11 @@ class Inputs:
                 indices[int(present.number[own[0]])] = k
             else:
                 tangled += present.number[own].tolist()
-        for force, numbers in self._torques.items():
+        for k, (force, numbers) in enumerate(self._torques.items()):
+            # Each torque has a number for every coordinate; those of one on bodies are some of them.
+            places = numbers.ravel() - len(self._linear) - k * self.system.dim
             first = energy.size + force * self.system.dim
-            indices.update(zip(range(first, first + len(numbers)), numbers.tolist(), strict=True))
+            indices.update(zip((first + places).tolist(), numbers.ravel().tolist(), strict=True))
         return WritableTables(loop, watch, indices, values, tangled)
 
     def settled(self, method: Method, system: Any = None) -> Method:
@@ -266,7 +277,7 @@ class Inputs:
             return system
         for k, indices in self._torques.items():
             forces[k] = replace(forces[k], torque=values[indices])
-        return system.with_forces(*forces)
+        return system._with_acting(forces)
 
     def system_of(self, values: Floats) -> Any:
         """Return the system of a call, or a batch with one system for each member."""

@@ -16,6 +16,7 @@ from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.registry import default_scheme, read_method
+from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.events import Event
 from coadjoint.runs.inputs import Inputs
@@ -96,6 +97,7 @@ class _Cache:
 class Preparation(Immutable):
     """A system, a scheme and a step with everything that does not depend on the initial state; immutable."""
 
+    @in_standard_mode
     def __init__(
         self,
         system: System | Batch,
@@ -236,10 +238,10 @@ class Preparation(Immutable):
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"
             )
         read = momenta_of if begins else any_momenta_of
-        size = self._vector_size
-        momenta, single = (
-            read(self.system, x0) if size is None else vectors_of(states_by_label(self.system, x0, "x0"), size)
-        )
+        if self._vector_size is None:
+            momenta, single = read(self.system, x0)
+        else:
+            momenta, single = vectors_of(states_by_label(self.system, x0, "x0"), self.system)
         if values is not None and values.ndim > 1:
             if single:
                 momenta, single = np.tile(momenta, (len(values), 1)), False

@@ -72,7 +72,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     """Validate x0, (n,) or (members, n); return a copy (members, n), and whether it is a single state."""
     size = vector_size(system)
     if size is not None:
-        return vectors_of(states_by_label(system, x0, "x0"), size)
+        return vectors_of(states_by_label(system, x0, "x0"), system)
     momenta, single = any_momenta_of(system, x0)
     if system.is_batch:
         units = [unit_coordinate(one.unforced) for one in system.distinct]
@@ -102,10 +102,18 @@ def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64]
         if momenta.shape not in ((n,), (len(system), n)):
             raise ValueError(
                 f"x0 has the shape {momenta.shape}; a batch of {len(system)} members needs ({len(system)}, {n}), "
-                f"or ({n},) for all of them"
+                f"or ({n},) for all of them{_held_hint(system, momenta)}"
             )
         momenta = np.array(np.broadcast_to(momenta, (len(system), n)), order="C")
-    return _checked(momenta, n, x0)
+    return _checked(momenta, system, x0)
+
+
+def _held_hint(system: Any, momenta: NDArray[np.float64]) -> str:
+    """Return a hint for states that were made before forces with numbers in the state were added."""
+    held = getattr(system.of_member(0), "held", 0)
+    if not held or not momenta.ndim or momenta.shape[-1] != system.dim - held:
+        return ""
+    return f", of which forces hold the last {held}: make it by system.state(...) after with_forces"
 
 
 def vector_size(system: Any) -> int | None:
@@ -114,20 +122,22 @@ def vector_size(system: Any) -> int | None:
     return None if is_other or has_unit_coordinate(system.unforced) else int(system.dim)
 
 
-def vectors_of(x0: Any, n: int) -> tuple[NDArray[np.float64], bool]:
-    """Return what `momenta_of` returns for a system whose states are vectors of n numbers."""
+def vectors_of(x0: Any, system: Any) -> tuple[NDArray[np.float64], bool]:
+    """Return what `momenta_of` returns for a system whose states are vectors."""
+    n = system.dim
     if type(x0) is np.ndarray and x0.dtype is FLOAT64 and x0.shape == (n,) and n <= SMALL_SIZE:
         # The short way of the most frequent case; numbers with a finite sum are finite.
         momenta = x0.copy()
         if math.isfinite(sum(momenta.tolist())):
             return momenta[None], True
-    return _checked(read_numbers(x0, "x0"), n, x0)
+    return _checked(read_numbers(x0, "x0"), system, x0)
 
 
-def _checked(momenta: NDArray[np.float64], n: int, x0: Any) -> tuple[NDArray[np.float64], bool]:
+def _checked(momenta: NDArray[np.float64], system: Any, x0: Any) -> tuple[NDArray[np.float64], bool]:
     """Validate a copy of the numbers of x0; return it as (members, n), and whether it was a single state."""
+    n = system.dim
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
-        hint = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else ""
+        hint = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else _held_hint(system, momenta)
         raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n}){hint}")
     if not are_finite(momenta):
         raise ValueError("x0 contains NaN or infinity; every component must be finite")

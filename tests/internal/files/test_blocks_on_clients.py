@@ -6,6 +6,7 @@ The client here runs tasks immediately in this process; `test_workers.py` has re
 import os
 import platform
 import re
+import time
 import warnings
 from concurrent.futures import CancelledError
 from types import SimpleNamespace
@@ -16,13 +17,21 @@ from distributed import Client
 
 import coadjoint as co
 from coadjoint.files.archives import dask_blocks as on_workers
-from coadjoint.files.archives.archive import ArchiveError, MemberBlock, blocks_of
+from coadjoint.files.archives.archive import MemberBlock, blocks_of
 from coadjoint.files.archives.ensemble import BUSY, WorkerPool, read_worker_pool, run_block, run_in_blocks
+from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder
 from coadjoint.files.archives.new_archive import size_of_blocks
-from coadjoint.files.archives.store import ArchiveUnwritten
+from coadjoint.files.archives.root import read_root
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.runs.prepared_run import PreparedRun
 from guards import open_descriptors
 from refusals import refused
+
+
+def contents(folder):
+    """Return the content of every file in a folder."""
+    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
 
 BODY = co.systems.rigid_body(inertia=(1, 2, 3))
 BATCH = co.batch([co.systems.rigid_body(inertia=(1, 2, 2 + 0.0625 * k)) for k in range(7)])
@@ -47,7 +56,7 @@ class Task:
 class Inline:
     """A client that runs tasks when they are submitted; `before` may replace their results."""
 
-    status = "running"
+    status, scheduler = "running", "a scheduler"
 
     def __init__(self, before=lambda block, tries: None):
         self.keys, self.threads, self.tries, self.before = [], [], [], before
@@ -55,10 +64,10 @@ class Inline:
     def scheduler_info(self, n_workers):
         return {"workers": {"first": None}}
 
-    def scatter(self, ready, broadcast, hash):
+    def scatter(self, ready, broadcast, hash, workers=None):
         return ready
 
-    def submit(self, work, *args, key, pure):
+    def submit(self, work, *args, key, pure, workers=None):
         self.keys.append(key)
         self.threads.append(args[-1])
         self.tries.append(args[1].number)
@@ -148,6 +157,95 @@ def test_lost_result_is_computed_again(monkeypatch, there):
             on_workers._task_result(None, Task())
 
 
+class Pending:
+    status = "pending"
+
+
+class Silent(Inline):
+    """A client of which some of two workers are silent: tasks do not end there."""
+
+    def __init__(self, silent):
+        super().__init__()
+        self.silent, self.time, self.cancelled = silent, 0.0, []
+
+    def scheduler_info(self, n_workers):
+        self.time += 1.0
+        return {"workers": {name: {"last_seen": 0.0 if name in self.silent else self.time} for name in ("a", "b")}}
+
+    def submit(self, work, archive, block, *more, key, pure, workers=("a", "b")):
+        if self.silent.isdisjoint(workers) or ("b" not in self.silent and block.number != 1):
+            return super().submit(work, archive, block, *more, key=key, pure=pure)
+        return Pending()
+
+    def cancel(self, tasks, force):
+        self.cancelled += tasks
+
+
+def test_blocks_of_silent_workers_go_to_others(tmp_path, monkeypatch):
+    """Such as processes that are stopped; with no other worker the call ends."""
+    monkeypatch.setenv("COADJOINT_TIMEOUT", "0.2")
+    ended = lambda client, tasks: time.sleep(0.02) or [task for task in tasks if task.status != "pending"]  # noqa: E731
+    monkeypatch.setattr(on_workers, "_wait_for_tasks", ended)
+    client = Silent({"a"})
+    with pytest.warns(RuntimeWarning, match="the worker a has not answered for 0.2 s"):
+        found = ensemble(client, tmp_path / "many.zarr")
+    assert found.finished and client.tries == [0, 2, 1] and len(client.cancelled) == 1
+    with (
+        pytest.warns(RuntimeWarning, match="has not answered"),
+        refused(OSError, "no worker has answered", "next call"),
+    ):
+        ensemble(Silent({"a", "b"}), tmp_path / "other.zarr")
+    assert co.resume(tmp_path / "other.zarr").finished
+
+
+def test_closed_clients_are_named(tmp_path):
+    """Before the call, and in the middle of it."""
+    client = Inline()
+    client.status = "closed"
+    with refused(ValueError, "client is closed"):
+        ensemble(client, tmp_path / "many.zarr")
+
+    def closing(block, tries):
+        client.scheduler, client.status = None, "closed"
+        raise CancelledError
+
+    client = Inline(closing)
+    with pytest.MonkeyPatch.context() as patched, refused(OSError, "the client was closed", "next call"):
+        patched.setattr(on_workers, "_wait_for_tasks", lambda client, tasks: (_ for _ in ()).throw(CancelledError))
+        patched.setattr(on_workers, "_scheduler_responds", SCHEDULER_RESPONDS)
+        ensemble(client, tmp_path / "many.zarr")
+
+
+SCHEDULER_RESPONDS = on_workers._scheduler_responds
+
+
+def test_a_stopped_process_loses_its_block(tmp_path, monkeypatch):
+    """Its lock is taken over after the time limit, and it writes nothing when it wakes up."""
+    path = tmp_path / "many.zarr"
+    co.integrate_ensemble(BODY, X, (0, 2), 0.125, archive=path, members_per_block=3)
+    expected = contents(path)
+    (path / ".coadjoint" / "block-000001").unlink()
+    block, run = MemberBlock(1, 3, 6), read_root(path)[1]["archive_run"]
+    stopped = ArchiveStore(path, *read_root(path), ArchiveFolder(path), block.lock_file)
+    assert stopped.lock()
+    arguments = str(path), block, PreparedRun(BODY, None, 0.125), True, run, 1
+    assert run_block(*arguments) == BUSY
+    monkeypatch.setenv("COADJOINT_TIMEOUT", "0.05")
+    time.sleep(0.1)
+    assert run_block(*arguments)["archive_finished"]
+    for write in (
+        lambda: stopped.write("x", np.zeros((17, 3, 3)), (0, 3)),
+        lambda: stopped.write_marker(block, {"rows": 0}, {}),
+    ):
+        with pytest.raises(OSError, match="its lock file was replaced"):
+            write()
+    stopped.close()
+    kept = contents(path)
+    chunks = [name for name in expected if name.name.startswith("c.")]
+    assert chunks and all(kept[name] == expected[name] for name in chunks)
+    assert co.open_archive(path).status.tolist() == [1] * 7
+
+
 ENCRYPTED_OR_NEAR = ("tls://192.0.2.7:8786", "tcp://127.1.2.3:8786", "tcp://[::1]:8786", "tcp://localhost:8786",
     "inproc://192.0.2.7/1/1")  # fmt: skip
 REMOTE = ("tcp://192.0.2.7:8786", "tcp://[2001:db8::7]:8786", "ucx://192.0.2.7:8786", "tcp://somewhere:8786",
@@ -168,7 +266,7 @@ def test_unencrypted_remote_client_warns(address):
 
 def run_one_block(path, number=1):
     ready = PreparedRun(BODY, None, 0.125)
-    return run_block(str(path), MemberBlock(number, 3 * number, min(3 * number + 3, 7)), ready, True, 1)
+    return run_block(str(path), MemberBlock(number, 3 * number, min(3 * number + 3, 7)), ready, True, "", 1)
 
 
 @pytest.mark.parametrize("case", ["no folder", "no archive", "file", "damaged"])

@@ -12,7 +12,7 @@ from textwrap import dedent
 import pytest
 
 import coadjoint as co
-from coadjoint.files.archives.archive import FORMAT
+from coadjoint.files.archives.root import FORMAT
 from coadjoint.program.public_table import VERSION
 
 ROOT = Path(__file__).parents[3]

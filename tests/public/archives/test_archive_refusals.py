@@ -11,6 +11,7 @@ import pytest
 from storing import BODY, STEP, X, at_write, contents, cut, raising, whole
 
 import coadjoint as co
+from hostile_archives import edit_attributes
 from refusals import refused
 from same_runs import check_same
 
@@ -186,22 +187,16 @@ def test_uncomparable_functions_warn(tmp_path):
 def test_first_step_with_other_bits_is_refused(tmp_path):
     """As on a machine or with a library that rounds differently."""
     cut(tmp_path / "run.zarr")
-    edit(tmp_path / "run.zarr", archive_first_step="0" * 64)
+    edit_attributes(tmp_path / "run.zarr", archive_first_step="0" * 64)
     with refused(ValueError, "first step", "bits"):
         co.resume(tmp_path / "run.zarr")
-
-
-def edit(path, **attributes):
-    root = json.loads((path / "zarr.json").read_text())
-    root["attributes"] |= attributes
-    (path / "zarr.json").write_text(json.dumps(root))
 
 
 def test_a_scheme_that_is_not_registered_is_named(tmp_path):
     path = tmp_path / "run.zarr"
     found = cut(path)
     method = json.loads(found.attributes["method"])
-    edit(path, method=json.dumps({**method, "name": "Unlisted"}))
+    edit_attributes(path, method=json.dumps({**method, "name": "Unlisted"}))
     for read in (lambda: co.resume(path), lambda: co.load(path).method):
         with refused(ValueError, "Unlisted", "not registered") as error:
             read()
@@ -228,7 +223,7 @@ def test_failed_run_raises_the_same_error_again(tmp_path):
         assert co.open_archive(path).status.tolist() == [2]
         assert np.array_equal(error.partial.x, plain.value.partial.x)
         assert np.array_equal(error.partial.t, plain.value.partial.t)
-    edit(path, failed_step=3, failed_time=7.25, failed_residual=0.5)
+    edit_attributes(path, failed_step=3, failed_time=7.25, failed_residual=0.5)
     with pytest.raises(co.IntegrationError) as stored:
         co.resume(path)
     assert (stored.value.step, stored.value.time, stored.value.residual) == (3, 7.25, 0.5)

@@ -172,15 +172,15 @@ class Hostile(MemoryFileSystem):
 @pytest.mark.parametrize(
     ("status", "error", "word"),
     [
-        ({"size": 2**50}, AssertionError("read"), "the limit is"),
-        ({"size": None}, AssertionError("read"), "its length is unknown"),
-        ({"size": -1}, AssertionError("read"), "its length is unknown"),
-        ({"type": "link"}, AssertionError("read"), "no regular file"),
-        ({"islink": True}, AssertionError("read"), "no regular file"),
+        ({"size": 2**50}, AssertionError("read"), "is damaged (it has"),
+        ({"size": None}, AssertionError("read"), "cannot be read now (its length is unknown"),
+        ({"size": -1}, AssertionError("read"), "cannot be read now (its length is unknown"),
+        ({"type": "link"}, AssertionError("read"), "is damaged (no regular file"),
+        ({"islink": True}, AssertionError("read"), "is damaged (no regular file"),
         ({"size": 3}, None, "is damaged"),
-        ({}, RuntimeError("a server\nanswered"), "a server answered"),
-        ({}, PermissionError("not for you"), "not for you"),
-        ({}, KeyError(), "KeyError"),
+        ({}, RuntimeError("a server\nanswered"), "cannot be read now (a server answered"),
+        ({}, PermissionError("not for you"), "cannot be read now (not for you"),
+        ({}, KeyError(), "cannot be read now (KeyError"),
     ],
 )
 def test_files_are_bounded_and_errors_are_archive_errors(base, bucket, status, error, word):
@@ -189,7 +189,7 @@ def test_files_are_bounded_and_errors_are_archive_errors(base, bucket, status, e
     filesystem.status, filesystem.error = status, error
     found = co.open_archive(filesystem.get_mapper("/bucket/run.zarr"))
     assert found.energy.shape == found.t.shape
-    with refused(ValueError, "x/c.0.0 cannot be read", word):
+    with refused(ValueError, f"x/c.0.0 {word}"):
         _ = found.x
 
 
@@ -215,7 +215,7 @@ def test_mappings_of_this_machine_follow_no_links(base, tmp_path):
         (tmp_path / "run.zarr" / inside).rename(tmp_path / "elsewhere")
         (tmp_path / "run.zarr" / inside).symlink_to(tmp_path / "elsewhere")
         for location in locations:
-            with refused(ValueError, "x/c.0.0 cannot be read"):
+            with refused(ValueError, "x/c.0.0 is damaged"):
                 _ = co.open_archive(location).x
         (tmp_path / "run.zarr" / inside).unlink()
         (tmp_path / "elsewhere").rename(tmp_path / "run.zarr" / inside)

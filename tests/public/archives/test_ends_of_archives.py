@@ -15,11 +15,9 @@ pytestmark = pytest.mark.usefixtures("no_fsync")
 @pytest.mark.parametrize("save_every", [20, 1000])
 def test_last_point_of_a_short_interval_that_was_replaced_is_refused(save_every, tmp_path):
     opened, dataset = opened_and_resumed(tmp_path / "run.zarr", save_every)
-    for read in (lambda: opened.x, lambda: opened.energy, lambda: opened.t, lambda: dataset["x"][-1].values):
+    for read in (lambda: opened.x, lambda: opened.energy, lambda: opened.t, lambda: dataset["x"][:2].values):
         with refused(ValueError, "later end", "open it again"):
             read()
-    expected = co.integrate(BODY, X0, (2, -1), 0.1, save_every=save_every).x
-    assert np.array_equal(dataset["x"][:-1].values, expected[:-1])
 
 
 def opened_and_resumed(path, save_every):

@@ -18,8 +18,9 @@ from refusals import refused
 from same_runs import check_same
 
 FULL = "No space left on device"
-RUN = (BODY, X, (0.0, 3200 * STEP), STEP, co.Splitting(order=2))
-"""A run of four chunks, if its archive began with a short one."""
+MANY = np.multiply.outer(np.linspace(0.5, 1.0, 171), X)
+RUN = (BODY, MANY, (0.0, 3200 * STEP), STEP, co.Splitting(order=2))
+"""A run of four chunks of 4 MB."""
 
 
 @pytest.fixture(scope="module")

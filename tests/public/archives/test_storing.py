@@ -1,7 +1,6 @@
 """Every run is read back as it was stored, by every store."""
 
 import copy
-import json
 import pickle
 
 import numpy as np
@@ -26,6 +25,7 @@ from storing import (
 
 import coadjoint as co
 from guards import open_descriptors
+from hostile_archives import edit_attributes
 from refusals import refused
 from same_runs import PARTS, check_same
 
@@ -150,7 +150,7 @@ def test_opened_archive_is_a_snapshot(tmp_path):
 
 def test_indexing_equals_numpy_indexing(tmp_path):
     """Slices in both directions, single entries and lists, by the lazy arrays of xarray over several chunks."""
-    steps, rng = 2500, np.random.default_rng(1)
+    steps, rng = 150000, np.random.default_rng(1)
     co.integrate(BODY, X, (0, STEP), STEP, archive=tmp_path / "run.zarr")
     found = co.resume(tmp_path / "run.zarr", steps * STEP).to_xarray()["x"]
     assert len(list((tmp_path / "run.zarr" / "x").glob("c.*"))) == 3
@@ -158,7 +158,7 @@ def test_indexing_equals_numpy_indexing(tmp_path):
     for _ in range(60):
         first, last = rng.integers(-steps - 9, steps + 9, 2)
         rows = [
-            slice(first, last, int(rng.choice([1, 2, 700, -1, -3]))),
+            slice(first, last, int(rng.choice([1, 2, 70000, -1, -3]))),
             int(rng.integers(-steps, steps)),
             list(rng.integers(0, steps, 4)),
         ]
@@ -171,9 +171,7 @@ def test_indexing_equals_numpy_indexing(tmp_path):
 def test_seconds_of_earlier_calls_are_added(tmp_path):
     path, seconds = tmp_path / "run.zarr", 1e6
     cut(path)
-    root = json.loads((path / "zarr.json").read_text())
-    root["attributes"]["seconds"] = seconds
-    (path / "zarr.json").write_text(json.dumps(root))
+    edit_attributes(path, seconds=seconds)
     assert seconds <= co.resume(path, until=9).stats.seconds < 2 * seconds
     assert seconds <= co.resume(path).stats.seconds == co.open_archive(path).stats.seconds < 2 * seconds
 

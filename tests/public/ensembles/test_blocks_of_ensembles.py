@@ -14,6 +14,7 @@ import pytest
 import xarray
 
 import coadjoint as co
+from hostile_archives import edit_attributes
 from refusals import refused
 from same_runs import check_same
 
@@ -501,9 +502,7 @@ def test_another_ensemble_is_refused(tmp_path, change, named):
 def test_hidden_differences_are_refused(tmp_path, changed, named):
     path = tmp_path / "many.zarr"
     ensemble(path)
-    root = json.loads((path / "zarr.json").read_text())
-    root["attributes"] |= changed
-    (path / "zarr.json").write_text(json.dumps(root))
+    edit_attributes(path, **changed)
     with refused(ValueError, "another ensemble", named, "differs"):
         ensemble(path)
 

@@ -211,6 +211,32 @@ def test_killed_scheduler_is_replaced(tmp_path):
 
 
 @pytest.mark.long
+def test_blocks_of_a_stopped_worker_go_to_another(tmp_path, monkeypatch):
+    """It wakes up when the ensemble is finished, and changes nothing."""
+    archive, stopped = tmp_path / "many.zarr", []
+    monkeypatch.setenv("COADJOINT_TIMEOUT", "5")
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0", silence_logs=50) as cluster:
+        with Client(cluster) as client:
+
+            def stop():
+                until(lambda: written(archive))
+                stopped.append(next(iter(client.run(os.getpid, nanny=False).values())))
+                os.kill(stopped[0], signal.SIGSTOP)
+
+            thread = Thread(target=stop)
+            thread.start()
+            with pytest.warns(RuntimeWarning, match="has not answered for 5 s"):
+                found = co.integrate_ensemble(
+                    *LONG, archive=archive, client=client, save_every=2000, members_per_block=1
+                )
+            thread.join()
+            os.kill(stopped[0], signal.SIGCONT)
+            client.run(os.getpid)
+    check_same(found, co.integrate(*LONG, save_every=2000))
+    check_same(co.open_archive(archive), found)
+
+
+@pytest.mark.long
 def test_script_without_main_guard_is_refused(tmp_path):
     path = Path(script(tmp_path, tmp_path / "many.zarr")[1])
     path.write_text(path.read_text().replace('if __name__ == "__main__":', "if True:"))

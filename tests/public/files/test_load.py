@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import shutil
+from pathlib import Path
 
 import h5py
 import numcodecs
@@ -12,6 +13,7 @@ import pytest
 import xarray
 
 import coadjoint as co
+from command import command
 from refusals import refused
 from same_runs import same_bits
 
@@ -182,8 +184,47 @@ def test_a_run_beyond_memory_is_refused(tmp_path):
         co.load(tmp_path / "run.nc")
 
 
+FLUID = co.systems.sphere_euler(4)
+CONFIGURED = """
+[system]
+name = "rigid_body"
+parameters = { inertia = [1.0, 2.0, 2.5] }
+[initial]
+x = "pipe.npy"
+[run]
+t_span = [0.0, 1.0]
+step = 0.125
+"""
+PIPES = {
+    "a run": ("pipe.nc", lambda pipe: co.load(pipe)),
+    "a state": ("pipe.npy", lambda pipe: FLUID.from_file(pipe)),
+    "a field": ("pipe.nc", lambda pipe: FLUID.from_file(pipe)),
+    "a step": ("pipe.cpp", lambda pipe: co.methods.compile_step(pipe)),
+    "a header": ("pipe.h", lambda pipe: co.export_c(co.prepare(BODY, co.Splitting(), 0.1), pipe)),
+}
+
+
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
-def test_pipes_are_refused_without_waiting(tmp_path):
-    os.mkfifo(tmp_path / "run.nc")
-    with refused(ValueError, "file", "folder"):
-        co.load(tmp_path / "run.nc")
+@pytest.mark.parametrize("case", PIPES)
+def test_pipes_are_refused_without_waiting(tmp_path, monkeypatch, case):
+    name, use = PIPES[case]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.toml").write_text(CONFIGURED)
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    os.mkfifo(name)
+    with refused((ValueError, OSError), name, "no regular file"):
+        use(tmp_path / name)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes")
+@pytest.mark.parametrize("name", ["pipe.npy", "out.zarr/.zmetadata"])
+def test_a_configured_run_does_not_wait_for_pipes(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "run.toml").write_text(CONFIGURED)
+    (tmp_path / "out.zarr").mkdir()
+    (tmp_path / "out.zarr" / ".zgroup").touch()
+    np.save("pipe.npy", X)
+    (tmp_path / name).unlink(missing_ok=True)
+    os.mkfifo(name)
+    done = command(capsys, "run", "run.toml", "--out", "out.zarr")
+    assert done.status == 2 and done.err.count("\n") == 1 and Path(name).parts[0] in done.err

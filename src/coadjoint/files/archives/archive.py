@@ -11,37 +11,49 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import cached_property
 from math import prod
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import OneLineError, in_one_line
-from coadjoint.files.archives.folder import ArchiveFolder, RemoteFolder, is_url, remote_folder
+from coadjoint.files.archives.folder import (
+    ArchiveError,
+    ArchiveFolder,
+    ArchiveUnreadable,
+    Folder,
+    Location,
+    open_location,
+    reading,
+)
+from coadjoint.files.archives.root import (
+    FORMAT,
+    HIDDEN_FOLDER,
+    RUN,
+    VERSION_ATTRIBUTE,
+    identity_of,
+    read_root,
+)
 from coadjoint.files.archives.stored_arrays import StoredArray, deserialize_numbers
 from coadjoint.files.datasets.named_axes import MEMBER
-from coadjoint.files.records.entries import Entry
+from coadjoint.files.records.entries import Entry, decode_json
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.validation import is_integer
 
-FORMAT = 1
-"""Version of the format; later versions of the library read earlier ones."""
-ROOT_FILE = "zarr.json"
-HIDDEN_FOLDER = ".coadjoint"
 STATE_FILE_PREFIX = "state-"
-VERSION_ATTRIBUTE = "archive_format"
+SUM_PREFIX = "sum "
+"""Prefix of the checksums of chunks among the numbers of a state or marker: CRC-32C of the committed rows of each."""
+COMMIT_WAITS = (0.05, 0.2, 0.75, None)
+"""Waits (s) for a commit in progress."""
+MAX_LOST_CHUNKS = 1000  # of an array of format 1, in which each lost chunk is found by its name
 FINISHED: str = "archive_finished"
 STEPS: str = "archive_steps"
 STATES: str = "archive_states"
 ACCOUNTS_ATTRIBUTE: str = "archive_accounts"
-FIRST_STEP: str = "archive_first_step"
 SAVE_EVERY: str = "archive_save_every"
 BLOCK_SIZE_ATTRIBUTE = "archive_block"
 """Attribute of the archives of ensembles: members per block."""
@@ -53,17 +65,6 @@ HEAD_COUNTS = (STEPS, FINISHED, "evaluations", "iterations", "failed", "rows")
 """Whole numbers in the head of every marker."""
 MAX_HEAD_BYTES = 2**16
 """Limit on the first line of a marker, in bytes."""
-MAX_NAME_LENGTH = 255  # bytes, of file systems
-JSON_MEMORY_FACTOR = 32
-"""Memory needed to parse JSON, per byte."""
-MAX_ARRAYS = 10**5  # of an archive, which has some ten and one for each observed name
-
-Folder = ArchiveFolder | RemoteFolder
-Location = Path | RemoteFolder
-
-
-class ArchiveError(OneLineError):
-    """An archive is missing, damaged, in use, or cannot be created; raised before anything runs."""
 
 
 class StoredState(NamedTuple):
@@ -72,6 +73,17 @@ class StoredState(NamedTuple):
     file: str
     digest: str
     about: dict[str, Any]
+
+
+class ChunkOfOthers(ArchiveError):
+    """A chunk is intact, but it is not the committed one."""
+
+
+class Marker(NamedTuple):
+    """Progress of a block, and the numbers from which it resumes."""
+
+    head: dict[str, Any]
+    numbers: dict[str, NDArray[Any]]
 
 
 class MemberBlock(NamedTuple):
@@ -102,6 +114,7 @@ class Archive:
 
     def __init__(self, path: Location, arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> None:
         self.path, self.arrays, self.attributes = path, dict(arrays), dict(attributes)
+        self._progress = dict[int, tuple[int, dict[str, NDArray[Any]]] | None]()
 
     def opened(self) -> AbstractContextManager[Folder]:
         """Open the folder."""
@@ -123,45 +136,161 @@ class Archive:
         """Whether the blocks of an ensemble have markers; a run without them is one block, described by the root."""
         return BLOCK_SIZE_ATTRIBUTE in self.attributes
 
-    @property
+    @cached_property
     def blocks(self) -> list[MemberBlock]:
         """The blocks of members that are run together."""
         members = self.members
         return blocks_of(members, int(self.attributes.get(BLOCK_SIZE_ATTRIBUTE, members)))
 
-    def read_heads(self) -> list[dict[str, Any]]:
+    @cached_property
+    def sums(self) -> dict[str, NDArray[Any]]:
+        """Checksums of the committed content of all chunks that no block writes, by array; none in format 1."""
+        if self.attributes[VERSION_ATTRIBUTE] < FORMAT:
+            return {}
+        return sums_among(self.read_state(self.states[-1]))
+
+    def check_extent(self) -> None:
+        """Raise ArchiveError if there are more chunks than checksums, or in format 1 files: Python loops over them."""
+        with self.opened() as folder:
+            for name, array in self.arrays.items():
+                counts = tuple(-(-size // step) for size, step in zip(array.shape, array.chunk, strict=True))
+                if (self.has_blocks and is_computed(name, array)) or not (expected := prod(counts)):
+                    continue
+                if self.attributes[VERSION_ATTRIBUTE] == FORMAT:
+                    if self.sums.get(name, np.zeros(0)).shape != counts:
+                        raise ArchiveError(f"{self.path}: {name} has {expected} chunks, and checksums of other ones")
+                elif isinstance(folder, ArchiveFolder) and expected > MAX_LOST_CHUNKS + len(self._names(folder, name)):
+                    raise ArchiveError(f"{self.path}: most of the {expected} chunks of {name} are missing")
+
+    def _names(self, folder: Folder, name: str) -> set[str]:
+        """Return the names of the files of an array."""
+        try:
+            with reading(self.path, name):
+                return folder.names(name)
+        except FileNotFoundError:
+            raise ArchiveError(f"{self.path}: the folder {name} is missing; restore it") from None
+
+    def read_marker(self, folder: Folder, block: MemberBlock, only_head: bool = False) -> Marker | None:
+        """Return the progress of a block, and the numbers from which it resumes; None if it has not begun."""
+        try:
+            with reading(self.path, f"{HIDDEN_FOLDER}/{block.marker}"):
+                content = folder.read(HIDDEN_FOLDER, block.marker, head=MAX_HEAD_BYTES if only_head else None)
+                line, _, raw = content.partition(b"\n")
+                digest, _, text = line.decode("utf-8").partition(" ")
+                if digest != digest_of_marker(self.attributes, block, text):
+                    raise ValueError("its checksum does not match")
+                head = decode_json(text)
+                about = head["about"]
+                for name in HEAD_COUNTS:
+                    Entry(about[name], name).integer()
+                if Entry(about["seconds"], "seconds").number() < 0.0:
+                    raise ValueError("its seconds are negative")
+                if not only_head and hashlib.sha256(raw).hexdigest() != head["numbers"]:
+                    raise ValueError("its checksum does not match")
+                return Marker(about, {} if only_head else deserialize_numbers(raw))
+        except FileNotFoundError:
+            return None
+
+    def read_heads(self, whole_markers: bool = False) -> list[dict[str, Any]]:
         """Return the progress of each block; empty for blocks that have not begun, or whose marker is damaged."""
         if not self.has_blocks:
             return [self.attributes]
+        heads = []
         with self.opened() as folder:
-            markers = [read_marker(folder, block, only_head=True) for block in self.blocks]
-        return [marker[0] if marker else {} for marker in markers]
+            for block in self.blocks:
+                try:
+                    marker = self.read_marker(folder, block, not whole_markers)
+                except ArchiveUnreadable:
+                    raise
+                except ArchiveError:
+                    marker = None
+                heads.append(marker.head if marker else {})
+        return heads
 
     @cached_property
     def heads(self) -> list[dict[str, Any]]:
         """`read_heads` on first use."""
         return self.read_heads()
 
-    def may_be_missing(self, name: str, indices: tuple[int, ...]) -> bool:
-        """Whether a chunk may not be written yet, since its block has not ended."""
+    def _progress_of(self, folder: Folder, number: int) -> tuple[int, dict[str, NDArray[Any]]] | None:
+        """Return the number of saved points of a block, and its checksums; None if it has not begun."""
+        if number not in self._progress:
+            marker = self.read_marker(folder, self.blocks[number])
+            self._progress[number] = marker and (marker.head["rows"], sums_among(marker.numbers))
+        return self._progress[number]
+
+    def place_of(self, name: str, indices: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the place of a chunk among the checksums of its array, those of its block if a block writes it."""
         array = self.arrays[name]
-        if not self.has_blocks or self.attributes[FINISHED] or not is_computed(name, array):
-            return False
-        head = self.heads[indices[array.dims.index(MEMBER)]]
-        return not head or (array.grows and indices[0] * array.chunk[0] >= head["rows"])
+        if not (self.has_blocks and is_computed(name, array)):
+            return indices
+        return tuple(0 if dim == MEMBER else k for dim, k in zip(array.dims, indices, strict=True))
+
+    def committed(self, folder: Folder, name: str, indices: tuple[int, ...]) -> tuple[int, int | None]:
+        """Return how many rows of a chunk are committed, and their checksum, None in format 1."""
+        array, sums = self.arrays[name], self.sums
+        rows = array.shape[0]
+        if self.has_blocks and is_computed(name, array):
+            of_block = self._progress_of(folder, indices[array.dims.index(MEMBER)])
+            if of_block is None:
+                return 0, None
+            rows, sums = of_block if array.grows else (rows, of_block[1])
+        rows = min(rows - indices[0] * array.chunk[0], array.chunk[0])
+        if rows <= 0 or self.attributes[VERSION_ATTRIBUTE] < FORMAT:
+            return max(rows, 0), None
+        with reading(self.path, f"the checksum of {name}/{chunk_file(indices)}"):
+            return rows, int(sums[name][self.place_of(name, indices)])
 
     def chunk(self, folder: Folder, name: str, indices: tuple[int, ...]) -> NDArray[Any]:
-        """Return a chunk, of fill values if it may be missing; ArchiveError if it is missing or damaged."""
+        """Return a chunk as committed, with fill values elsewhere; ArchiveError if it is missing or damaged."""
+        latest = self
+        for wait in COMMIT_WAITS:
+            try:
+                return latest._committed_chunk(folder, name, indices)
+            except ArchiveUnreadable:
+                raise
+            except ArchiveError as reason:
+                latest = self.as_it_is_now()
+                superseded = latest.attributes != self.attributes
+                is_other = isinstance(reason, ChunkOfOthers)
+                if name not in BLOCK_ARRAYS:
+                    raise self._resumed_error() if superseded and is_other else reason from None
+                # The chunk of a run that is being written is replaced before its checksum is.
+                at_rest = latest.attributes[FINISHED] and not superseded
+                if wait is None or at_rest or not is_other:
+                    raise
+                time.sleep(wait)
+        raise AssertionError("the last attempt returns or raises")
+
+    def _committed_chunk(self, folder: Folder, name: str, indices: tuple[int, ...]) -> NDArray[Any]:
         array, file = self.arrays[name], chunk_file(indices)
+        rows, recorded = self.committed(folder, name, indices)
+        if not rows:
+            return array.empty()
         try:
-            return array.decoded(folder.read(name, file, array.max_encoded_bytes))
+            with reading(self.path, f"{name}/{file}"):
+                chunk = array.decoded(folder.read(name, file, array.max_encoded_bytes))
         except FileNotFoundError:
-            if self.may_be_missing(name, indices):
-                return array.empty()
             raise self._missing_error(name, indices) from None
-        except (OSError, ValueError) as reason:
-            problem = getattr(reason, "strerror", None) or reason
-            raise ArchiveError(f"{self.path}: {name}/{file} cannot be read ({problem})") from None
+        if recorded is not None and array.sum_of(chunk[:rows]) != recorded:
+            raise ChunkOfOthers(f"{self.path}: {name}/{file} is damaged: its content is that of another chunk or run")
+        chunk[rows:] = array.empty()[rows:]
+        return chunk
+
+    def as_it_is_now(self) -> Archive:
+        """Read the root again; ArchiveError if another run has taken the place of this one."""
+        latest = Archive(self.path, *read_root(self.path))
+        if identity_of(latest.attributes) != identity_of(self.attributes):
+            raise ArchiveError(
+                f"{self.path}: another run has taken the place of the one that was opened; open it again"
+            )
+        return latest
+
+    def _resumed_error(self) -> ArchiveError:
+        return ArchiveError(
+            f"{self.path}: was resumed to a later end after it was opened, and its last point at that time, of step "
+            f"{self.attributes.get(STEPS)}, was replaced; open it again"
+        )
 
     def _missing_error(self, name: str, indices: tuple[int, ...]) -> ArchiveError:
         return ArchiveError(
@@ -179,37 +308,41 @@ class Archive:
         with self.opened() as folder:
             for indices, inside, outside in array.chunks_in(ranges):
                 values[outside] = self.chunk(folder, name, indices)[inside]
-        if array.grows and array.shape[0] - 1 in ranges[0]:
-            self._check_last_point()
+        if self.attributes[VERSION_ATTRIBUTE] < FORMAT:
+            self._check_unchanged(array.grows and array.shape[0] - 1 in ranges[0])
         return values
 
-    def _check_last_point(self) -> None:
-        """Raise ArchiveError if the last point was replaced: a later end follows a shorter last interval."""
-        steps = int(self.attributes.get(STEPS, 0))
+    def _check_unchanged(self, has_last_point: bool) -> None:
+        """Raise ArchiveError if a run of format 1, or its last point, was replaced: contents have no checksums."""
+        steps, latest = int(self.attributes.get(STEPS, 0)), self.as_it_is_now()
         save_every = int(self.attributes.get(SAVE_EVERY, steps or 1))
-        if self.attributes.get(FINISHED) and steps % save_every and read_root(self.path)[1].get(STEPS) != steps:
-            raise ArchiveError(
-                f"{self.path}: was resumed to a later end after it was opened, and its last point at that time, of "
-                f"step {steps}, was replaced; open it again"
-            )
+        # A later end follows a shorter last interval.
+        if has_last_point and self.attributes.get(FINISHED) and steps % save_every:
+            if latest.attributes.get(STEPS) != steps:
+                raise self._resumed_error()
 
     def lost_chunks(self, folder: Folder) -> Iterator[tuple[str, tuple[int, ...]]]:
-        """Yield the name of the array and the indices of each chunk that was committed and is missing."""
+        """Yield the name of the array and the indices of committed chunks that are missing, at most one of a block."""
         for name, array in self.arrays.items():
-            try:
-                files = folder.names(name)
-            except OSError as reason:
-                raise ArchiveError(f"{self.path}: {name} cannot be read ({reason.strerror})") from None
-            corners = [range(0, size, step) for size, step in zip(array.shape, array.chunk, strict=True)]
-            for indices, _, _ in array.chunks_in(corners):
-                if chunk_file(indices) not in files and not self.may_be_missing(name, indices):
-                    yield name, indices
+            files = self._names(folder, name)
+            of_blocks = self.has_blocks and is_computed(name, array)
+            for k in range(len(self.blocks)) if of_blocks else (None,):
+                if k is not None and not self.heads[k]:
+                    continue
+                for indices in array.chunk_indices(None if k is None else array.dims.index(MEMBER), k):
+                    rows = self.heads[k]["rows"] if k is not None and array.grows else array.shape[0]
+                    if indices[0] * array.chunk[0] >= rows:
+                        break
+                    if chunk_file(indices) not in files:
+                        yield name, indices
+                        break
 
     def check_complete(self) -> None:
         """Raise ArchiveError if committed chunks are missing, or the last chunks of growing arrays are damaged."""
         with self.opened() as folder:
             lost = next(self.lost_chunks(folder), None)
         if lost is not None:
+            self.as_it_is_now()
             raise self._missing_error(*lost)
         for name, array in self.arrays.items():
             if array.grows:
@@ -222,18 +355,13 @@ class Archive:
         if not (file.startswith(STATE_FILE_PREFIX) and file.replace("-", "_").replace(".", "_").isidentifier()):
             raise ArchiveError(f"{path}: a state is called {short(file)}, which is no plain name")
         try:
-            with self.opened() as folder:
+            with self.opened() as folder, reading(path, f"the state {file}"):
                 raw = folder.read(HIDDEN_FOLDER, file)
+                if hashlib.sha256(raw).hexdigest() != state.digest:
+                    raise ValueError("its checksum does not match")
+                return deserialize_numbers(raw)
         except FileNotFoundError:
             raise ArchiveError(f"{path}: the state {file} is missing") from None
-        except OSError as reason:
-            raise ArchiveError(f"{path}: the state {file} cannot be read ({reason.strerror})") from None
-        if hashlib.sha256(raw).hexdigest() != state.digest:
-            raise ArchiveError(f"{path}: the state {file} is damaged: its checksum does not match")
-        try:
-            return deserialize_numbers(raw)
-        except ValueError as reason:
-            raise ArchiveError(f"{path}: the state {file} is damaged ({reason})") from None
 
 
 def is_computed(name: str, array: StoredArray) -> bool:
@@ -248,133 +376,17 @@ def total_progress(heads: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
     return least | {name: sum(head.get(name, 0) for head in heads) for name in ("evaluations", "iterations", "seconds")}
 
 
-def read_marker(
-    folder: Folder, block: MemberBlock, only_head: bool = False
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]] | None:
-    """Return the progress of a block, and the numbers from which it resumes; None if missing or damaged."""
-    try:
-        content = folder.read(HIDDEN_FOLDER, block.marker, head=MAX_HEAD_BYTES if only_head else None)
-        line, _, raw = content.partition(b"\n")
-        digest, _, text = line.decode("utf-8").partition(" ")
-        head = json.loads(text)
-        about = head["about"]
-        for name in HEAD_COUNTS:
-            Entry(about[name], name).integer()
-        damaged = hashlib.sha256(text.encode()).hexdigest() != digest or Entry(about["seconds"], "").number() < 0.0
-        if damaged or not (only_head or hashlib.sha256(raw).hexdigest() == head["numbers"]):
-            return None
-        return about, {} if only_head else deserialize_numbers(raw)
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return None
+def sums_among(numbers: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return the checksums among the numbers of a state or of a marker, by array."""
+    return {name.removeprefix(SUM_PREFIX): sums for name, sums in numbers.items() if name.startswith(SUM_PREFIX)}
 
 
-def read_location(value: Any) -> Location:
-    """Validate the place from which an archive is read: a path, a URL, or a mapping of fsspec."""
-    return remote_folder(value) or read_archive_path(value, "a path, such as 'run.zarr', a URL, or a mapping of fsspec")
-
-
-def read_archive_path(value: Any, wanted: str = "the path of a folder, such as 'run.zarr'") -> Path:
-    """Validate the path of an archive that is written."""
-    hint = f"archive is {short(value)}; it must be {wanted}"
-    if not isinstance(value, str | os.PathLike):
-        raise TypeError(hint)
-    if is_url(value):
-        raise ValueError(
-            f"archive is {short(value)}; runs are written and resumed in folders of this machine, since a URL has no "
-            "locks: give a path and copy the folder, and open_archive reads it from the URL"
-        )
-    path = os.fspath(value)
-    if not isinstance(path, str) or not path or "\0" in path:
-        raise ValueError(hint)
-    if max(map(len, Path(path).parts), default=0) > MAX_NAME_LENGTH:
-        raise ValueError(f"archive is {short(value)}; its name is too long")
-    return Path(path)
+def digest_of_marker(attributes: Mapping[str, Any], block: MemberBlock, text: str) -> str:
+    """Return the checksum of the head of a marker, with run and block since format 2."""
+    bound = f"{attributes[RUN]} {block.marker} {text}" if RUN in attributes else text
+    return hashlib.sha256(bound.encode()).hexdigest()
 
 
 def chunk_file(indices: tuple[int, ...]) -> str:
     """Return the file name of a chunk, such as c.3.0."""
     return ".".join(("c", *map(str, indices)))
-
-
-def _no_archive(path: Location) -> ArchiveError:
-    return ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named")
-
-
-def open_location(location: Location) -> Folder:
-    """Open the folder of an archive to read it; ArchiveError if there is none."""
-    return open_folder(location) if isinstance(location, Path) else location
-
-
-def open_folder(path: Path) -> ArchiveFolder:
-    """Open the folder of an archive on this machine; ArchiveError if there is none."""
-    try:
-        return ArchiveFolder(path)
-    except FileNotFoundError:
-        raise _no_archive(path) from None
-    except NotADirectoryError:
-        raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
-    except OSError as reason:
-        raise ArchiveError(f"{path}: cannot be read ({reason.strerror})") from None
-
-
-def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, StoredArray], dict[str, Any]]:
-    """Return the arrays and attributes of an archive, as currently committed; `folder` is its folder, if open."""
-    if folder is None:
-        with open_location(path) as opened:
-            return read_root(path, opened)
-    try:
-        content = folder.read("", ROOT_FILE)
-        check_available_memory(JSON_MEMORY_FACTOR * len(content), ROOT_FILE)
-        root = json.loads(content.decode("utf-8"), object_pairs_hook=_reject_duplicates)
-        attributes = root["attributes"]
-        version = attributes[VERSION_ATTRIBUTE]
-        metadata = root["consolidated_metadata"]["metadata"]
-    except FileNotFoundError:
-        raise _no_archive(path) from None
-    except OSError as reason:
-        raise ArchiveError(f"{path}: {ROOT_FILE} cannot be read ({reason.strerror})") from None
-    except (ValueError, LookupError, TypeError, RecursionError):
-        raise ArchiveError(
-            f"{path}: is no archive of a run, or its {ROOT_FILE} is damaged; other results are opened by co.load"
-        ) from None
-    if not is_integer(version) or version < 1:
-        raise ArchiveError(f"{path}: {VERSION_ATTRIBUTE} is {short(version)}; it must be a whole number from 1 up")
-    if version > FORMAT:
-        raise ArchiveError(
-            f"{path}: is an archive of format {short(version)}, and this version of coadjoint reads formats up to "
-            f"{FORMAT}; install a later version"
-        )
-    try:
-        return _arrays_of(metadata), attributes
-    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as reason:
-        problem = f" ({in_one_line(str(reason), 200)})" if isinstance(reason, ValueError) else ""
-        raise ArchiveError(f"{path}: the arrays in {ROOT_FILE} are damaged{problem}") from None
-
-
-def _reject_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    table = dict(pairs)
-    if len(table) < len(pairs):
-        raise ValueError("a name is given twice")
-    return table
-
-
-def _arrays_of(metadata: Mapping[str, Any]) -> dict[str, StoredArray]:
-    """Parse the metadata of all arrays; ValueError unless they are what `StoredArray.metadata` returns."""
-    if len(metadata) > MAX_ARRAYS:
-        raise ValueError(f"{len(metadata)} arrays")
-    arrays = {}
-    for name, entry in metadata.items():
-        if name == HIDDEN_FOLDER and entry["node_type"] == "group":
-            continue
-        # The name becomes a path: allow only identifiers.
-        if not name.isidentifier() or len(name.encode()) > MAX_NAME_LENGTH:
-            raise ValueError(f"an array is called {short(name)}, which is no plain name")
-        array = StoredArray.of_metadata(entry)
-        if array.metadata() != entry:
-            raise ValueError(f"the metadata of {short(name)} are not those that the library writes")
-        array.check()
-        arrays[name] = array
-    rows = {array.shape[0] for array in arrays.values() if array.grows}
-    if len(rows) > 1:
-        raise ValueError(f"arrays over time have the lengths {short(sorted(rows))}")
-    return arrays

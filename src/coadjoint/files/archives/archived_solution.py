@@ -22,20 +22,20 @@ from coadjoint.files.archives.archive import (
     STATUS,
     STEPS,
     Archive,
-    ArchiveError,
-    Location,
     MemberBlock,
-    read_location,
-    read_root,
+    sums_among,
     total_progress,
 )
-from coadjoint.files.archives.run_checks import as_archive_errors, check_archive, check_reported
+from coadjoint.files.archives.folder import ArchiveError, ArchiveUnreadable, Location, read_location, reading
+from coadjoint.files.archives.root import identity_of, read_root
+from coadjoint.files.archives.run_checks import check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveStore
 from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, stored_axes, unstacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
+from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.results.solution import Solution
@@ -62,7 +62,7 @@ class ArchivedSolution(StoredSolution):
     events = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return solution_at, (self._archive.path, self._given_system)
+        return solution_at, (self._archive.path, self._given_system, identity_of(self.attributes))
 
     def __repr__(self) -> str:
         state = "finished" if self.finished else f"at step {self.reached} of {self._times.steps}"
@@ -157,6 +157,7 @@ class ArchivedSolution(StoredSolution):
     def status(self) -> NDArray[np.int64]:  # type: ignore[override]
         if STATUS in self._arrays:
             return self._read(STATUS)
+        check_available_memory(8 * self._archive.members, "the status of all members")
         failed = bool(self.attributes.get("run_failed")) if self.failed is None else self.failed
         return np.full(self._archive.members, np.where(failed, FAILED, DONE if self.finished else PENDING))
 
@@ -168,7 +169,9 @@ class ArchivedSolution(StoredSolution):
     def progress_text(self) -> str:  # type: ignore[override]
         if self._state is not None:
             return f"the run up to step {self.reached}"
-        return f"{int(np.count_nonzero(self.status != PENDING))} of {len(self.status)} members"
+        blocks = zip(self.blocks, self._archive.heads, strict=True)
+        done = sum(block.last - block.first for block, head in blocks if head.get(FINISHED))
+        return f"{done} of {self._archive.members} members"
 
 
 def _opened(archive: Archive, system: Any) -> Solution:
@@ -179,19 +182,25 @@ def _opened(archive: Archive, system: Any) -> Solution:
     state = None
     if not archive.has_blocks:
         stored = archive.read_state(archive.states[-1])
-        with as_archive_errors(archive.path):
+        archive.sums = sums_among(stored)
+        with reading(archive.path, "the archive"):
             check_reported(stored, archive)
         state = {name: stored[name] for name in REPORTED_ARRAYS}
+    archive.check_extent()
     return ArchivedSolution(fields | {"_state": state})
 
 
-def solution_at(location: Location, system: Any = None) -> Solution:
-    """Return the solution in an archive as currently committed; see `open_archive`."""
+def solution_at(location: Location, system: Any = None, identity: str | None = None) -> Solution:
+    """Return the solution in an archive as currently committed, of a given run if it is pickled; see `open_archive`."""
     require_packages("an archive of a run", "xarray", "zarr")
     archive = Archive(location, *read_root(location))
+    if identity not in (None, identity_of(archive.attributes)):
+        raise ArchiveError(f"{location}: another run has taken the place of the one that was pickled")
     for _ in range(ATTEMPTS - 1):
         try:
             return _opened(archive, system)
+        except ArchiveUnreadable:
+            raise
         except ArchiveError:
             before, archive = archive, Archive(location, *read_root(location))
             if archive.attributes == before.attributes:  # otherwise a commit removed the state in between

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import logging
+import math
 import secrets
 import time
+import warnings
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from distributed import Client, Nanny, Scheduler, SpecCluster, Worker, wait
 from distributed.security import Security
 
-from coadjoint.files.archives.archive import ArchiveError, MemberBlock
+from coadjoint.files.archives.archive import MemberBlock
 from coadjoint.files.archives.ensemble import BUSY, run_block
+from coadjoint.files.archives.folder import ArchiveError, timeout, within_limit
 from coadjoint.files.archives.new_archive import PlannedRun
+from coadjoint.files.archives.root import identity_of
 from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten
 from coadjoint.long_operations import progress_bar
 from coadjoint.private_folders import private_folder
@@ -44,15 +49,18 @@ def on_client(
     """Run blocks on the workers of a client; shared tables are sent once, individual ones with each block."""
     planned.prepared.loops(planned.times.h).build_all()  # built here rather than by each worker
     with progress_bar(sum(block.last - block.first for block in remaining), progress, "member") as bar:
-        attempts = 0
+        attempts, silent = 0, SilentWorkers(client)
         while attempts < RETRIES:
             remaining_before = len(remaining)
             try:
-                remaining, failure = _run_round(client, store, remaining, planned, threads or 1, bar)
+                remaining, failure = _run_round(client, store, remaining, planned, threads or 1, bar, silent)
             except (OSError, CancelledError) as reason:
+                lost = "the client was closed"
+                if client.scheduler is not None:
+                    lost = str(reason) if isinstance(reason, TimeoutError) else "the scheduler of the cluster is lost"
                 raise ArchiveUnwritten(
-                    f"{store.path}: the scheduler of the cluster is lost; computed blocks are in the archive, and the "
-                    "next call with this archive continues"
+                    f"{store.path}: {lost}; computed blocks are in the archive, and the next call with this archive "
+                    "continues"
                 ) from reason
             if not remaining:
                 return
@@ -66,14 +74,57 @@ def on_client(
     ) from failure
 
 
+class SilentWorkers:
+    """Workers of a client from which its scheduler has heard nothing for the time limit, such as stopped processes."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._heard, self._asked = client, dict[str, tuple[Any, float]](), -math.inf
+        self.silent: set[str] = set()
+        self.others: list[str] = []
+
+    def find(self) -> set[str]:
+        """Update the sets of workers from time to time; return those that are newly silent, with a warning."""
+        now, limit = time.monotonic(), timeout()
+        if now - self._asked < limit / 20:
+            return set()
+        self._asked, before = now, self.silent
+        workers = within_limit(partial(self._client.scheduler_info, n_workers=-1))["workers"]
+        heard = {address: (about or {}).get("last_seen") for address, about in workers.items()}
+        earlier = self._heard
+        self._heard = {
+            address: earlier[address] if address in earlier and earlier[address][0] == seen else (seen, now)
+            for address, seen in heard.items()
+        }
+        self.silent = {address for address, (_, since) in self._heard.items() if now - since > limit}
+        self.others = [address for address in self._heard if address not in self.silent]
+        for address in self.silent - before:
+            warnings.warn(
+                f"the worker {address} has not answered for {limit:g} s; its members are computed by other workers",
+                RuntimeWarning,
+                stacklevel=2,
+            )
+        if self.silent and not self.others:
+            raise TimeoutError(f"no worker has answered for {limit:g} s")
+        return self.silent - before
+
+
 def _run_round(
-    client: Any, store: ArchiveStore, remaining: list[MemberBlock], planned: PlannedRun, threads: int, bar: Any
+    client: Any,
+    store: ArchiveStore,
+    remaining: list[MemberBlock],
+    planned: PlannedRun,
+    threads: int,
+    bar: Any,
+    silent: SilentWorkers,
 ) -> tuple[list[MemberBlock], BaseException | None]:
     """Submit blocks and wait for them; return the unfinished ones, and the first failure."""
     archive, token, prepared = str(store.path), secrets.token_hex(4), planned.prepared
-    shared_tables = not prepared.system.is_batch
+    run, shared_tables = identity_of(store.attributes), not prepared.system.is_batch
     try:
-        shared_run: Any = client.scatter(prepared, broadcast=True, hash=False) if shared_tables else None
+        silent.find()
+        where = {"workers": silent.others} if silent.silent else {}
+        scatter = partial(client.scatter, prepared, broadcast=True, hash=False, **where)
+        shared_run: Any = within_limit(scatter) if shared_tables else None
     except (OSError, CancelledError) as lost:
         # A worker that dies while it receives the tables fails this request, but not the cluster.
         if not _scheduler_responds(client):
@@ -83,7 +134,9 @@ def _run_round(
     def submitted(block: MemberBlock, attempt: int) -> Any:
         prepared_run = shared_run if shared_tables else prepared.among(block.first, block.last)
         key = f"coadjoint-{token}-{block.number}-{attempt}"
-        return client.submit(run_block, archive, block, prepared_run, shared_tables, threads, key=key, pure=False)
+        arguments = archive, block, prepared_run, shared_tables, run, threads
+        elsewhere = {"workers": silent.others} if silent.silent else {}
+        return client.submit(run_block, *arguments, key=key, pure=False, **elsewhere)
 
     tasks = {submitted(block, 0): block for block in remaining}
     unfinished: list[MemberBlock] = []
@@ -112,6 +165,10 @@ def _run_round(
                     locked.append(block)
                 else:
                     bar(block.last - block.first)
+            if silent.find():
+                # Tables may be on silent workers alone: they are sent again to the others.
+                client.cancel(list(tasks), force=True)
+                return [*unfinished, *locked, *tasks.values()], failure or TimeoutError("workers do not answer")
             if locked:
                 # A task of an earlier call still runs these blocks; it will end, or be lost with its worker.
                 time.sleep(RETRY_SECONDS)
@@ -136,9 +193,9 @@ def _task_result(client: Any, task: Any) -> tuple[Any, BaseException | None]:
     """Return the result of a task, or the exception that prevented it."""
     try:
         if task.status == "finished":
-            return task.result(), None
+            return within_limit(task.result), None
         return None, (task.exception() if task.status == "error" else RuntimeError(f"a task is {task.status}"))
-    except CancelledError as lost:
+    except (CancelledError, TimeoutError) as lost:
         # The worker may be lost before its result is fetched.
         if not _scheduler_responds(client):
             raise
@@ -147,6 +204,8 @@ def _task_result(client: Any, task: Any) -> tuple[Any, BaseException | None]:
 
 def _scheduler_responds(client: Any) -> bool:
     """Whether the scheduler responds."""
+    if client.scheduler is None:  # the client was closed
+        return False
     try:
         client.sync(client.scheduler.identity, n_workers=0, callback_timeout=SCHEDULER_TIMEOUT)
     except (OSError, CancelledError):

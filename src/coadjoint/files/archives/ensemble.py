@@ -21,20 +21,17 @@ from coadjoint import __version__
 from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archive import (
     FINISHED,
-    HIDDEN_FOLDER,
-    ArchiveError,
     MemberBlock,
     is_computed,
-    open_folder,
-    read_archive_path,
-    read_marker,
-    read_root,
     total_progress,
 )
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
+from coadjoint.files.archives.folder import ArchiveError, open_folder, read_archive_path, timeout
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
+from coadjoint.files.archives.root import HIDDEN_FOLDER, identity_of, read_root
 from coadjoint.files.archives.run_checks import CROSSING_PREFIX, RESERVED_NAMES, SERIES_PREFIXES, check_archive
-from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, ArchiveUnwritten, unwritten_archive
+from coadjoint.files.archives.sink import ArchiveSink
+from coadjoint.files.archives.store import ArchiveStore, ArchiveUnwritten, unwritten_archive
 from coadjoint.files.datasets.named_axes import MEMBER
 from coadjoint.files.datasets.variables import TIME, Variables, joined_complex
 from coadjoint.keyword_hints import suggest_keywords
@@ -243,7 +240,7 @@ def run_in_blocks(
     if planned.start.single:
         raise ValueError(f"x0 has the shape {np.shape(x0)}; an ensemble needs (members, ...), and integrate takes one")
     if archive is not None:
-        return _run_unfinished(planned, read_archive_path(archive).absolute(), pool, size, progress)
+        return _run_unfinished(planned, read_archive_path(archive), pool, size, progress)
     folder = tempfile.TemporaryDirectory(prefix="coadjoint-", ignore_cleanup_errors=True)
     result: Any = None
     try:
@@ -264,6 +261,8 @@ def run_in_blocks(
 def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int | None, progress: bool) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
     began, prepared, is_new = time.perf_counter(), planned.prepared, not path.exists()
+    if pool.client is not None and pool.client.status != "running":
+        raise ValueError(f"the client is {pool.client.status}; give one that is connected to a scheduler")
     if is_new:
         store = create_archive(planned, path, pool.worker_count, size)
     else:
@@ -301,7 +300,7 @@ def _run_serially(store: ArchiveStore, remaining: list[MemberBlock], prepared: P
                 store.check_not_replaced()
             except OSError as reason:
                 raise _unwritten(store, reason) from reason
-            if run_block(str(store.path), block, prepared, True, None) == BUSY:
+            if run_block(str(store.path), block, prepared, True, identity_of(store.attributes), None) == BUSY:
                 raise ArchiveUnwritten(f"{store.path}: another process is still running some members; try again later")
             bar(block.last - block.first)
 
@@ -313,9 +312,9 @@ def _unwritten(store: ArchiveStore, reason: OSError) -> ArchiveUnwritten:
 
 
 def run_block(
-    archive: str, block: MemberBlock, prepared: PreparedRun, all_members: bool, threads: int | None
+    archive: str, block: MemberBlock, prepared: PreparedRun, all_members: bool, run: str, threads: int | None
 ) -> dict[str, Any]:
-    """Run a block to its end from the state in its marker; return the head of the marker, or ``BUSY`` if locked."""
+    """Run a block of the archive of a run from its marker to its end; return the new head, or ``BUSY`` if locked."""
     path, host = Path(archive), platform.node()
     try:
         with ExitStack() as opened:
@@ -328,24 +327,26 @@ def run_block(
         ) from None
     arrays, attributes = store.arrays, store.attributes
     try:
+        if identity_of(attributes) != run:
+            raise ArchiveError(f"{path}: another run has taken its place on {host}; nothing was written to it")
         if attributes["coadjoint_version"] != __version__:
             raise ArchiveError(
                 f"{path}: was begun by coadjoint {attributes['coadjoint_version']}, and the worker on {host} has "
                 f"{__version__}; install the same version everywhere"
             )
-        if not store.lock():
+        if not store.lock() and not store.take_over(timeout()):
             return BUSY
         times = times_of(json.loads(attributes["t_span"]), float(attributes["step"]), int(attributes["save_every"]))
         first, last = (block.first, block.last) if all_members else (0, block.last - block.first)
         x0, attitude = (_start_of(store, name, block) for name in ("x0", "attitude0"))
-        of_block, marker = prepared.among(first, last, threads), read_marker(store.folder, block)
+        of_block, marker = prepared.among(first, last, threads), store.begin_block(block)
         head, stored = marker or ({FINISHED: 0}, None)
         sink = ArchiveSink(store, head, block)
-        run = PiecewiseRun(of_block, times, of_block.start(x0, attitude), arrays[TIME].chunk[0], stored)
+        pieces = PiecewiseRun(of_block, times, of_block.start(x0, attitude), arrays[TIME].chunk[0], stored)
         if marker is None:
-            run.advance(0)
+            pieces.advance(0)
         if not head[FINISHED]:
-            run.advance_into(sink.take)
+            pieces.advance_into(sink.take)
         return dict(sink.head)
     except ArchiveUnwritten:
         raise
@@ -369,7 +370,7 @@ def _start_of(store: ArchiveStore, name: str, block: MemberBlock) -> Any:
 
 def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:
     """Return the unfinished blocks; those of which committed chunks are lost begin again."""
-    blocks, lost = store.blocks, set[int]()
+    blocks, lost, store.heads = store.blocks, set[int](), store.read_heads(whole_markers=True)
     for name, indices in store.lost_chunks(store.folder):
         if is_computed(name, store.arrays[name]):
             lost.add(indices[store.arrays[name].dims.index(MEMBER)])
@@ -392,6 +393,6 @@ def finish_ensemble(store: ArchiveStore, began: float) -> None:
                 f"{count} of {store.members} members failed, the first of them is member {first['first_failed']}: "
                 f"{first['failed_reason']}"
             )
-    store.commit(attributes, {TIME: store.arrays[TIME].shape[0]})
+    store.commit(attributes, {TIME: store.arrays[TIME].shape[0]}, store.states)
     for block in store.blocks:
         store.folder.remove(HIDDEN_FOLDER, block.lock_file)

@@ -1,6 +1,7 @@
 """File access within the folder of an archive, by plain names and never through symbolic links.
 
-Folders elsewhere, in a file system of fsspec, can only be read.
+Folders elsewhere, in a file system of fsspec, can only be read. A failure to read is one of three answers: a file does
+not exist (`FileNotFoundError`), is damaged (`ArchiveError`), or cannot be read now (`ArchiveUnreadable`).
 """
 
 from __future__ import annotations
@@ -9,12 +10,13 @@ import errno
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator
+import threading
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from coadjoint.errors import in_one_line
+from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.files.output.atomic_output import (
     TEMPORARY_SUFFIX,
     open_locked,
@@ -25,14 +27,61 @@ from coadjoint.files.output.atomic_output import (
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import MissingPackageError, require_packages
 from coadjoint.short_repr import short
+from coadjoint.validation import read_number
 
 USE_DIR_FD = os.open in os.supports_dir_fd and hasattr(os, "O_NOFOLLOW")
 """Whether files are opened relative to a descriptor of their folder. Windows has none, and locks folders in use."""
 NOT_REGULAR_REASON = "no regular file"
+UNWRITTEN_KINDS = (errno.ELOOP, errno.EINVAL, errno.EISDIR, errno.ENOTDIR)
+"""Errors of entries that are no files of an archive: links, folders, pipes."""
 READ_MEMORY_FACTOR = 2
 """Memory needed to read a file, per byte."""
+MAX_NAME_LENGTH = 255  # bytes, of file systems
+TIMEOUT_VARIABLE, DEFAULT_TIMEOUT = "COADJOINT_TIMEOUT", 60.0
+"""Environment variable with the time (s) that a server or a worker may take to answer, and its default."""
+ABSENT = (404, 410)  # HTTP: not found, gone
+FAILURES = (OSError, MemoryError, RecursionError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+"""Errors while an archive is read."""
 URL = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(?:::[A-Za-z0-9+.-]+)*://")
 """The beginning of a URL, also of a chained one of fsspec; a single letter is a drive of Windows."""
+
+
+Result = TypeVar("Result")
+
+
+class ArchiveError(OneLineError):
+    """An archive is missing, damaged, in use, or cannot be created; raised before anything runs."""
+
+
+class ArchiveUnreadable(ArchiveError):
+    """An archive or a file of it cannot be read now, which says nothing about its content; try again."""
+
+
+@contextmanager
+def reading(path: Any, what: str) -> Iterator[None]:
+    """Convert failures to `ArchiveUnreadable`, or to `ArchiveError` for damage; a missing file remains one."""
+    try:
+        yield
+    except (OneLineError, FileNotFoundError):
+        raise
+    except FAILURES as reason:
+        problem = getattr(reason, "strerror", None) or in_one_line(str(reason), 300) or type(reason).__name__
+        failed = isinstance(reason, OSError) and reason.errno not in UNWRITTEN_KINDS
+        if failed or isinstance(reason, MemoryError | RecursionError):
+            raise ArchiveUnreadable(f"{path}: {what} cannot be read now ({problem})") from reason
+        raise ArchiveError(f"{path}: {what} is damaged ({problem})") from reason
+
+
+def timeout() -> float:
+    """Return the time (s) that a server or a worker may take to answer."""
+    text = os.environ.get(TIMEOUT_VARIABLE)
+    try:
+        seconds = read_number(DEFAULT_TIMEOUT if text is None else float(text), TIMEOUT_VARIABLE)
+    except ValueError:
+        seconds = 0.0
+    if seconds <= 0.0:
+        raise ValueError(f"the environment variable {TIMEOUT_VARIABLE} is {short(text)}; it must be a positive number")
+    return seconds
 
 
 class ArchiveFolder:
@@ -41,10 +90,13 @@ class ArchiveFolder:
     def __init__(self, path: Path) -> None:
         self.path = path.absolute()
         self._descriptor: int | None = None
-        if USE_DIR_FD:
-            self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-        elif not path.is_dir():
-            os.scandir(path).close()  # raises the specific OSError
+        try:
+            if USE_DIR_FD:
+                self._descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+            elif not path.is_dir():
+                os.scandir(path).close()  # raises the specific OSError
+        except NotADirectoryError:
+            raise ArchiveError(f"{path}: is a file; an archive is a folder, which a run with archive= writes") from None
 
     def __enter__(self) -> ArchiveFolder:
         return self
@@ -167,25 +219,33 @@ class RemoteFolder:
     def read(self, folder: str, file: str, max_bytes: int | None = None, head: int | None = None) -> bytes:
         """Return a file, as `ArchiveFolder.read`."""
         path = "/".join(filter(None, (self.root, folder, file)))
-        with _as_os_errors():
+
+        def status_and_link() -> tuple[Any, Any]:
             status = self.filesystem.info(path)
             linked = status.get("islink")
             if folder and linked is False:  # a folder of this machine, within another file system
                 linked = self.filesystem.info(f"{self.root}/{folder}").get("islink")
+            return status, linked
+
+        status, linked = request(status_and_link)
         size = status.get("size")
         if status.get("type") != "file" or linked:
             raise OSError(errno.EINVAL, NOT_REGULAR_REASON)
         if size is None or size < 0:
-            raise OSError(errno.EINVAL, "its length is unknown")
+            raise OSError(errno.EIO, "its length is unknown")
         length = _length_to_read(size, max_bytes, head)
-        with _as_os_errors(), self.filesystem.open(path, "rb") as content:
-            return bytes(content.read(length))
+
+        def content() -> bytes:
+            with self.filesystem.open(path, "rb") as opened:
+                return bytes(opened.read(length))
+
+        return request(content)
 
     def names(self, folder: str) -> set[str]:
         """Return the names in a subfolder."""
-        with _as_os_errors():
-            paths = self.filesystem.ls("/".join(filter(None, (self.root, folder))), detail=False)
-            return {path.rstrip("/").rpartition("/")[2] for path in paths}
+        path = "/".join(filter(None, (self.root, folder)))
+        paths = request(lambda: self.filesystem.ls(path, detail=False))
+        return {path.rstrip("/").rpartition("/")[2] for path in paths}
 
 
 def is_url(value: Any) -> bool:
@@ -201,8 +261,10 @@ def remote_folder(value: Any) -> RemoteFolder | Path | None:
         require_packages(f"reading {short(value)}", "fsspec")
         from fsspec.core import url_to_fs
 
+        before, chained, last = value.rpartition("::")
+        url = f"{before}::{Path(last).absolute()}" if chained and not is_url(last) else value
         try:
-            (filesystem, root), url = url_to_fs(value), value
+            filesystem, root = request(lambda: url_to_fs(url))
         except ImportError as reason:
             problem = in_one_line(str(reason), 200)
             raise MissingPackageError(f"{short(value)} needs a package that is not installed ({problem})") from None
@@ -215,18 +277,55 @@ def remote_folder(value: Any) -> RemoteFolder | Path | None:
     return Path(root) if isinstance(filesystem, LocalFileSystem) else RemoteFolder(filesystem, root, url)
 
 
-@contextmanager
-def _as_os_errors() -> Iterator[None]:
-    """Convert the errors of a file system of fsspec, which may be of any type, to OSError with `strerror`."""
+def within_limit(work: Callable[[], Result]) -> Result:
+    """Return the result of a call, or raise what it raises; TimeoutError after the time limit."""
+    # In a thread: file systems and clusters have limits of their own, or none.
+    results, errors, limit = list[Result](), list[BaseException](), timeout()
+
+    def run() -> None:
+        try:
+            results.append(work())
+        except BaseException as reason:
+            errors.append(reason)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    thread.join(limit)
+    for reason in errors:
+        raise reason
+    if not results:
+        raise TimeoutError(f"no answer within {limit:g} s, a limit that {TIMEOUT_VARIABLE} sets")
+    return results[0]
+
+
+def request(work: Callable[[], Result]) -> Result:
+    """Return the result of a request to a file system of fsspec; OSError with `strerror` for whatever it raises."""
     try:
-        yield
-    except FileNotFoundError:
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT)) from None
-    except MemoryError:
+        return within_limit(work)
+    except (ImportError, MemoryError, KeyboardInterrupt):
         raise
-    except Exception as reason:
-        problem = getattr(reason, "strerror", None) or in_one_line(str(reason), 200) or type(reason).__name__
-        raise OSError(getattr(reason, "errno", None) or errno.EIO, problem) from reason
+    except BaseException as error:
+        reason: BaseException = error
+    if _is_absent(reason):
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    while isinstance(reason, FileNotFoundError) and reason.__cause__ is not None:
+        reason = reason.__cause__
+    problem = getattr(reason, "strerror", None) or in_one_line(str(reason), 200) or type(reason).__name__
+    number = getattr(reason, "errno", None)
+    raise OSError(number if isinstance(number, int) else errno.EIO, problem) from reason
+
+
+def _is_absent(reason: BaseException) -> bool:
+    """Whether a file does not exist; file systems raise FileNotFoundError also where a server fails."""
+    first = reason
+    while first.__cause__ is not None:
+        first = first.__cause__
+    response = getattr(first, "response", None)  # of botocore
+    answer = response.get("ResponseMetadata", {}).get("HTTPStatusCode") if isinstance(response, dict) else None
+    status = next((n for n in (answer, *(getattr(first, k, None) for k in ("status", "status_code", "code"))) if n), 0)
+    if isinstance(status, int) and status:
+        return status in ABSENT
+    return isinstance(reason, FileNotFoundError) and isinstance(first, FileNotFoundError | LookupError)
 
 
 def _length_to_read(size: int, max_bytes: int | None, head: int | None) -> int:
@@ -236,3 +335,49 @@ def _length_to_read(size: int, max_bytes: int | None, head: int | None) -> int:
     length = size if head is None else min(head, size)
     check_available_memory(READ_MEMORY_FACTOR * length, "it")
     return length
+
+
+Folder = ArchiveFolder | RemoteFolder
+Location = Path | RemoteFolder
+
+
+def read_location(value: Any) -> Location:
+    """Validate the place from which an archive is read: a path, which becomes absolute, a URL, or an fsspec mapping."""
+    return remote_folder(value) or read_archive_path(value, "a path, such as 'run.zarr', a URL, or a mapping of fsspec")
+
+
+def read_archive_path(value: Any, wanted: str = "the path of a folder, such as 'run.zarr'") -> Path:
+    """Validate the path of an archive, and make it absolute: the working directory may change."""
+    hint = f"archive is {short(value)}; it must be {wanted}"
+    if not isinstance(value, str | os.PathLike):
+        raise TypeError(hint)
+    if is_url(value):
+        raise ValueError(
+            f"archive is {short(value)}; runs are written and resumed in folders of this machine, since a URL has no "
+            "locks: give a path and copy the folder, and open_archive reads it from the URL"
+        )
+    path = os.fspath(value)
+    if not isinstance(path, str) or not path or "\0" in path:
+        raise ValueError(hint)
+    if max(map(len, Path(path).parts), default=0) > MAX_NAME_LENGTH:
+        raise ValueError(f"archive is {short(value)}; its name is too long")
+    return Path(path).absolute()
+
+
+def no_archive(path: Location) -> ArchiveError:
+    """Return the error for a place without an archive."""
+    return ArchiveError(f"{path}: there is no archive of a run; give the folder that archive= named")
+
+
+def open_location(location: Location) -> Folder:
+    """Open the folder of an archive to read it; ArchiveError if there is none."""
+    return open_folder(location) if isinstance(location, Path) else location
+
+
+def open_folder(path: Path) -> ArchiveFolder:
+    """Open the folder of an archive on this machine; ArchiveError if there is none."""
+    try:
+        with reading(path, "the folder"):
+            return ArchiveFolder(path)
+    except FileNotFoundError:
+        raise no_archive(path) from None

@@ -20,16 +20,13 @@ from coadjoint.files.archives.archive import (
     DONE,
     FAILED,
     FINISHED,
-    FIRST_STEP,
     PENDING,
-    STATES,
     STATUS,
     STEPS,
-    ArchiveError,
-    StoredState,
     is_computed,
-    read_archive_path,
 )
+from coadjoint.files.archives.folder import ArchiveError, read_archive_path
+from coadjoint.files.archives.root import FIRST_STEP
 from coadjoint.files.archives.run_checks import (
     FUNCTIONS_ATTRIBUTE,
     OBSERVED_ATTRIBUTE,
@@ -62,6 +59,7 @@ MAX_STATE_BYTES = 2**22
 """Limit on the state of a block at one time, for the default block size."""
 MEMBERS_PER_BATCH = 32
 """Members that the kernels advance side by side."""
+MIN_BLOCK_ROWS = 2**10  # points: the end of an ensemble in blocks is fixed
 BLOCKS_PER_WORKER = 4  # so that workers of different speed end at about the same time
 STATUS_ATTRIBUTES = {
     "long_name": "whether the member has been computed to its end",
@@ -183,7 +181,9 @@ def create_archive(
         numbers_of_row, rows_stored = numbers_of_row // members * size, points
         variables[STATUS] = ((MEMBER,), np.full(members, PENDING), STATUS_ATTRIBUTES)
         variables |= time_coordinate(planned.times.saved_times)
-    rows = rows_of_chunk(numbers_of_row, points)
+    rows = rows_of_chunk(numbers_of_row)
+    if workers is not None:
+        rows = min(rows, max(MIN_BLOCK_ROWS, points))
     arrays = {}
     for name, (dims, values, about) in variables.items():
         shape = np.shape(values)
@@ -204,13 +204,11 @@ def create_archive(
         for name, (_, values, _) in variables.items():
             if workers is None or not is_computed(name, arrays[name]):
                 store.write(name, values)
-        lengths, states = {TIME: rows_stored}, list[StoredState]()
-        if workers is None:
-            states = [store.store_state(run.stored(), {"number": 0, **lengths, "block": 1})]
-            attributes[STATES] = json.dumps(states)
-        else:
+        lengths = {TIME: rows_stored}
+        if workers is not None:
             attributes[BLOCK_SIZE_ATTRIBUTE] = size
-        store.commit(attributes, lengths, states)
+        numbers = run.stored() if workers is None else {}
+        store.commit(attributes, lengths, [store.store_state(numbers, {"number": 0, **lengths, "block": 1})])
 
     return _created_in_place(target, arrays, write)
 

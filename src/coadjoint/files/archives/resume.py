@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from coadjoint.files.archives.archive import (
     BLOCK_SIZE_ATTRIBUTE,
     FINISHED,
-    FIRST_STEP,
     SAVE_EVERY,
-    STATES,
     STEPS,
-    ArchiveError,
     StoredState,
-    read_archive_path,
+    sums_among,
 )
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
+from coadjoint.files.archives.folder import ArchiveError, read_archive_path, reading
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
-from coadjoint.files.archives.run_checks import as_archive_errors, observed_again
-from coadjoint.files.archives.store import ArchiveSink, ArchiveStore, unwritable_error
+from coadjoint.files.archives.root import FIRST_STEP
+from coadjoint.files.archives.run_checks import observed_again
+from coadjoint.files.archives.sink import ArchiveSink
+from coadjoint.files.archives.store import ArchiveStore, unwritable_error
 from coadjoint.files.datasets.variables import Variables
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
@@ -163,11 +163,11 @@ def resume(
             extended = extended_times(store, planned, t_end)
             if extended.steps != times.steps:
                 planned = planned._replace(times=extended)
-                try:
-                    with as_archive_errors(archive_path):
+                with reading(archive_path, "the archive"):
+                    try:
                         extend_run(store, planned)
-                except OSError as reason:
-                    raise unwritable_error(archive_path, reason) from None
+                    except OSError as reason:
+                        raise unwritable_error(archive_path, reason) from None
         if store.attributes[FINISHED]:
             store.close()
             return archive
@@ -183,7 +183,7 @@ def _prepared_again(
 ) -> tuple[PreparedRun, dict[str, Any]]:
     """Prepare the run of an archive again; return also all its arguments."""
     observed = observed_again(archive, system, observe)
-    with as_archive_errors(archive.path):
+    with reading(archive.path, "the archive"):
         inputs = archive.inputs()
     options = {name: inputs[name] for name in ("attitude", "watch")}
     return PreparedRun(
@@ -195,7 +195,7 @@ def _continue_run(
     store: ArchiveStore, planned: PlannedRun, stored: Any, progress: bool, until: int | None, began: float
 ) -> Solution:
     with closing(store, planned.prepared.system):
-        with as_archive_errors(store.path):
+        with reading(store.path, "the archive"):
             run = planned.in_pieces(store.arrays["time"].chunk[0], stored)
             sink = ArchiveSink(store, store.attributes, began=began)
         run.advance_into(sink.take, until, progress)
@@ -237,6 +237,7 @@ def extend_run(store: ArchiveStore, planned: PlannedRun) -> None:
     stored = store.read_state(last_state)
     stored["earlier"] = reduce(larger_deviations, _deviations(store, retained, planned))
     stored[f"{STATE_PREFIX}worst"] = np.zeros_like(stored[f"{STATE_PREFIX}worst"])
+    store.sums = sums_among(stored)
     new = store.store_state(stored, {**last_state.about, "block": 1})
     blocks = [state for state in retained[:-1] if state.about["block"]]
     attributes = {
@@ -245,7 +246,6 @@ def extend_run(store: ArchiveStore, planned: PlannedRun) -> None:
         "save_every": times.save_every,
         STEPS: last_state.about["number"],
         FINISHED: 0,
-        STATES: json.dumps([*blocks, new]),
     }
     lengths = {name: length for name, length in last_state.about.items() if name not in ("number", "block")}
     store.commit(attributes, lengths, [*blocks, new])

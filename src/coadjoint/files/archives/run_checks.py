@@ -6,29 +6,26 @@ import json
 import platform
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError, OneLineError, in_one_line
 from coadjoint.files.archives.archive import (
     ACCOUNTS_ATTRIBUTE,
     BLOCK_SIZE_ATTRIBUTE,
     FINISHED,
-    FIRST_STEP,
     SAVE_EVERY,
     STATES,
     STATUS,
     STEPS,
     Archive,
-    ArchiveError,
-    Location,
     is_computed,
 )
+from coadjoint.files.archives.folder import ArchiveError, reading
+from coadjoint.files.archives.root import FIRST_STEP, FORMAT, RUN, VERSION_ATTRIBUTE
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.named_axes import MEMBER, stored_axes
 from coadjoint.files.datasets.variables import TIME
@@ -63,24 +60,13 @@ RESERVED_NAMES = frozenset(
 """
 
 
-@contextmanager
-def as_archive_errors(path: Location | str) -> Iterator[None]:
-    """Convert errors caused by invalid content of an archive to `ArchiveError`."""
-    try:
-        yield
-    except (OneLineError, IntegrationError):
-        raise
-    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, MemoryError) as reason:
-        problem = in_one_line(str(reason), 300) or type(reason).__name__
-        raise ArchiveError(f"{path}: the archive is damaged ({problem})") from reason
-
-
 def check_archive(archive: Archive) -> None:
     """Raise `ArchiveError` unless attributes and arrays describe one run, or one ensemble."""
     arrays, attributes = archive.arrays, archive.attributes
-    with as_archive_errors(archive.path):
+    with reading(archive.path, "the archive"):
         entry = Entry(attributes, "attributes")
-        for name in TEXT_ATTRIBUTES:
+        is_bound = attributes[VERSION_ATTRIBUTE] == FORMAT
+        for name in (*TEXT_ATTRIBUTES, *((RUN,) if is_bound else ())):
             entry[name].text(sys.maxsize)
         for name in (STEPS, "steps", "evaluations", "iterations"):
             entry[name].integer()
@@ -105,8 +91,10 @@ def check_archive(archive: Archive) -> None:
         times = times_of(span, entry["step"].number(), entry["save_every"].integer(1))
         if times.steps != attributes["steps"] or attributes[STEPS] > times.steps:
             raise entry["steps"].invalid_error(f"{times.steps}, and {STEPS} no larger")
-        sizes = _check_arrays(arrays, accounts)
+        sizes = check_arrays(arrays, accounts)
         stored_axes(attributes, sizes.get(MEMBER, 1))
+        if is_bound or not archive.has_blocks:
+            _check_states(attributes)
         if archive.has_blocks:
             size = entry[BLOCK_SIZE_ATTRIBUTE].integer(1)
             chunks = {a.chunk[a.dims.index(MEMBER)] for name, a in arrays.items() if is_computed(name, a)}
@@ -119,12 +107,12 @@ def check_archive(archive: Archive) -> None:
             expected = times.total_points
         else:
             entry[SAVE_EVERY].integer(1)
-            expected = _check_states(entry, archive, times, sizes[TIME])
+            expected = _expected_points(entry, archive, times, sizes[TIME])
         if not attributes["between_steps"] and sizes[TIME] != expected:
             raise ValueError(f"there are {sizes[TIME]} saved points after {attributes[STEPS]} steps, not {expected}")
 
 
-def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) -> dict[str, int]:
+def check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) -> dict[str, int]:
     """Validate the arrays of a run; return the lengths of the dimensions."""
     missing = {TIME, "x", "x0", "energy", "invariant", "tenth", *SUMMARY_ARRAYS[bool(accounts)]} - arrays.keys()
     if missing:
@@ -151,17 +139,23 @@ def _check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) 
     return sizes
 
 
-def _check_states(entry: Entry, archive: Archive, times: Times, rows: int) -> int:
-    """Validate the stored states; return the expected number of saved points."""
-    attributes = archive.attributes
-    for state in parsed(attributes[STATES], STATES).entries():
+def _check_states(attributes: Mapping[str, Any]) -> None:
+    """Validate the entries of stored states."""
+    states = parsed(attributes[STATES], STATES)
+    if not states.entries():
+        raise states.invalid_error("a list of states, at least one")
+    for state in states.entries():
         file, digest, about = state.entries(3)
         file.text(), digest.text(), about["block"].flag()
         for name in ("number", TIME):
             about[name].integer()
-    states = archive.states
+
+
+def _expected_points(entry: Entry, archive: Archive, times: Times, rows: int) -> int:
+    """Validate the order of the stored states; return the expected number of saved points."""
+    attributes, states = archive.attributes, archive.states
     numbers = [state.about["number"] for state in states]
-    if not states or numbers != sorted(numbers) or numbers[-1] != attributes[STEPS] or states[-1].about[TIME] != rows:
+    if numbers != sorted(numbers) or numbers[-1] != attributes[STEPS] or states[-1].about[TIME] != rows:
         raise entry[STATES].invalid_error("a list of states, of which the last one is that of the last commit")
     expected = times.after(attributes[STEPS]).passed
     # A failed run has saved the points before its failure.

@@ -9,6 +9,9 @@ Content of the folder::
     .coadjoint/state-...   numbers and arrays from which the run resumes, `ArchiveStore.store_state`
     .coadjoint/block-...   of an ensemble: markers of blocks, `ArchiveStore.write_marker`, and their locks
 
+States and markers have a checksum of the committed rows of each chunk. Chunks that are rewritten, the last ones of
+arrays that grow, keep these rows.
+
 **Replacing the root is the commit**: chunks are written first, then the state, then the root. The root holds the number
 of rows of every array, and the state that belongs to them. Anything else in the folder is ignored: uncommitted rows are
 invisible, and are overwritten on resume. Every file is replaced atomically. So the process may be killed at any moment,
@@ -30,42 +33,38 @@ import secrets
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
-from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coadjoint.files.archives.archive import (
-    DONE,
-    FAILED,
-    FINISHED,
-    FORMAT,
-    HIDDEN_FOLDER,
-    PENDING,
-    ROOT_FILE,
     STATE_FILE_PREFIX,
     STATES,
-    STATUS,
-    STEPS,
-    VERSION_ATTRIBUTE,
+    SUM_PREFIX,
     Archive,
-    ArchiveError,
+    Marker,
     MemberBlock,
     StoredState,
     chunk_file,
-    open_folder,
-    read_root,
+    digest_of_marker,
+    sums_among,
 )
-from coadjoint.files.archives.folder import ArchiveFolder
+from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder, ArchiveUnreadable, Folder, open_folder
+from coadjoint.files.archives.root import (
+    FORMAT,
+    GROUP_METADATA,
+    HIDDEN_FOLDER,
+    ROOT_FILE,
+    RUN,
+    VERSION_ATTRIBUTE,
+    read_root,
+    root_content,
+)
 from coadjoint.files.archives.stored_arrays import StoredArray, serialize_numbers
-from coadjoint.files.datasets.export import failure_attributes
-from coadjoint.files.datasets.variables import summary_variables, time_coordinate, time_variables
 from coadjoint.files.output.atomic_output import LOCK_FILE, rename_when_free
-from coadjoint.runs.piecewise_run import PiecewiseRun
-from coadjoint.runs.results.solution import Solution
 
-GROUP_METADATA = {"zarr_format": 3, "node_type": "group"}
 REPLACED = errno.ESTALE
 """Number of the errors that the folder of an archive, or its lock file, was replaced during a run."""
 
@@ -107,6 +106,8 @@ class ArchiveStore(Archive):
         self.folder, self._lock_file = folder, lock_file
         self._lock: int | None = None
         self._touched: set[str] = set()
+        self._pending: dict[str, dict[tuple[int, ...], tuple[int, int]]] = {}
+        self._next_sums: dict[str, NDArray[Any]] | None = None
 
     def opened(self) -> AbstractContextManager[ArchiveFolder]:
         """Return the folder, which stays open."""
@@ -115,13 +116,31 @@ class ArchiveStore(Archive):
     def lock(self) -> bool:
         """Lock the archive, or the block; return whether no other process holds the lock."""
         self._lock = self.folder.lock(HIDDEN_FOLDER, self._lock_file)
+        self._touch_lock()
         return self._lock is not None
+
+    def take_over(self, seconds: float) -> bool:
+        """Lock the block in place of a process that has not written for so long; return whether this was possible."""
+        # A process that was stopped finds its lock replaced before it writes again.
+        with suppress(OSError):
+            status = self.folder.status(HIDDEN_FOLDER, self._lock_file)
+            if time.time() - status.st_mtime > seconds:
+                self.folder.remove(HIDDEN_FOLDER, self._lock_file)
+                return self.lock()
+        return False
+
+    def _touch_lock(self) -> None:
+        """Set the time of the lock, by which other processes see that this one is alive."""
+        if self._lock is not None and os.utime in os.supports_fd:
+            os.utime(self._lock)
 
     @classmethod
     def create_archive(cls, path: Path, arrays: Mapping[str, StoredArray]) -> ArchiveStore:
         """Create an archive in a new folder; it is empty until the first `commit`."""
         path.mkdir()
-        store = cls(path, arrays, {VERSION_ATTRIBUTE: FORMAT}, ArchiveFolder(path))
+        attributes = {VERSION_ATTRIBUTE: FORMAT, RUN: secrets.token_hex(16)}
+        store = cls(path, arrays, attributes, ArchiveFolder(path))
+        store.sums = {}
         try:
             for name in (HIDDEN_FOLDER, *arrays):
                 store.folder.make(name)
@@ -186,6 +205,7 @@ class ArchiveStore(Archive):
             raise FileNotFoundError(errno.ENOENT, "it was removed meanwhile") from None
         if not self._is_own_lock(status):
             raise OSError(REPLACED, "its lock file was replaced, so that another process may write to it")
+        self._touch_lock()
 
     def check_not_replaced(self) -> None:
         """Raise OSError of `REPLACED` if the path of the archive no longer leads to the folder being written."""
@@ -197,7 +217,6 @@ class ArchiveStore(Archive):
     def write(self, name: str, values: Any, first: tuple[int, ...] = ()) -> None:
         """Write a region of an array that begins at `first` (0 along the other dimensions), to be committed later."""
         # Along the dimension that grows it may begin within a chunk, along the others it consists of whole ones.
-        self.check_lock()
         array, region = self.arrays[name], np.asarray(values)
         begin = (*first, *(0,) * (region.ndim - len(first)))
         for indices, inside, outside in array.chunks_in(
@@ -207,31 +226,64 @@ class ArchiveStore(Archive):
             if array.grows and inside[0].start > 0:
                 chunk[: inside[0].start] = self.chunk(self.folder, name, indices)[: inside[0].start]
             chunk[inside] = region[outside]
+            self.check_lock()
             self.folder.write(name, chunk_file(indices), array.encoded(chunk))
+            place = self.place_of(name, indices)
+            self._pending.setdefault(name, {})[place] = inside[0].stop, array.sum_of(chunk[: inside[0].stop])
         self._touched.add(name)
+
+    def committed(self, folder: Folder, name: str, indices: tuple[int, ...]) -> tuple[int, int | None]:
+        pending = self._pending.get(name, {}).get(self.place_of(name, indices))
+        return pending or super().committed(folder, name, indices)
+
+    def _numbers_and_sums(self, numbers: Mapping[str, Any], sums: Mapping[str, NDArray[Any]]) -> bytes:
+        """Serialize numbers with the checksums of all chunks: `sums`, and those of chunks written since."""
+        if self.attributes[VERSION_ATTRIBUTE] < FORMAT:
+            return serialize_numbers(numbers)
+        self._next_sums = dict(sums)
+        for name, written in self._pending.items():
+            places = np.array(list(written))
+            before = self._next_sums.get(name, np.zeros((0,) * places.shape[1], np.uint32))
+            after = np.zeros(np.maximum(before.shape, places.max(axis=0) + 1), np.uint32)
+            after[tuple(map(slice, before.shape))] = before
+            after[tuple(places.T)] = [checksum for _, checksum in written.values()]
+            self._next_sums[name] = after
+        return serialize_numbers({**numbers, **{f"{SUM_PREFIX}{name}": sums for name, sums in self._next_sums.items()}})
 
     def store_state(self, numbers: Mapping[str, Any], about: Mapping[str, Any]) -> StoredState:
         """Write the numbers from which a run resumes; return the entry for `commit`, with `about`."""
         self.check_lock()
-        raw, file = serialize_numbers(numbers), f"{STATE_FILE_PREFIX}{secrets.token_hex(6)}.npz"
+        raw, file = self._numbers_and_sums(numbers, self.sums), f"{STATE_FILE_PREFIX}{secrets.token_hex(6)}.npz"
         self.folder.write(HIDDEN_FOLDER, file, raw)
         self._touched.add(HIDDEN_FOLDER)
         return StoredState(file, hashlib.sha256(raw).hexdigest(), dict(about))
 
+    def begin_block(self, block: MemberBlock) -> Marker | None:
+        """Return the marker from which a block resumes; None if it begins, also if its marker is damaged."""
+        try:
+            marker = self.read_marker(self.folder, block)
+        except ArchiveUnreadable:
+            raise
+        except ArchiveError:
+            marker = None
+        self._progress[block.number] = marker and (marker.head["rows"], sums_among(marker.numbers))
+        return marker
+
     def write_marker(self, block: MemberBlock, about: Mapping[str, Any], stored: Mapping[str, Any]) -> None:
         """Commit a block by its marker, atomically: a line of JSON with checksums, then the numbers."""
         self.folder.sync_to_disk(self._touched)
-        raw = serialize_numbers(stored)
+        before = self._progress_of(self.folder, block.number)
+        raw = self._numbers_and_sums(stored, before[1] if before else {})
         head = json.dumps({"about": dict(about), "bytes": len(raw), "numbers": hashlib.sha256(raw).hexdigest()})
-        line = f"{hashlib.sha256(head.encode()).hexdigest()} {head}\n"
+        line = f"{digest_of_marker(self.attributes, block, head)} {head}\n"
+        self.check_lock()
         self.folder.write(HIDDEN_FOLDER, block.marker, line.encode() + raw)
         self.folder.sync_to_disk([HIDDEN_FOLDER])
-        self._touched = set()
+        self._progress[block.number] = about["rows"], self._next_sums or {}
+        self._touched, self._pending = set(), {}
         self.check_not_replaced()
 
-    def commit(
-        self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState] = ()
-    ) -> None:
+    def commit(self, attributes: Mapping[str, Any], lengths: Mapping[str, int], states: Iterable[StoredState]) -> None:
         """Commit everything written so far, atomically; states not in `states` are removed."""
         # An error of `REPLACED`: nothing was committed (another lock file), or all in a folder that was moved.
         self.check_lock()
@@ -239,11 +291,13 @@ class ArchiveStore(Archive):
             name: array._replace(shape=(lengths[array.dims[0]], *array.shape[1:])) if array.grows else array
             for name, array in self.arrays.items()
         }
-        merged = {**self.attributes, **attributes}
+        states = list(states)
+        merged = {**self.attributes, **attributes, STATES: json.dumps(states)}
         self.folder.sync_to_disk(self._touched)
         changed = {name: array for name, array in arrays.items() if array != self.arrays[name]}
         self.folder.write("", ROOT_FILE, _json(root_content(arrays, merged)))
-        self.arrays, self.attributes, self._touched = arrays, merged, set()
+        self.arrays, self.attributes, self._touched, self._pending = arrays, merged, set(), {}
+        self.sums = self.sums if self._next_sums is None else self._next_sums
         self.folder.sync_to_disk([""])
         self._write_arrays(changed)
         retained = {state.file for state in states}
@@ -265,125 +319,5 @@ def unwritable_error(path: Path, reason: OSError) -> ArchiveError:
     return ArchiveError(f"{path}: cannot be written ({reason.strerror or reason}); its content is unchanged")
 
 
-def root_content(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of the root."""
-    metadata = {name: array.metadata() for name, array in arrays.items()}
-    metadata[HIDDEN_FOLDER] = {**GROUP_METADATA, "attributes": {}}
-    return {
-        **GROUP_METADATA,
-        "attributes": {name: getattr(value, "item", lambda value=value: value)() for name, value in attributes.items()},
-        "consolidated_metadata": {"kind": "inline", "must_understand": False, "metadata": metadata},
-    }
-
-
 def _json(content: Mapping[str, Any]) -> bytes:
     return json.dumps(content).encode("utf-8")
-
-
-BLOCKS, MIN_STATE_BYTES = 64, 2**24
-"""A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
-
-
-class ArchiveSink:
-    """Takes the pieces of a run into an archive, whose root has its progress; or of a `block`, with its own marker.
-
-    `head` is the progress as last committed; `began` is the time at which the call of a run began.
-    """
-
-    def __init__(
-        self, store: ArchiveStore, head: Mapping[str, Any], block: MemberBlock | None = None, began: float = 0.0
-    ) -> None:
-        self.store, self.head, self.block, self._began = store, head, block, began
-        self._states = [] if block else store.states
-        self._seconds, self._elapsed = (float(head.get(name, 0.0)) for name in ("seconds", "elapsed"))
-
-    def take(self, run: PiecewiseRun) -> None:
-        """Commit the steps computed so far; ArchiveUnwritten if that fails: the archive holds the last commit."""
-        if run.number == self.head.get(STEPS):
-            return
-        piece: Solution | None = None
-        try:
-            piece = run.piece()
-            self._write(run, piece)
-            if self.block is None:
-                self._commit_run(run, progress_of(run, piece, self._seconds))
-            else:
-                self._commit_block(self.block, run, piece)
-        except (OSError, ArchiveError) as reason:
-            if self.block is not None:
-                raise
-            steps = self.store.attributes.get(STEPS, 0)
-            error = unwritten_archive(
-                self.store.path,
-                reason,
-                f"the run was written up to step {steps}, and the new content of this path was not changed",
-                f"it holds the run up to step {steps}, from which co.resume continues",
-            )
-            error.partial = None if steps == run.number else piece
-            raise error from reason
-
-    def _write(self, run: PiecewiseRun, piece: Solution) -> None:
-        """Write the points of a piece; the times of an ensemble are written when its archive is begun."""
-        members = () if self.block is None else (self.block.first,)
-        series = time_variables(piece) | (time_coordinate(piece.t) if self.block is None else {})
-        for name, (_, values, _) in series.items():
-            self.store.write(name, values, (run.first, *members))
-        for name, (_, values, _) in summary_variables(piece).items():
-            self.store.write(name, values, members)
-
-    def _commit_run(self, run: PiecewiseRun, progress: dict[str, Any]) -> None:
-        lengths = {"time": run.first + run.points_held}
-        states = self._store_states(run, lengths)
-        elapsed = self._elapsed + time.perf_counter() - self._began
-        self.store.commit({**progress, STATES: json.dumps(states), "elapsed": elapsed}, lengths, states)
-        self._states, self.head = states, self.store.attributes
-
-    def _commit_block(self, block: MemberBlock, run: PiecewiseRun, piece: Solution) -> None:
-        failed = np.asarray(piece.failed)
-        status = np.where(failed, FAILED, DONE) if run.is_over else np.full(len(failed), PENDING)
-        self.store.write(STATUS, status, (block.first,))
-        self.head = {
-            **progress_of(run, piece, self._seconds),
-            "failed": int(failed.sum()),
-            "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
-            "rows": run.first + run.points_held,
-        }
-        if "failed_reason" in self.head:
-            # Members are numbered within the block here; the ensemble adds the member that failed.
-            failed_members = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"
-            self.head["failed_reason"] = self.head["failed_reason"].replace(failed_members, "")
-        self.store.write_marker(block, self.head, run.stored())
-
-    def _store_states(self, run: PiecewiseRun, lengths: Mapping[str, int]) -> list[StoredState]:
-        """Store the state; return the states to retain: those at block starts, and the last of an unfinished run."""
-        store = self.store
-        blocks = [state for state in self._states if state.about["block"]]
-        bytes_of_state = 8 * run.run.state.arrays.numbers.size
-        max_state_bytes = max(
-            MIN_STATE_BYTES, 8 * lengths["time"] * sum(prod(array.shape[1:]) for array in store.arrays.values()) // 4
-        )
-        steps_of_block = run.number - (blocks[-1].about["number"] if blocks else 0)
-        starts_block = (
-            not run.is_over
-            and steps_of_block * BLOCKS >= run.run.times.steps
-            and (len(blocks) + 1) * bytes_of_state <= max_state_bytes
-        )
-        state = store.store_state(
-            run.stored(starts_block), {"number": run.number, **lengths, "block": int(starts_block)}
-        )
-        if run.is_over and not self._states[-1].about["block"]:
-            blocks.append(self._states[-1])
-        return [*blocks, state]
-
-
-def progress_of(run: PiecewiseRun, piece: Solution, earlier_seconds: float) -> dict[str, Any]:
-    """Return the attributes with the progress of a run, and with its failure."""
-    failure, stats = run.failure(piece) if run.is_over else None, piece.stats
-    return {
-        STEPS: run.number,
-        FINISHED: int(run.is_over),
-        "evaluations": stats.evaluations,
-        "iterations": stats.iterations,
-        "seconds": earlier_seconds + stats.seconds,
-        **(failure_attributes(failure) if failure else {}),
-    }

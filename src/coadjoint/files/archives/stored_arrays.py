@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import io
 import itertools
+import json
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from math import prod
@@ -26,7 +27,7 @@ from coadjoint.short_repr import short
 
 GROWING_DIMENSIONS = ("time", "crossing")
 """Dimensions along which arrays grow."""
-MIN_CHUNK_ROWS, MAX_CHUNK_ROWS = 2**10, 2**16  # points: short runs may be continued, and parts of long ones read
+MAX_CHUNK_ROWS = 2**16  # points; also of short runs, which may be resumed to a later end
 CHUNK_BYTES = 2**22
 """Size of a chunk before compression, unless a single row is longer."""
 TYPES = {"f": "float64", "i": "int64", "b": "bool"}
@@ -130,6 +131,21 @@ class StoredArray(NamedTuple):
             if all(slice_.start < slice_.stop for slice_ in outside):
                 yield indices, tuple(inside), tuple(outside)
 
+    def chunk_indices(self, axis: int | None = None, index: int | None = None) -> Iterator[tuple[int, ...]]:
+        """Yield the indices of all chunks, or of those with an index along an axis, along time in order."""
+        along = [range(-(-size // step)) for size, step in zip(self.shape, self.chunk, strict=True)]
+        if axis is not None and index is not None:
+            along[axis] = range(index, index + 1)
+        return itertools.product(*along)
+
+    def sum_of(self, rows: NDArray[Any]) -> int:
+        """Return the CRC-32C of rows of a chunk, which does not depend on their compression."""
+        import google_crc32c
+
+        if self.kind == "string":
+            return int(google_crc32c.value(json.dumps(rows.tolist()).encode()))
+        return int(google_crc32c.value(np.ascontiguousarray(rows, np.dtype(self.kind).newbyteorder("<")).tobytes()))
+
     def empty(self) -> NDArray[Any]:
         """Return a chunk of fill values."""
         if self.kind == "string":
@@ -197,9 +213,9 @@ def chunk_of(dims: tuple[str, ...], shape: tuple[int, ...], rows: int, members: 
     return tuple(max(1, size) for size in chunk)
 
 
-def rows_of_chunk(numbers: int, rows: int) -> int:
-    """Return the rows of a chunk, if a row of the longest array has this many numbers; short runs get spare rows."""
-    return max(1, min(CHUNK_BYTES // (8 * max(1, numbers)), MAX_CHUNK_ROWS, max(MIN_CHUNK_ROWS, rows)))
+def rows_of_chunk(numbers: int) -> int:
+    """Return the rows of a chunk, if a row of the longest array has this many numbers."""
+    return max(1, min(CHUNK_BYTES // (8 * max(1, numbers)), MAX_CHUNK_ROWS))
 
 
 NPY_SUFFIX = ".npy"

@@ -24,6 +24,7 @@ from coadjoint.errors import ConfigurationError, in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
+from coadjoint.regular_files import read_array_file
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import declared_names
 from coadjoint.systems.forces import registry as described
@@ -32,7 +33,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
 from coadjoint.systems.system import System
-from coadjoint.validation import check_parameters, from_description, read_array_file, read_choice
+from coadjoint.validation import check_parameters, from_description, read_choice
 
 NPY_SUFFIX = ".npy"
 

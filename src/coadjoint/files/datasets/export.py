@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError, OneLineError
-from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, stacked, unstacked
+from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, in_order, stacked, unstacked
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
     OBSERVED_NAMES,
@@ -304,6 +304,8 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
             f"the given system, {short(system.name, 60)}, has {count}states of shape {system.shape}, but x0 of the run "
             f"has the shape {x0.shape}; give the system of the run, as its solution had it, `sol.system`"
         )
+    if "component" in sizes:
+        x0 = state_of(in_order(dataset, "component", coordinate_names(system)), "x0", STATE_DIMENSIONS)
     if events is None:
         events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
     return {

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import json
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import OneLineError, in_one_line
-from coadjoint.files.archives.archive import HIDDEN_FOLDER
 from coadjoint.files.archives.archived_solution import solution_at
 from coadjoint.files.archives.folder import remote_folder
+from coadjoint.files.archives.root import HIDDEN_FOLDER
+from coadjoint.files.archives.run_checks import ARRAY_TYPES, FLOAT_ARRAYS, SERIES_PREFIXES, check_arrays
+from coadjoint.files.archives.stored_arrays import TYPES, StoredArray
 from coadjoint.files.datasets.export import (
     ENDED_ATTRIBUTE,
     REQUIRED_ATTRIBUTES,
@@ -23,19 +26,23 @@ from coadjoint.files.datasets.export import (
     events_of_dataset,
     stored_inputs,
 )
-from coadjoint.files.datasets.named_axes import stacked
+from coadjoint.files.datasets.named_axes import in_order, stacked
 from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.files.datasets.writers import CHECKSUM, checksum_of
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
+from coadjoint.files.records.entries import parsed
+from coadjoint.files.records.records import system_of
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
+from coadjoint.regular_files import open_regular
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
+from coadjoint.runs.times import output_times_of, times_of
 from coadjoint.systems.batch import SUFFIX
-from coadjoint.systems.coordinates import coordinates_of
+from coadjoint.systems.coordinates import coordinate_names, coordinates_of
 from coadjoint.validation import read_path
 
 if TYPE_CHECKING:
@@ -198,7 +205,7 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     >>> bool((again.x == sol.x).all()), again.drift() == sol.drift(), again.method
     (True, True, Splitting(order=2...))
     """
-    source = remote_folder(path) or read_path(path, "path")
+    source = remote_folder(path) or read_path(path, "path").absolute()
     if not isinstance(source, Path):
         return solution_at(source, system)
     shown = in_one_line(str(source), 200)
@@ -229,7 +236,9 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
             check_available_memory(2 * opened.nbytes, f"{shown}: the run in it", "read parts of it with xarray")
             dataset = opened.load()
         checksum = dataset.attrs.get(CHECKSUM)
-        if checksum is not None and checksum != checksum_of(dataset):
+        if checksum is None:  # changed, or copied from an archive
+            dataset = _checked(dataset, system)
+        elif checksum != checksum_of(dataset):
             raise OneLineError(
                 f"{shown}: its content does not match its checksum: it was damaged, or changed after it was "
                 f"written; if the change was intended, remove its attribute {CHECKSUM} and write it again"
@@ -241,6 +250,37 @@ def load(path: str | Path | Mapping[str, Any], system: Any = None) -> Solution:
     return solution_of_dataset(source, dataset, system)
 
 
+def _checked(dataset: xarray.Dataset, system: Any) -> xarray.Dataset:
+    """Return a dataset whose coordinates are in the order of its run; ValueError unless it describes one run."""
+    content, attributes = stacked(dataset), dataset.attrs
+    arrays = {
+        name: StoredArray(
+            tuple(map(str, array.dims)), TYPES.get(array.dtype.kind, "string"), array.shape, array.shape, array.attrs
+        )
+        for name, array in ((str(name), array) for name, array in content.variables.items())
+        if name in (*FLOAT_ARRAYS, *ARRAY_TYPES) or name.startswith(SERIES_PREFIXES)
+    }
+    check_arrays(arrays, content["account"].values.tolist() if "account" in content.coords else [])
+    span, step = json.loads(attributes["t_span"]), float(attributes["step"])
+    times, t = times_of(span, step, int(attributes["save_every"])), content["time"].values
+    try:
+        saved = output_times_of(t, times)
+    except ValueError as reason:
+        raise ValueError(str(reason).replace("t_eval", "time")) from None
+    # The last interval may be shorter, and an event may end the run at any time.
+    at_steps = (saved.length[:-1] == 0.0) & (saved.number[:-1] % times.save_every == 0)
+    if not (attributes["between_steps"] or at_steps.all()):
+        first = float(t[int(at_steps.argmin())])
+        raise ValueError(f"the time {first!r} is none at which the run saves; its times begin at {times.t0!r}")
+    if "component" in dataset.coords:
+        with suppress(ValueError):  # its functions were not stored
+            stored = parsed(attributes["system"], "system")
+            system = system_of(stored, dataset.sizes["component"]) if system is None else system
+        if system is not None:
+            dataset = in_order(dataset, "component", coordinate_names(system.in_numbers))
+    return dataset
+
+
 def _reader(path: Path) -> tuple[str, tuple[str, ...]]:
     """Return the xarray engine for a file or folder, and the packages it needs."""
     shown = in_one_line(str(path), 200)
@@ -250,15 +290,9 @@ def _reader(path: Path) -> tuple[str, tuple[str, ...]]:
                 f"{in_one_line(str(path), 200)}: is a folder that holds no run; give a .nc file or a .zarr folder"
             )
         return "zarr", ("xarray", "zarr")
-    if path.exists() and not path.is_file():
-        raise OneLineError(f"{shown}: is no file and no folder")
-    with open(path, "rb", opener=_open_nonblocking) as file:
+    with open_regular(path) as file:
         signature = file.read(4)
     for known_signature, engine in FILE_SIGNATURES.items():
         if signature.startswith(known_signature):
             return engine
     raise OneLineError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
-
-
-def _open_nonblocking(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

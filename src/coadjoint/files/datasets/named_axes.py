@@ -1,9 +1,9 @@
-"""Named axes of the members of a family in a dataset: stored over ``member``, and shown as dimensions."""
+"""Dimensions of datasets by their names and labels; named axes of members, stored over ``member``."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import prod
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,8 @@ import numpy as np
 from coadjoint.files.records.entries import parsed
 from coadjoint.files.records.reconstruction import Axes, axes_of_record
 from coadjoint.files.records.records import axes_record
+from coadjoint.labels import COMPLEX_PARTS
+from coadjoint.short_repr import short
 from coadjoint.systems.batch import SUFFIX, Axis
 
 if TYPE_CHECKING:
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
 AXES = "axes"
 """Attribute with the axes: a list of [name, length, coordinates or null]."""
 MEMBER = "member"
+BEFORE_MEMBERS = ("time", "crossing")
+AFTER_MEMBERS = ("layer", "row", "column", "component", "account", "invariant", "tenth", "body", "axis")
+"""Dimensions in the order of the arrays of a run, before others: fields over their grids, and parts of numbers."""
 
 
 def axes_of_system(system: Any) -> Axes:
@@ -83,11 +88,39 @@ def _reduced(dims: tuple[str, ...], values: Any) -> tuple[tuple[str, ...], Any]:
     return dims, values
 
 
+def in_order(dataset: xarray.Dataset, dim: str, labels: Sequence[Any]) -> xarray.Dataset:
+    """Return a dataset with the labels of a dimension in a given order, each of which occurs once."""
+    found = dataset[dim].values.tolist() if dim in dataset.coords else list(labels)
+    if found == list(labels):
+        return dataset
+    if sorted(map(str, found)) != sorted(map(str, labels)) or len(set(found)) < len(found):
+        raise ValueError(f"the coordinate {dim} is {short(found)}; the run has {short(list(labels))}")
+    return dataset.isel({dim: [found.index(label) for label in labels]})
+
+
+def _by_names(dataset: xarray.Dataset, axes: Sequence[str]) -> xarray.Dataset:
+    """Return a dataset whose arrays have dimensions and labels in the order of a run, whatever their own order."""
+    # An axis may be called member.
+    order = dict.fromkeys((*BEFORE_MEMBERS, *axes, MEMBER, *AFTER_MEMBERS, ..., "part"))
+    dataset = dataset.transpose(*order, missing_dims="ignore")
+    dataset = in_order(dataset, "part", COMPLEX_PARTS)
+    dataset = in_order(dataset, "tenth", range(1, 11))
+    if "invariant" in dataset.coords:
+        names = [str(name) for name in dataset["invariant"].values]
+        if len(set(names)) < len(names) or "energy" not in names:
+            raise ValueError(f"the invariants are {short(names)}; they must be the energy and others, each once")
+        dataset = in_order(dataset, "invariant", ["energy", *(name for name in names if name != "energy")])
+    return dataset
+
+
 def stacked(dataset: xarray.Dataset) -> xarray.Dataset:
     """Return a dataset over ``member`` from one with axes as dimensions: the inverse of `unstacked`."""
-    if AXES not in dataset.attrs:
+    names = []
+    if AXES in dataset.attrs:
+        names = [name.entries(3)[0].text() for name in parsed(dataset.attrs[AXES], AXES).entries()]
+    dataset = _by_names(dataset, names)
+    if not names:
         return dataset
-    names = [name.entries(3)[0].text() for name in parsed(dataset.attrs[AXES], AXES).entries()]
     attributes = {name: value for name, value in dataset.attrs.items() if name != AXES}
     dims = dataset["x0"].dims if "x0" in dataset else ()
     if MEMBER in dims and dims[: len(names)] != tuple(names):  # an archive, read by other means
@@ -96,6 +129,9 @@ def stacked(dataset: xarray.Dataset) -> xarray.Dataset:
     if missing:
         raise ValueError(f"the dataset has no dimension {missing[0]!r}, an axis of its attributes")
     axes = stored_axes(dataset.attrs, prod(dataset.sizes[name] for name in names))
+    for name, axis in axes.items():
+        if axis.values is not None:
+            dataset = in_order(dataset, name, axis.values.tolist())
     import xarray
 
     lengths = tuple(axis.length for axis in axes.values())

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from coadjoint.regular_files import open_regular
+
 if TYPE_CHECKING:
     import xarray
     from zarr.core.buffer import Buffer
@@ -223,7 +225,8 @@ def write_zarr(dataset: xarray.Dataset, path: Path, writing: Callable[[], Abstra
 def foreign_file(path: Path) -> str:
     """Return the name of a file that `write_zarr` did not write (or of the missing index); empty if there is none."""
     try:
-        listed = json.loads((path / INDEX_FILE).read_text(encoding="utf-8"))[FILE_LIST]
+        with open_regular(path / INDEX_FILE) as index:
+            listed = json.load(index)[FILE_LIST]
         known = set(listed) if isinstance(listed, list) else set()
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         known = set()

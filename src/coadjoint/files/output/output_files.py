@@ -13,6 +13,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +24,7 @@ from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, with_chec
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
+from coadjoint.regular_files import open_regular
 from coadjoint.validation import read_path, read_positive
 
 if TYPE_CHECKING:
@@ -93,7 +95,7 @@ def _check_replaceable(target: Path) -> None:
     if target.suffix != ".zarr":
         if target.is_dir():
             raise OutputError(f"{target}: is a folder; give the name of a file")
-        if target.suffix in HEADERS and target.exists() and OWN_HEADER not in target.read_bytes()[:MOST_OF_A_TITLE]:
+        if target.suffix in HEADERS and target.exists() and OWN_HEADER not in _title_of(target):
             raise OutputError(
                 f"{target}: is a header that coadjoint did not write, so it is not replaced; give another name"
             )
@@ -107,6 +109,11 @@ def _check_replaceable(target: Path) -> None:
             )
 
 
+def _title_of(header: Path) -> bytes:
+    with open_regular(header) as file:
+        return file.read(MOST_OF_A_TITLE)
+
+
 def _try_target(target: Path) -> None:
     """Create and remove the output once: the name may be too long, the disk full, or the folder not writable."""
     with PendingOutput(target) as trial:
@@ -117,15 +124,25 @@ def _try_target(target: Path) -> None:
             trial.path.touch()
 
 
+@contextmanager
+def pending(target: Path) -> Iterator[PendingOutput]:
+    """Write to a target atomically in the context; OutputError with its path if that fails, as on a full disk."""
+    try:
+        with PendingOutput(target) as unfinished:
+            yield unfinished
+            unfinished.finish()
+    except OSError as reason:
+        raise OutputError(f"{target}: cannot be written ({reason.strerror or reason}); give another folder") from None
+
+
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a checksum of its content."""
     # A Zarr store is a folder: when one is replaced, there is a moment without either.
     target = check_target(path)
     dataset = with_checksum(dataset)
     write = write_netcdf if target.suffix == ".nc" else write_zarr
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         _run_in_thread(lambda: write(dataset, unfinished.path, unfinished.writing), unfinished.abandon)
-        unfinished.finish()
 
 
 def _run_in_thread(work: Callable[[], None], abandon: Callable[[], None]) -> None:
@@ -144,17 +161,15 @@ def write_figure(figure: Figure, path: str | Path) -> None:
     target = check_target(path, FIGURES)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=target.suffix[1:])
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         unfinished.path.write_bytes(buffer.getbuffer())
-        unfinished.finish()
 
 
 def write_text(text: str, path: str | Path, suffixes: Iterable[str] = TEXTS) -> None:
     """Write text (JSON, a page or a header) to a file with one of the suffixes, atomically; see `check_target`."""
     target = check_target(path, suffixes)
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         unfinished.path.write_text(text, encoding="utf-8")
-        unfinished.finish()
 
 
 def check_movie(path: str | Path) -> Path:
@@ -179,9 +194,8 @@ def write_movie(frames: Any, target: Path, fps: float) -> None:
     `frames` are drawn lazily: they have a `count`, a `size` (width, height), and `samples()`, a few that have the
     colours of all. Iteration over both yields RGBA bytes, (height, width, 4).
     """
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.path, fps)
-        unfinished.finish()
 
 
 def _ffmpeg() -> str | None:

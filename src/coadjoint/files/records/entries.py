@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
-from itertools import chain
+from itertools import accumulate, chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,9 +22,11 @@ from coadjoint.validation import is_integer, is_real
 CASIMIR, EXACT, INTEGRAL = "casimir: ", "exact solution: ", "integral: "
 STREAM, ENERGY = "stream: ", "energy: "
 MAX_DEPTH = 32
+MAX_NESTING = 64  # of JSON, more than the library writes
 MAX_CHARACTERS = 2000
 MAX_INTEGER = 2**62
 Value = TypeVar("Value")
+_STRING, _BRACKET = re.compile(r'"(?:[^"\\]|\\.)*"'), re.compile(r"[\[{\]}]")
 _QUOTIENT = re.compile(r"(-?\d{1,400})/(\d{1,1500})")
 
 
@@ -196,12 +198,21 @@ def parsed(value: Any, path: str) -> Entry:
     """Parse an attribute that contains JSON."""
     text = Entry(value, path).instance(str, "text, JSON")
     try:
-        return Entry(json.loads(text), path)
+        return Entry(decode_json(text), path)
     except ValueError as reason:
         problem = in_one_line(str(reason), 120)
-    except RecursionError:
-        problem = "lists or tables are nested too deeply"
     raise ValueError(f"{path} is {short(value, 60)}, which is no JSON: {problem}")
+
+
+def decode_json(text: str, **options: Any) -> Any:
+    """Decode JSON; ValueError for deep nesting, and RecursionError only where the caller is what is nested."""
+    try:
+        return json.loads(text, **options)
+    except RecursionError:
+        depths = accumulate(1 if bracket in "[{" else -1 for bracket in _BRACKET.findall(_STRING.sub("", text)))
+        if max(depths, default=0) <= MAX_NESTING:
+            raise
+    raise ValueError("lists or tables are nested too deeply")
 
 
 @contextmanager

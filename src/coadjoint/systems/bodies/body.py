@@ -180,9 +180,28 @@ def _in_state(M: npt.NDArray[Any], dim: int) -> npt.NDArray[Any]:
     return matrix
 
 
+ATTITUDE = {
+    "L": ("momentum", "mass length^2/time"),
+    **{axis: ("axis", "1") for axis in AXES},
+    "k": ("momentum", "mass length^2/time"),
+    "cos": ("angle", "1"),
+    "sin": ("angle", "1"),
+    "held": ("memory", ""),
+}
+"""Kinds and units of the coordinates of a body, its rotors, and what forces hold."""
+IN_SPACE = {
+    **{name: ATTITUDE[name] for name in ("L", *AXES)},
+    "p": ("momentum", "mass length/time"),
+    "r": ("position", "length"),
+    "z": ("constant", "1"),
+}
+"""Kinds and units of the coordinates of bodies with positions."""
+
+
 @ready_made(
     energy=_energy,
     symmetric=("inertia",),
+    coordinates=ATTITUDE,
     gallery_entry=GalleryEntry(
         x0=(0.01, 1.0, 0.01, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
         t_span=(0.0, 90.0),

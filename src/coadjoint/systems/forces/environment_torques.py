@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,12 +11,13 @@ import numpy as np
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
     body_products,
+    check_value,
     prescribed,
     read_prescribed,
     read_tensor,
     tensor,
 )
-from coadjoint.systems.user_functions import callable_from_compiled
+from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 
@@ -28,7 +28,7 @@ class GravityGradient(BodyTorque):
     Gravity is that of a centre with second moments: ``U(r) = -mu (1/r + (tr Q - 3 u . Q u)/(2 r^3))``, u the direction
     of r, and the torque is that of the inertia tensor I of the body in its gradient. From a point, Q = 0, it is ``3 mu
     r^-5 r cross I r``, r in the body frame. For a circular or elliptic orbit about a point
-    `co.systems.satellite_on_orbit` has the same torque as a part of its energy.
+    `co.systems.satellite_on_orbit` has the same torque as a part of its energy, and refuses this force.
 
     Parameters
     ----------
@@ -66,8 +66,16 @@ class GravityGradient(BodyTorque):
 
     def __post_init__(self) -> None:
         self._read(mu=read_number, position=read_prescribed, quadrupole=read_tensor)
-        if not callable(self.position) and not any(self.position):
+        if not np.any(self.position(SAMPLE_TIME) if callable(self.position) else self.position):
             raise ValueError("position of GravityGradient is zero; give that of the body from the centre")
+
+    def check(self, system: Any) -> None:
+        super().check(system)
+        if system.frame_rate is not None:
+            raise ValueError(
+                f"the energy of {system.name} has the torque of GravityGradient already; leave it out, or take "
+                "co.systems.body, or for another centre a co.forces.Torque"
+            )
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
         in_body, crossed = body_products()
@@ -142,7 +150,12 @@ class MagneticDipole(BodyTorque):
         self._read(moment=read_prescribed)
         if self.position is not None:
             self._read(position=read_prescribed)
-        self._read(B=partial(read_prescribed, arguments="t" if self.position is None else "t, r"))
+        if self.position is None or not callable(self.B):
+            self._read(B=read_prescribed)
+        else:
+            check_arguments(self.B, "B of MagneticDipole", "t, r")
+            place = prescribed(self.position)(SAMPLE_TIME)
+            check_value(self.B, "B of MagneticDipole", (3,), SAMPLE_TIME, np.asarray(place, dtype=np.float64))
         if callable(self.moment):
             raise TypeError("moment of MagneticDipole is a function; give three numbers, or a co.forces.Torque")
         if self.position is not None and not callable(self.B):

@@ -38,7 +38,7 @@ class RelativeVorticity(np.ndarray):
 def _warn_of_frame(name: str) -> None:
     """Warn, once for each name, that the default of `absolute` has changed."""
     warn_caller(
-        f"{name} of a rotating sphere has relative vorticities by default, absolute=False, where it had absolute ones; "
+        f"the default of absolute= has changed: {name} of a rotating sphere means the vorticity relative to the frame; "
         "give absolute=False, or absolute=True for the absolute vorticity and for other fields",
         FutureWarning,
     )

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.optional_packages import require_packages
+from coadjoint.regular_files import open_regular, read_array_file
 from coadjoint.short_repr import short
-from coadjoint.validation import read_array_file, read_finite, read_integer, read_path
+from coadjoint.validation import read_finite, read_integer, read_path
 
 if TYPE_CHECKING:
     import xarray
@@ -97,6 +98,7 @@ def read_field(path: str | Path, surface: str, variable: str | None, select: Map
     require_packages(f"{short(file.name)}: NetCDF", "xarray", "h5netcdf")
     import xarray
 
+    open_regular(file).close()
     with xarray.open_dataset(file) as dataset:
         return _of_dataset(dataset, surface, short(file.name), variable, select).load()
 
