@@ -134,13 +134,10 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
         defined.append(f"#define COADJOINT_WIDEST {exported.widest}")
     defined += [f"typedef {kind} coadjoint_index;"] if "coadjoint_index" in body else []
     code = "\n".join([INCLUDES, *defined, "", called, body, END])
-    code = re.sub(r"\bcoadjoint_(\w+)", lambda found: f"{name}_{_internal(found[1])}", code)
+    own = re.compile(r"\bcoadjoint_(\w+)")
+    code = own.sub(lambda found: f"{name}_{found[1] if found[1] in PUBLIC else found[1].replace('_', '')}", code)
     code = code.replace("COADJOINT_", f"{_of_macros(name)}_")
     return _comment(prepared, name, tangent, exported) + "\n".join(map(_wrapped, code.split("\n")))
-
-
-def _internal(function: str) -> str:
-    return function if function in PUBLIC else function.replace("_", "")
 
 
 def _of_macros(name: str) -> str:

@@ -326,8 +326,7 @@ def _on_a_line(places: Floats, m: Floats) -> tuple[Floats, Floats] | None:
     axis = scaled[np.argmax(m * (scaled * scaled).sum(axis=1))]
     for _ in range(3):
         axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
-        along = [math.fsum(row) for row in (scaled * axis).tolist()]
-        weights = m * along
+        weights = m * [math.fsum(row) for row in (scaled * axis).tolist()]
         axis = np.array([math.fsum((weights * scaled[:, i]).tolist()) for i in range(3)])
     axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
     axis[np.abs(axis) < ROUNDED_LINE] = 0.0  # an axis of coordinates is one exactly
