@@ -271,7 +271,6 @@ class System:
         """
         return require_closed_form(self.closed_form, self.name)(x0, t, attitude)
 
-    @in_standard_mode
     def with_forces(self, *forces: Force) -> Self:
         """Return the system with damping, torques or noise, after the forces that it has.
 

@@ -43,7 +43,7 @@ from coadjoint.short_repr import short
 from coadjoint.validation import read_bool, read_path
 
 PUBLIC = {"step", "run", "first", "next", "finish", "step_with_tangents", "run_with_attitude"}
-"""Functions of a header. Others have no underscore in their names, so that those of two headers are never equal."""
+# Other functions have no underscore in their names, so that those of two headers are never equal.
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 """Names of C functions; longer ones are not distinguished by all linkers."""
 
@@ -134,13 +134,11 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
         defined.append(f"#define COADJOINT_WIDEST {exported.widest}")
     defined += [f"typedef {kind} coadjoint_index;"] if "coadjoint_index" in body else []
     code = "\n".join([INCLUDES, *defined, "", called, body, END])
-    code = re.sub(r"\bcoadjoint_(\w+)", lambda found: f"{name}_{_internal(found[1])}", code)
+    code = re.compile(r"\bcoadjoint_(\w+)").sub(
+        lambda found: f"{name}_{found[1] if found[1] in PUBLIC else found[1].replace('_', '')}", code
+    )
     code = code.replace("COADJOINT_", f"{_of_macros(name)}_")
     return _comment(prepared, name, tangent, exported) + "\n".join(map(_wrapped, code.split("\n")))
-
-
-def _internal(function: str) -> str:
-    return function if function in PUBLIC else function.replace("_", "")
 
 
 def _of_macros(name: str) -> str:
