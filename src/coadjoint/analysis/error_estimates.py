@@ -40,7 +40,7 @@ COMPARED = 64  # points at which a run is compared with one of half the step
 ENERGY_SUSPECTED = 0.01  # deviation of an invariant from which on the run is repeated
 # Number of members whose invariants deviate most, and of points at which the size of an invariant is taken.
 MOST_LOST, SIZED = 16, 16
-LOST_DIGITS = 2.0**-36  # size of an invariant of which rounding leaves no digits, relative to its terms
+LOST_DIGITS = 2.0**-36  # size of a motion, or of an invariant in its terms, of which rounding leaves few digits
 SUGGESTED = 0.002  # error of the step that a warning suggests, relative to the change of the state in it
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
 # are not powers of two, so that the rounding of their steps differs from that of the run.
@@ -167,7 +167,8 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep) -> float:
     lengthened = error + 2.0 * max(0.0, error - early) * (count / steps - 1.0)
     if worst.at_rest:
         return lengthened / float(np.linalg.norm(measured.scaled(state[0], m)))
-    moved = float(np.nanmax(np.linalg.norm(path - path[0], axis=1)))
+    # A motion of which rounding leaves few digits has no errors of steps.
+    moved = max(float(np.nanmax(np.linalg.norm(path - path[0], axis=1))), LOST_DIGITS * float(np.linalg.norm(path[0])))
     if moved == 0.0:
         return 0.0
     # A part that moves as far as the run is one of several turns: phases of later ones do not count.
