@@ -117,8 +117,8 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
     elif error > OVER_RUN and rounded is None:
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
-            f"{worst.truncation:.2g} of the change of the state, and that of the run {error:.2g} of the motion, though "
-            "invariants may be kept; take a step of about "
+            f"{worst.truncation:.2g} of the change of the state, and such errors add up to {error:.2g} of the motion, "
+            "though invariants may be kept; take a step of about "
             f"{_smaller_step(solution, prepared, error, worst.truncation):.1g}",
             LargeStepWarning,
         )
@@ -148,14 +148,16 @@ def _smaller_step(solution: Solution, prepared: Preparation, error: float, trunc
 def error_over_run(measured: MeasuredSteps, worst: WorstStep) -> float:
     """Return the error of the run of a member by half steps, relative to its motion; of a long run, of a part.
 
-    The part begins at the worst step. Errors that grow in it are extrapolated. Of a state at rest the error is relative
-    to the state, since all that changes is error.
+    The part begins at the worst step; where errors of steps are small it is a turn. Slow errors that grow in it are
+    extrapolated. Of a state at rest the error is relative to the state, since all that changes is error.
     """
     m, t, state, h = worst.m, worst.t, worst.state, measured.h
     count = max(1, math.ceil(measured.step_count(m) * (1.0 - WHOLE_STEP_TOLERANCE)))
-    if (steps := most_steps(measured.solution, state.size, h)) >= count:
+    most: float = most_steps(measured.solution, state.size, h)
+    most = most if worst.truncation > SUSPECTED else min(most, measured.steps_of_turn(m))
+    if most >= count:
         t, state = measured.points[0][0], measured.points[0][1][m : m + 1]
-    steps, one = min(steps, count), measured.of_member(m)
+    steps, one = int(min(most, count)), measured.of_member(m)
     every = max(1, steps // COMPARED)
     path, finer = (
         measured.scaled(trial_states(one, state, Times(t, h / k, k * steps, k * every))[:, 0], m) for k in (1, 2)
@@ -171,7 +173,7 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep) -> float:
     moved = max(float(np.nanmax(np.linalg.norm(path - path[0], axis=1))), LOST_DIGITS * float(np.linalg.norm(path[0])))
     if moved == 0.0:
         return 0.0
-    # A part that moves as far as the run is one of several turns: phases of later ones do not count.
+    # The phase of later turns does not count.
     return min(lengthened / max(moved, measured.motion_of(m)), error / moved)
 
 

@@ -37,8 +37,10 @@ REPEATED = 2**18
 ROUNDING = 64 * UNIT_ROUNDOFF
 # Error of a step, relative to the change of the state in it, with which the scheme no longer follows the motion.
 WARNED = 0.02
-# Error of a step from which on the run is repeated: so many add up to `OVER_RUN` over ten times the size of the motion.
-SUSPECTED = 0.005
+# Path of a turn, in sizes of the motion: pi for a circle, 4 for a turn along a line.
+TURN = 5.0
+# Error of a step from which on the run is repeated, not a turn alone: such errors add up to `OVER_RUN` over a turn.
+SUSPECTED = 0.01
 # Largest change by the field in a step, relative to the error of a step, of a state that is at rest.
 AT_REST = 0.01
 # Differences between a step and two half steps by rounding alone, relative to that by its direction.
@@ -190,7 +192,7 @@ class MeasuredSteps:
         worst = int(np.argmax(relative))
         t, states, _ = self.points[int(np.argmax(np.sum((self.errors[:, worst] * weights[worst]) ** 2, axis=1)))]
         at_rest, mean = False, math.sqrt(errors[worst] / sum(held[worst] for _, _, held in self.points))
-        if mean > 0.0:
+        if relative[worst] > SUSPECTED:
             one = system.of_member(int(self.members[worst]))
             field = one.rows_of(one.vector_field(one.states_of(self.points[0][1][worst]), self.points[0][0]))
             at_rest = bool(np.linalg.norm(self.scaled(field, worst)) * abs(self.h) <= AT_REST * mean)
@@ -204,6 +206,12 @@ class MeasuredSteps:
                 if fastest.truncation > largest.truncation:
                     largest = fastest._replace(error=max(largest.error, fastest.error))
         return largest
+
+    def steps_of_turn(self, m: int) -> float:
+        """Return the number of steps in which the path of a chosen member is several times the size of its motion."""
+        squares = np.sum((self.changes[:, m] * self.weights[m]) ** 2, axis=1)
+        mean = math.sqrt(squares.sum() / sum(held[m] for _, _, held in self.points))
+        return max(1.0, math.ceil(TURN * self.motion_of(m) / mean)) if mean > 0.0 else math.inf
 
     def motion_of(self, m: int) -> float:
         """Return the largest distance of a chosen member from its start at the points."""
