@@ -123,8 +123,9 @@ class Solution(SolutionOutput):
         Parameters
         ----------
         relative : bool
-            Relative to the size of the invariant, ``drift()["energy"].scale``: its absolute initial value, or where its
-            terms nearly cancel, the sum of their absolute values. Otherwise, and where both are zero, absolute.
+            Relative to the size of the invariant, ``drift()["energy"].scale``: the initial energy, or where its
+            terms nearly cancel, and of Casimirs, the sum of their absolute values. Otherwise, and where both are zero,
+            absolute.
 
         Returns
         -------
