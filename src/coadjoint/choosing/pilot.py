@@ -145,8 +145,9 @@ class Pilot:
         self.points = POINTS if steps >= POINTS else min_steps
         coarse, self.reference, self.reference_steps = self._converged_reference()
         self.size = self.groups.sizes(self.reference)
-        # A group that is zero but for rounding has no size.
-        lost = self.groups.norms(self.reference - coarse).max(axis=0) > OF_ZERO * self.size
+        # A group that is zero but for rounding has no size: it is lost at once, others only after their errors grew.
+        early = slice(self.points // 16 + 1)
+        lost = self.groups.norms(self.reference[early] - coarse[early]).max(axis=0) > OF_ZERO * self.size
         self.size = np.where(lost, np.inf, self.size)
         self.sensitivity = self._sensitivity(coarse)
         self.noise = self._noise(coarse, accuracy)
