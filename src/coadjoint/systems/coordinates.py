@@ -98,7 +98,7 @@ class CoordinateGroups:
         return [np.flatnonzero(kinds == kind) for kind in kinds]
 
     def ratios(self, vectors: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the largest norm of a group of vectors (..., dim) relative to its size (..., count); 0 if that is 0."""
+        """Return the largest norm of a group of vectors (..., dim) relative to its size (..., count) if not zero."""
         return np.asarray(np.max(self.norms(vectors) / np.where(sizes > 0.0, sizes, np.inf), axis=-1))
 
     def matrix_norms(self, matrices: NDArray[np.float64]) -> NDArray[np.float64]:

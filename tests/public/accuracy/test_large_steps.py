@@ -199,3 +199,12 @@ def test_damping_and_driving_do_not_look_like_errors():
     )
     sol, found = told(lambda: co.integrate(body, (0.1, 0.2, 0.1), (0, 2000), 0.1))
     assert max(abs(work["energy"]).max() for work in sol.work.values()) > 20 * abs(sol.energy[-1]) and found == []
+
+
+@pytest.mark.parametrize("turn", [[0, 0, 0, 1], [1e-17, 0, 0, 1], [1e-9, 0, 0, 1]])
+def test_products_of_axes_that_vanish_at_the_start_are_not_lost(turn):
+    """Their rounding errors have the size of the axes, not of the terms of their products at the start."""
+    body = co.systems.body((1.0, 2.0, 2.5))
+    x0 = body.state(turn, angular_velocity=(0.3, 0.2, 0.5))
+    for end in (20.0, -20.0):
+        assert told(lambda end=end: co.integrate(body, x0, (0, end), 0.05))[1] == []
