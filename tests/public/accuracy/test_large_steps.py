@@ -7,10 +7,13 @@ import pytest
 
 import coadjoint as co
 from coadjoint.systems.registry import gallery_entry_of
+from long import long_where
 
 OVER_RUN = 0.05
 """Largest error over a run, or of an invariant, without a warning, as docs/accuracy.md states it."""
 NAMES = [name for name in co.systems.names() if not co.systems.get(name).has_matrices]
+COMPILED = ["double_spherical_pendulum", "gravitating_bodies", "rigid_molecules", "separable_cosh"]
+"""Systems with functions, which take seconds to compile."""
 METHODS = [None, co.GaussLegendre(1)]
 
 
@@ -53,7 +56,7 @@ def example(name):
 @pytest.mark.thinned(16)
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("times", [1, 4, 16, 64])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", long_where(COMPILED, NAMES))
 def test_errors_over_a_turn_are_warned_of_and_no_others(name, times, method):
     """Of 60 steps of so many times the step of the gallery, or as many as move by four times the size of the motion."""
     system, x0, step = example(name)
@@ -75,7 +78,7 @@ def test_errors_over_a_turn_are_warned_of_and_no_others(name, times, method):
 
 @pytest.mark.thinned(5)
 @pytest.mark.parametrize("method", METHODS, ids=str)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", long_where(COMPILED, NAMES))
 def test_slow_motions_are_not_warned_of(name, method):
     """In small steps the motion is slow, and its start may be where some coordinate turns."""
     system, x0, step = example(name)
