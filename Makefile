@@ -26,7 +26,7 @@ BUILT := $(shell sed -n 's/^CMAKE_HOME_DIRECTORY:INTERNAL=//p' $(BUILD)/CMakeCac
 # Installing configures the build folder too.
 CONFIGURE := $(if $(BUILT),$(if $(MOVED),,$(if $(wildcard $(VENV)/installed),package)))
 
-.PHONY: moved demo test variants long core torch minimum newest coverage mutants soak fuzz sanitize compilers aarch64 levels cross bench explorer explorer-test site site-test kernels package packages release-checks clean
+.PHONY: moved demo test pages variants long core torch minimum newest coverage mutants soak fuzz sanitize compilers aarch64 levels cross bench explorer explorer-test site site-test kernels package packages release-checks clean
 
 demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
@@ -36,9 +36,17 @@ demo: kernels
 test: kernels
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy > $(VENV)/types.txt & types=$$!; \
+	{ $(BIN)/mypy && $(MAKE) --no-print-directory pages; } > $(VENV)/checks.txt 2>&1 & checks=$$!; \
 	NUMBA_OPT=1 $(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci; tests=$$?; \
-	wait $$types || tests=1; cat $(VENV)/types.txt; exit $$tests
+	wait $$checks || tests=1; cat $(VENV)/checks.txt; exit $$tests
+
+# Every page of the site is read, with warnings such as links that lead nowhere as errors, and none is written; pictures
+# are not drawn.
+SPHINX := $(BIN)/sphinx-build --quiet --fail-on-warning --keep-going
+
+pages: kernels
+	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py --blank build/pages
+	$(SPHINX) --builder dummy --doctree-dir build/pages-doctrees build/pages build/pages-none
 
 # More seeds, schemes and compilers than `make test` has time for.
 long: kernels
@@ -83,6 +91,9 @@ coverage: kernels
 	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci --cov --cov-context=test --cov-report=
 	$(BIN)/coverage report --sort=miss --skip-covered | tail -n 40
 
+build/coverage/tests:
+	$(MAKE) coverage
+
 # Draws N defects in FILES (patterns of paths from src/coadjoint), plants one after the other in a copy, runs the tests
 # that cover it, and prints those that no test notices; with LISTED=tests/mutants/standing.txt those of a list. Defects
 # in C++ are tested by the tests of the kernels.
@@ -90,7 +101,7 @@ FILES ?= *.py
 N ?= 100
 SEED ?= 0
 
-mutants: kernels
+mutants: kernels build/coverage/tests
 	cd tests && "$(CURDIR)/$(BIN)/python" -m mutants.plant $(foreach file,$(FILES),'$(file)') --count $(N) \
 		--seed $(SEED) $(if $(LISTED),--listed "$(abspath $(LISTED))")
 
@@ -129,7 +140,7 @@ levels: kernels
 # WebAssembly, and runs there if qemu and node are installed.
 CROSS := build/cross
 
-cross: $(CROSS)/venv/installed
+cross: kernels $(CROSS)/venv/installed
 	$(CROSS)/venv/bin/python packaging/cross/build.py $(CROSS) $(TARGETS)
 	$(BIN)/python -m pytest -q tests/public/exports -k "microcontroller or webassembly"
 
@@ -167,13 +178,12 @@ explorer-test: explorer $(VENV)/browser
 	npm --prefix explorer run --silent test
 	$(ONE_THREAD) $(BIN)/python tests/browsed/explorer.py $(EXPLORER)/site
 
-# The documentation in build/site: pages, reference, and pictures that are drawn now. Warnings, such as links that lead
-# nowhere, are errors. Without emcc or npm the explorer is left out, and nothing links to it.
-site: kernels $(VENV)/site $(if $(WITH_EXPLORER),explorer)
+# The documentation in build/site: pages, reference, and pictures that are drawn now. Without emcc or npm the explorer is
+# left out, and nothing links to it.
+site: kernels $(if $(WITH_EXPLORER),explorer)
 	$(if $(WITH_EXPLORER),,@echo "the site is built without the explorer: it needs emcc and npm")
-	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py build/site-sources $(WITH_EXPLORER)
-	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going --jobs 2 \
-		--doctree-dir build/site-doctrees build/site-sources build/site
+	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py $(WITH_EXPLORER:%=--explorer %) build/site-sources
+	$(SPHINX) --jobs 2 --doctree-dir build/site-doctrees build/site-sources build/site
 
 # The pages as a browser shows them: needs Chromium or Chrome, found by its usual names or CHROMIUM=/path/to/it. Then the
 # notebooks, each in a kernel, which takes some minutes.
@@ -185,15 +195,11 @@ $(VENV)/browser: tests/browsed/requirements.txt $(VENV)/installed
 	$(PIP) --requirement tests/browsed/requirements.txt
 	@touch $@
 
-$(VENV)/site: $(VENV)/installed
-	$(PIP) --no-build-isolation --editable '.[docs]'
-	@touch $@
-
 # With the tools of the build beside the package, so that it can be built again without looking for them. What it needs
 # is loaded while the kernels are compiled.
 NEEDED := import tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
 	extras = project["optional-dependencies"]; \
-	print(*project["dependencies"], *(one for name in extras if not name.startswith(("bench", "torch", "docs")) \
+	print(*project["dependencies"], *(one for name in extras if not name.startswith(("bench", "torch")) \
 	for one in extras[name] if not one.startswith("coadjoint[")), sep="\n")
 
 $(VENV)/installed: pyproject.toml $(if $(MOVED),moved)

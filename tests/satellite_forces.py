@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -100,7 +100,7 @@ LAW = F.Pointing(STIFF, DAMPING, WANTED)
 
 
 class Case(NamedTuple):
-    """A force, a reference torque of (t, omega, A), arguments of the body, and which actuator there is."""
+    """A force or several, a reference torque of (t, omega, A), arguments of the body, and which actuator there is."""
 
     force: Any
     torque: Callable[..., Any]
@@ -108,6 +108,8 @@ class Case(NamedTuple):
     actuator: str = ""
     stored: bool = True
     """Whether it has no functions."""
+    of_momentum: bool = False
+    """Whether the reference torque also takes the momentum in the body frame."""
 
     @property
     def free(self):
@@ -115,13 +117,16 @@ class Case(NamedTuple):
 
     @property
     def system(self):
-        return self.free.with_forces(self.force)
+        return self.free.with_forces(*(self.force if isinstance(self.force, list) else [self.force]))
+
+    @property
+    def rotors(self):
+        given = {"wheel_speeds": (1.0, -2.0, 0.5, 3.0)} if "wheels" in self.body else {}
+        return given | ({"gimbal_angles": (0.2, -0.3, 0.4, 0.1)} if "gyros" in self.body else {})
 
     @property
     def start(self):
-        given = {"wheel_speeds": (1.0, -2.0, 0.5, 3.0)} if "wheels" in self.body else {}
-        given |= {"gimbal_angles": (0.2, -0.3, 0.4, 0.1)} if "gyros" in self.body else {}
-        return self.system.state(TURNED, SPIN, **given)
+        return self.system.state(TURNED, SPIN, **self.rotors)
 
     def build(self, changed):
         """Return the system with other values of parameters."""
@@ -170,31 +175,49 @@ def slope_of_attitude(q, omega):
     return 0.5 * np.r_[q[3] * omega + np.cross(q[:3], omega), -q[:3] @ omega]
 
 
+def together(cases: Sequence[Case]) -> Case:
+    """Return the forces of several cases on one body, in this order."""
+    body = {key: value for case in cases for key, value in case.body.items()}
+    return Case([case.force for case in cases], None, body)
+
+
 def reference(case: Case, t_end: float) -> dict[str, np.ndarray]:
-    """Return attitude, angular velocity and rotors at the end, by DOP853 between samples and ends of pulses."""
+    """Return attitude, angular velocity and rotors at the end of a run with one force from time 0."""
+    return reference_of([case], 0.0, t_end)
+
+
+def reference_of(cases: Sequence[Case], begin: float, end: float) -> dict[str, np.ndarray]:
+    """Return the end of a run with several forces by DOP853, between samples and ends of pulses."""
     unit, moments = WHEELS / np.linalg.norm(WHEELS, axis=1)[:, None], np.linalg.norm(WHEELS, axis=1)
-    start, free = case.start, case.system
-    rotors = free.wheel_speeds(start) if case.actuator == "wheels" else free.gimbal_angles(start)
-    y, t = np.r_[TURNED.as_quat(), SPIN, rotors], 0.0
+    case, acting = together(cases), {case.actuator: case for case in cases if case.actuator}
+    free, start = case.free, case.free.state(TURNED, SPIN, **case.rotors)
+    wheeled, geared = "wheels" in case.body, "gyros" in case.body
+    sizes = [len(WHEELS) if wheeled else 0, len(PYRAMID) if geared else 0]
+    still = {"torque": np.zeros(3), "wheels": np.zeros(sizes[0]), "gyros": np.zeros(sizes[1]), "thrusters": np.zeros(3)}
+    y = np.r_[TURNED.as_quat(), SPIN, free.wheel_speeds(start), free.gimbal_angles(start)]
+
+    def parts(y):
+        return np.split(y, np.cumsum([4, 3, sizes[0]]))
 
     def momenta(angles):
         c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
         return c * PYRAMID[:, 0] + s * PYRAMID[:, 1], c * PYRAMID[:, 1] - s * PYRAMID[:, 0]
 
     def slope(t, y, u):
-        q, omega, own = np.split(y, [4, 7])
+        q, omega, speeds, angles = parts(y)
         A = Rotation.from_quat(q).as_matrix()
-        L, rates = TENSOR @ omega, np.zeros(0)
-        N = case.torque(t, omega, A) if not case.actuator else u if len(u) == 3 else np.zeros(3)
-        if case.actuator == "wheels":
+        L, inertia, N = TENSOR @ omega, TENSOR, u["torque"] + u["thrusters"]
+        if wheeled:
             # The motors act on the wheels, and the body without their moments about the axes has the opposite torque.
-            L = L + (moments * own) @ unit
-            turning = np.linalg.solve(TENSOR - (unit.T * moments) @ unit, np.cross(L, omega) - u @ unit)
-            return np.r_[slope_of_attitude(q, omega), turning, u / moments - unit @ turning]
-        if case.actuator == "gyros":
-            h, dh = momenta(own)
-            L, N, rates = L + h.sum(axis=0), -u @ dh, u
-        return np.r_[slope_of_attitude(q, omega), np.linalg.solve(TENSOR, np.cross(L, omega) + N), rates]
+            L, inertia, N = L + (moments * speeds) @ unit, TENSOR - (unit.T * moments) @ unit, N - u["wheels"] @ unit
+        if geared:
+            h, dh = momenta(angles)
+            L, N = L + h.sum(axis=0), N - u["gyros"] @ dh
+        for one in cases:
+            N = N if one.actuator else N + one.torque(t, omega, A, *([L] if one.of_momentum else []))
+        turning = np.linalg.solve(inertia, np.cross(L, omega) + N)
+        driven = u["wheels"] / moments - unit @ turning if wheeled else speeds
+        return np.r_[slope_of_attitude(q, omega), turning, driven, u["gyros"]]
 
     def follow(y, t, to, u):
         if to <= t:
@@ -202,34 +225,35 @@ def reference(case: Case, t_end: float) -> dict[str, np.ndarray]:
         y = solve_ivp(slope, (t, to), y, method="DOP853", rtol=1e-13, atol=1e-13, args=(u,)).y[:, -1]
         return np.r_[y[:4] / np.linalg.norm(y[:4]), y[4:]]
 
-    if not case.actuator:
-        y = follow(y, 0.0, t_end, np.zeros(0))
-    while case.actuator and t < t_end - 1e-9:
-        torque, pulses = case.torque(t, y[4:7], Rotation.from_quat(y[:4]).as_matrix()), np.zeros(3)
-        if case.actuator == "wheels":
-            torque = -np.linalg.pinv(unit.T) @ torque
-        elif case.actuator == "gyros":
-            B = momenta(y[7:])[1]
-            share = 1e-3 * (PYRAMID[:, 0] ** 2).sum() / 3
-            torque = np.clip(-B @ np.linalg.solve(B.T @ B + share * np.eye(3), torque), -0.3, 0.3)
-        elif case.actuator == "thrusters":
-            full = np.array([0.5, 0.4, 0.3])
-            pulses = np.minimum(np.abs(torque) / full, 1.0) * PERIOD
-            pulses[pulses * full < 0.01] = 0.0
-            torque = np.sign(torque) * full
-        edges = sorted({*pulses, PERIOD} - {0.0}) if case.actuator == "thrusters" else [PERIOD]
+    if not acting:
+        y = follow(y, begin, end, still)
+    for t in np.arange(begin, end - 1e-9, PERIOD) if acting else ():
+        q, omega, _, angles = parts(y)
+        u, pulses = dict(still), np.zeros(3)
+        for actuator, one in acting.items():
+            u[actuator] = torque = one.torque(t, omega, Rotation.from_quat(q).as_matrix())
+            if actuator == "wheels":
+                u[actuator] = -np.linalg.pinv(unit.T) @ torque
+            elif actuator == "gyros":
+                B = momenta(angles)[1]
+                share = 1e-3 * (PYRAMID[:, 0] ** 2).sum() / 3
+                u[actuator] = np.clip(-B @ np.linalg.solve(B.T @ B + share * np.eye(3), torque), -0.3, 0.3)
+            elif actuator == "thrusters":
+                full = np.array([0.5, 0.4, 0.3])
+                pulses = np.minimum(np.abs(torque) / full, 1.0) * PERIOD
+                pulses[pulses * full < 0.01] = 0.0
+                u[actuator] = np.sign(torque) * full
         since = 0.0
-        for edge in edges:
-            on = np.where(since < pulses, torque, 0.0) if case.actuator == "thrusters" else torque
+        for edge in sorted({*pulses, PERIOD} - {0.0}):
+            on = u | {"thrusters": np.where(since < pulses, u["thrusters"], 0.0)}
             y, since = follow(y, t + since, t + edge, on), edge
-        t += PERIOD
-    q, omega, own = np.split(y, [4, 7])
-    return {"attitude": Rotation.from_quat(q).as_matrix(), "omega": omega, "rotors": own}
+    q, omega, speeds, angles = parts(y)
+    return {"attitude": Rotation.from_quat(q).as_matrix(), "omega": omega, "speeds": speeds, "angles": angles}
 
 
 def error_of(case: Case, x: np.ndarray, wanted: dict[str, np.ndarray]) -> float:
     """Return the largest difference of a state from the reference."""
     system = case.system
-    own = system.wheel_speeds(x) if case.actuator == "wheels" else system.gimbal_angles(x)
-    found = {"attitude": system.attitudes(x), "omega": system.angular_velocity(x), "rotors": own}
+    found = {"attitude": system.attitudes(x), "omega": system.angular_velocity(x)}
+    found |= {"speeds": system.wheel_speeds(x), "angles": system.gimbal_angles(x)}
     return max(np.abs(found[name] - wanted[name]).max(initial=0.0) for name in wanted)

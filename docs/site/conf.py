@@ -29,7 +29,7 @@ extensions = [
     "sphinx_copybutton",
 ]
 root_doc = "index"
-exclude_patterns = ["README.md", "extra"]
+exclude_patterns = ["extra"]
 mathjax_path = "mathjax/tex-chtml.js"  # copied by write_sources.py: no other server is asked
 suppress_warnings = ["config.cache"]
 

@@ -18,6 +18,14 @@ from coadjoint.systems.registry import gallery_entry_of
 FIRST = "rigid_body", "heavy_top"
 """Systems whose pictures are shown where they declare the kind; otherwise the first one that does."""
 
+WHEELS = """\
+import numpy as np
+import coadjoint as co
+
+motors = co.forces.ReactionWheels(co.forces.Pointing(0.5, 1.5), period=0.5, max_torque=0.1, max_momentum=0.6)
+system = co.systems.body((1.0, 2.0, 2.5), wheels=0.01 * np.eye(3)).with_forces(motors)
+sol = co.integrate(system, system.state([0.0, 0.36, 0.48, 0.8], angular_velocity=(0.05, 0.0, 0.2)), (0, 60), 0.05)
+"""
 RUNS = {
     "angular momentum": """\
 import coadjoint as co
@@ -52,6 +60,18 @@ sol = co.integrate(
     observe={"height": lambda x: x[5], "momentum about the vertical": lambda x: x[:3] @ x[3:]},
 )
 figure = sol.plot("observed")""",
+    "gimbal angles": """\
+import coadjoint as co
+
+axes = [(1, 0), (0, 1), (-1, 0), (0, -1)]
+gyros = [[(-q, p, 0), (-0.6 * p, -0.6 * q, 0.8)] for p, q in axes]
+motors = co.forces.ControlMomentGyros(co.forces.Pointing(0.5, 1.5), period=0.5, max_rate=0.5)
+system = co.systems.body((1.0, 2.0, 2.5), gyros=gyros).with_forces(motors)
+sol = co.integrate(system, system.state([0.0, 0.0, 0.6, 0.8]), (0, 60), 0.05)
+figure = sol.plot("gimbal angles")""",
+    "pointing error": WHEELS + 'figure = sol.plot("pointing error")',
+    "torques": WHEELS + 'figure = sol.plot("torques")',
+    "wheel speeds": WHEELS + 'figure = sol.plot("wheel speeds")',
     "section": """\
 import coadjoint as co
 

@@ -1,14 +1,17 @@
-"""Write the sources of the documentation site: ``python docs/site/write_sources.py FOLDER [EXPLORER]``.
+"""Write the sources of the documentation site: ``python write_sources.py [--explorer BUILT] [--blank] FOLDER``.
 
 The Markdown pages are copied with links to source files made absolute. Pages of names, systems, schemes and kinds of
-pictures are written from the registries and docstrings, and the pictures are drawn by the code that the pages show. The
-explorer, given the folder where it is built, is part of the site, and pages link to it where they have the comment
+pictures are written from the registries and docstrings, and the pictures are drawn by the code that the pages show.
+With ``--blank``, for a check of the text, each picture is one pixel and no experiment of the paper runs. The explorer,
+given the folder where it is built, is part of the site, and pages link to it where they have the comment
 ``<!-- explorer: TEXT -->`` or, with a choice, ``<!-- explorer#system=toda_ring: TEXT -->``. Lists of pages get the
 first sentence of each page, and ``<!-- systems: FOLDER -->`` the thumbnails of the systems of a folder.
 """
 
 from __future__ import annotations
 
+import argparse
+import base64
 import importlib.metadata
 import re
 import shutil
@@ -25,6 +28,8 @@ URLS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["pro
 ELSEWHERE = re.compile(r"(?<=\]\()\.\./[\w/]+\.(?:png|gif|svg)(?=\))")
 """Pictures outside the folder of the pages: the site has copies beside its pages."""
 SYSTEMS = re.compile("<!-- systems: (.*?) -->")
+PIXEL = base64.b64decode("iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNoAAAAggCBd81ytgAAAABJRU5ErkJggg==")
+"""A picture in the format PNG."""
 MATHJAX = "tex-chtml.js", "output/chtml/fonts/woff-v2"
 
 
@@ -37,7 +42,6 @@ def write(folder: Path, explorer: Path | None) -> None:
     from system_pages import draw_pictures, system_pages, thumbnails, write_notebooks
 
     pages = {page.name: published(page) for page in [*DOCS.glob("*.md"), *SITE.glob("*.md")]}
-    pages["README.md"] = published(ROOT / "README.md")
     library = max(file.stat().st_mtime for file in (ROOT / "src").rglob("*.py"))
     pages["paper.md"] = paper_page(folder / "paper", library)
     pages |= system_pages() | scheme_pages() | picture_pages()
@@ -65,6 +69,24 @@ def write(folder: Path, explorer: Path | None) -> None:
     draw_pictures(folder / "systems", library)
     draw_kinds(folder / "pictures", library)
     write_notebooks(folder / "systems")
+
+
+def write_blank_pictures(folder: Path) -> None:
+    """Write a pixel in place of each picture that is drawn, newer than the library, and a table without statements."""
+    from paper_page import FIGURES
+    from picture_pages import file_name
+
+    import coadjoint as co
+    from coadjoint.experiments.reich1993.statements import Statement
+    from coadjoint.pictures.register import kinds
+
+    names = [f"systems/{name}{small}" for name in co.systems.names() for small in ("", "_small")]
+    names += [f"pictures/{file_name(kind)}" for kind in kinds()] + [f"paper/{name}" for name in FIGURES]
+    for name in names:
+        path = folder / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(PIXEL)
+    (folder / "paper/table.csv").write_text(",".join(Statement._fields), encoding="utf-8")
 
 
 def with_explorer(text: str, path: str) -> str:
@@ -107,14 +129,12 @@ def published(page: Path) -> str:
         if "Source" in URLS:
             return re.sub(r"\]\(\.\./(?=\w)", f"]({URLS['Source']}/blob/main/", text)
         return re.sub(r"\[([^]\n]*)\]\(\.\./\w[^)\n]*\)", r"\1", text)  # files without a page, by their names
-    if page.parent == SITE:
-        return text.replace("](../", "](").replace("} ../", "} ")
-    return text.replace("](docs/", "](")
+    return text.replace("](../", "](")
 
 
 def _titled(line: re.Match[str]) -> str:
     """Return a line whose links named by their files have no text, which Sphinx replaces by titles."""
-    return re.sub(r"\[(?:docs/)?(\w+\.md)\](?=\((?:docs/)?\1[#)])", "[]", line[0])
+    return re.sub(r"\[(\w+\.md)\](?=\(\1[#)])", "[]", line[0])
 
 
 def linked(text: str, targets: dict[str, str]) -> str:
@@ -173,4 +193,11 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) > 2 else None)
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--explorer", type=Path)
+    parser.add_argument("--blank", action="store_true")
+    given = parser.parse_args()
+    if given.blank:
+        write_blank_pictures(given.folder)
+    write(given.folder, given.explorer)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
+from coadjoint.labels import lost_labels
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
@@ -191,13 +192,14 @@ def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
             raise ValueError(f"{what} has masked entries, which have no value; fill or remove them")
     elif has_unit(values):
         raise not_numbers_error(values, what)
-    elif hasattr(values, "iloc") and hasattr(values, "axes"):
-        # pandas objects, detected without importing it. Labels other than 0, 1, ... could mean another order.
-        if any(list(axis) != list(range(len(axis))) for axis in values.axes):
-            raise TypeError(
-                f"{what} is a {type(values).__name__} with labels other than 0, 1, 2, ..., and they would be lost; "
-                "give its to_numpy() if its order is right"
-            )
+    else:
+        reject_lost_labels(values, what)
+
+
+def reject_lost_labels(values: Any, what: str) -> None:
+    """Raise a TypeError for arrays of xarray and pandas whose names and labels would be lost."""
+    if lost := lost_labels(values):
+        raise TypeError(f"{what} is {lost} would be lost; give its to_numpy() if its order is right")
 
 
 def read_number(value: Any, what: str) -> float:
@@ -299,6 +301,7 @@ def read_path(value: Any, what: str) -> Path:
 
 def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
     """Return the entries of an iterable, or raise a TypeError that ends with `rule`."""
+    reject_lost_labels(values, what)
     try:
         if not isinstance(values, str | bytes | Mapping):
             size = values.size if isinstance(values, np.ndarray) else len(values) if isinstance(values, Sized) else 0

@@ -18,7 +18,7 @@ from coadjoint.algebra.constants import (
 )
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.invariants.invariant import Invariant
-from coadjoint.algebra.polynomials.monomials import names_of_basis
+from coadjoint.algebra.polynomials.monomials import check_names, names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
@@ -107,7 +107,7 @@ class LieAlgebra(Structure, metaclass=Constructors):
             read_title(name, "name of a Lie algebra")
         triples = antisymmetric(parsed, size, names, complete)
         check_jacobi(triples, size, names)
-        _check_casimirs(casimirs, size)
+        _check_casimirs(casimirs, names)
         rho = None if representation is None else check_representation(representation, triples, size, names)
         self._store(triples, size, names, name, rho, casimirs or {})
 
@@ -370,8 +370,9 @@ class LieAlgebra(Structure, metaclass=Constructors):
         return hash((self._dim, *(column.tobytes() for column in self._triples)))
 
 
-def _check_casimirs(casimirs: Any, size: int) -> None:
+def _check_casimirs(casimirs: Any, basis: Sequence[str]) -> None:
     """Raise an error for Casimirs that are not functions of the coordinates, by name."""
+    size = len(basis)
     if casimirs is not None and not isinstance(casimirs, Mapping):
         raise TypeError(f"casimirs must be a mapping from names to functions, not {type(casimirs).__name__}")
     for key, casimir in (casimirs or {}).items():
@@ -382,6 +383,7 @@ def _check_casimirs(casimirs: Any, size: int) -> None:
         dim = getattr(casimir, "dim", size)
         if dim != size:
             raise ValueError(f"casimirs has {short(key)} of {dim} variables; the algebra has dimension {size}")
+        check_names(casimir, names_of_basis(basis), f"the Casimir {short(key)}")
 
 
 def read_algebra(argument: Any, rule: str) -> LieAlgebra:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities
 from coadjoint.errors import MAX_LISTED_NAMES, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
 from coadjoint.long_operations import warn_caller
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -22,6 +23,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import check_observe
 from coadjoint.runs.results.solution import Solution
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.parameters import Parameter, parameters_at, parameters_of
 from coadjoint.validation import are_finite, read_numbers
 
@@ -114,7 +116,8 @@ def fit(
         "x" of shape (k, n) or (k, members, n), "attitude" of shape (k, d, d) or (k, members, d, d), or rotations of
         SciPy, the "angular_velocity" or "angular_momentum" of a body in its own frame, such as gyroscopes measure, and
         "positions" and "velocities", as solutions have them, quantities of ``prepare(observe=...)``, (k,) or (k,
-        members), and those of `observe`, (k, ...) or (k, members, ...), by name.
+        members), and those of `observe`, (k, ...) or (k, members, ...), by name. Labelled "x" and "attitude", such as
+        a table of pandas over the saved times, are used by their labels.
     unknown : mapping
         The names to fit, "x0", "attitude0" or names of ``ready.parameters``: True for all entries, or the numbers of
         the unknown ones (of an array of several axes, in C order). Entries of "x0" and "attitude0" are those of all
@@ -195,7 +198,7 @@ def fit(
         raise TypeError('measured and sigma must be mappings from names, such as "x" or "attitude", to numbers')
     run = ParametrizedRun(ready, t_span, save_every, t_eval, "co.fit")
     problem = FitProblem.of(ready, x0, attitude, run, unknown)
-    measured = {name: _without_rotations(name, value) for name, value in measured.items()}
+    measured = {name: _as_saved(name, value, ready, run.saved_times) for name, value in measured.items()}
     observe = _read_observe(ready, {} if observe is None else observe)
     problem = problem.measuring(ready, measured, observe)
     weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready, observe))
@@ -273,9 +276,16 @@ def _are_rates(
     return variance("x", x0) > enough
 
 
-def _without_rotations(name: str, value: Any) -> Any:
-    """Return rotations of SciPy as matrices, and other values unchanged."""
-    return value.as_matrix() if name == "attitude" and hasattr(value, "as_matrix") else value
+def _as_saved(name: str, value: Any, ready: PreparedRun, times: Floats) -> Any:
+    """Return rotations of SciPy as matrices, labelled states and attitudes in the order of a run, others unchanged."""
+    if name == "attitude" and hasattr(value, "as_matrix"):
+        return value.as_matrix()
+    if name not in OUTPUTS:
+        return value
+    member = ("member",) if "member" in getattr(value, "dims", ()) else ()
+    axes = ("time", *member, *STATE_DIMENSIONS[name == "attitude"])
+    order = {"time": times.tolist(), "component": coordinate_names(ready.system), **MEMBERS}
+    return by_labels(value, f"measured {name}", axes, order)
 
 
 def _read_observe(ready: PreparedRun, observe: Any) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import observed_quantities
 from coadjoint.runs.start import is_attitude_kind, read_attitude
 from coadjoint.short_repr import short
-from coadjoint.systems.coordinates import CoordinateGroups
+from coadjoint.systems.coordinates import CoordinateGroups, states_by_label
 from coadjoint.systems.parameters import parameter_of, parameters_of, with_parameters
 from coadjoint.systems.registry import unit_coordinate
 from coadjoint.systems.user_functions import with_time
@@ -169,7 +169,7 @@ class FitProblem(NamedTuple):
     @classmethod
     def of(cls, ready: PreparedRun, x0: Any, attitude: Any, run: ParametrizedRun, unknown: Any) -> FitProblem:
         """Validate the guesses and the names of the unknowns."""
-        state, n = read_numbers(x0, "x0"), ready.system.dim
+        state, n = read_numbers(states_by_label(ready.system, x0, "x0"), "x0"), ready.system.dim
         if state.ndim not in (1, 2) or state.shape[-1] != n or not state.size:
             raise ValueError(f"x0 has the shape {state.shape}; it must be ({n},) or (members, {n})")
         if not isinstance(unknown, Mapping) or not unknown:

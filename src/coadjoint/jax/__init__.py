@@ -50,7 +50,7 @@ def free_body(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     ValueError
         Wrong shapes.
     TypeError
-        Numbers of another type than float32 and float64.
+        Numbers of another type than float32 and float64, or arrays of float64 without ``jax_enable_x64``.
 
     Notes
     -----
@@ -125,10 +125,11 @@ def solution(
     ImportError
         JAX is not installed; the extra is ``coadjoint[jax]``.
     TypeError
-        The run has no derivatives or is not supported by the backend, or numbers are not of float64, which JAX has with
+        The run has no derivatives or is not supported by the backend; a function of a force or Hamiltonian has other
+        values where JAX traces it than compiled; or numbers are not of float64, which JAX has with
         ``jax.config.update("jax_enable_x64", True)``.
     ValueError
-        For unknown names and wrong shapes, when the function is called or traced.
+        For unknown names, wrong shapes, and initial states and attitudes that `PreparedRun.run` refuses.
     IntegrationError
         As in `integrate`; inside of ``jit`` the error of JAX contains its message. With ``backend="xla"`` states are
         NaN in place of an error.

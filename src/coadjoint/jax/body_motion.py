@@ -23,6 +23,7 @@ import numpy as np
 from jax import lax
 from jax.custom_derivatives import SymbolicZero
 
+from coadjoint.jax.primitives import unrounded
 from coadjoint.jax.stage_steps import sparse
 
 # The largest number of pieces of a motion; a longer one would not resolve it.
@@ -55,7 +56,7 @@ QUADRATURES: Mapping[Any, tuple[float, tuple[float, ...], tuple[float, ...]]] = 
 def checked_step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     """Validate shapes and types, and take a `step`."""
     given = {"x": x, "A": A, "inertia": inertia, "h": h}
-    given = {name: jnp.asarray(value) for name, value in given.items() if value is not None}
+    given = {name: unrounded(name, value) for name, value in given.items() if value is not None}
     shapes = {"x": ((3,),), "A": ((3, 3),), "inertia": ((3,), (3, 3)), "h": ((),)}
     for name, value in given.items():
         if value.shape not in shapes[name]:

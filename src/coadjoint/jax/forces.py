@@ -13,8 +13,10 @@ from jax import lax
 from jax.scipy.linalg import expm
 from jax.scipy.special import ndtri
 
-from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps, on_jax
+from coadjoint.jax.stage_steps import ITERATIONS, LARGEST_CORRECTION, StageField, Steps
 from coadjoint.jax.table_steps import product
+from coadjoint.jax.traced_functions import Reference, TracedFunction, on_jax
+from coadjoint.kernels.tables.forces import compiled_force_function
 from coadjoint.methods.forced import Forced, substeps_of
 from coadjoint.systems.forces.base import Noise
 from coadjoint.systems.forces.torque import NODES, WEIGHTS, extrapolation_columns, extrapolation_weights
@@ -29,9 +31,9 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
     The constants are those of the scheme, and the coefficients of the energy.
     """
     plain = system.unforced
+    readers = [ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order) for k, _ in system.flows]
     flows: list[Flow] = [
-        force.describe_to(ForceReaders(plain, field, f"a function of {label}", scheme.order), plain)
-        for label, force in zip(system.labels, system.forces, strict=True)
+        force.describe_to(reader, plain) for reader, (_, force) in zip(readers, system.flows, strict=True)
     ]
 
     def step(constants: Any, state: Any, t: Any, h: Any, member: Any) -> Any:
@@ -52,14 +54,37 @@ def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: F
             return substep(state, each[0])[0]
         return lax.scan(substep, state, tuple(map(jnp.array, zip(*each, strict=True))))[0]
 
-    return Steps(lambda energy: (inner.constants(energy), jnp.asarray(energy)), step, step)
+    functions = *inner.functions, *(one for reader in readers for one in reader.functions)
+    return Steps(lambda energy: (inner.constants(energy), jnp.asarray(energy)), step, step, functions=functions)
 
 
 class ForceReaders:
-    """A reader of a force that makes its flow in schemes of an order; `what` names its functions in messages."""
+    """A reader of a force that makes its flow in schemes of an order; `what` names its `functions` in messages."""
 
     def __init__(self, system: Any, field: StageField, what: str, order: int) -> None:
         self.system, self.field, self.what, self.order = system, field, what, order
+        self.functions: tuple[TracedFunction, ...] = ()
+
+    def _traced(self, function: Any, arguments: str) -> TracedFunction:
+        """Return a function of some arguments as one of the state, with a length of a flow behind it, and the time."""
+        of_jax, what, n = on_jax(function, self.what), self.what, self.system.dim
+        forms: dict[str, Callable[[Any, Any], Any]] = {
+            "t": lambda y, t: of_jax(t),
+            "x": lambda y, t: of_jax(y),
+            "x, t": of_jax,
+            "x, t, tau": lambda y, t: of_jax(y[:n], t, y[n]),
+        }
+        is_flow = arguments == "x, t, tau"
+
+        def reference() -> Reference:
+            compiled = compiled_force_function(function, arguments, n + is_flow, n, what)
+            return partial(compiled.values, results=n)
+
+        traced = TracedFunction(
+            lambda y, t: jnp.reshape(forms[arguments](y, t), n), reference, np.arange(n), what, is_flow
+        )
+        self.functions = (traced,)
+        return traced
 
     def damping(self, rate: Any, toward: Any) -> Flow:
         """Return the flow of x' = -rate (x - toward), exact."""
@@ -81,14 +106,11 @@ class ForceReaders:
 
     def function(self, torque: Any, arguments: str) -> Flow:
         """Return the integral of a torque of the time by Gauss quadrature, or a step of an explicit method."""
-        function = on_jax(torque, self.what)
+        field = self._traced(torque, arguments)
 
         def of_time(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
             pairs = zip(NODES, WEIGHTS, strict=True)
-            return x + 0.5 * tau * sum(w * function(t + 0.5 * tau * (1.0 + c)) for c, w in pairs)
-
-        def field(x: Any, t: Any) -> Any:
-            return function(x, t) if "t" in arguments else function(x)
+            return x + 0.5 * tau * sum(w * field(x, t + 0.5 * tau * (1.0 + c)) for c, w in pairs)
 
         def of_state(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
             def stage(state: Any, node: Any) -> Any:
@@ -122,8 +144,8 @@ class ForceReaders:
 
     def flow(self, function: Any) -> Flow:
         """Return a flow that is given."""
-        traced = on_jax(function, self.what)
-        return lambda _, x, t, tau, member: traced(x, t, tau)
+        traced = self._traced(function, "x, t, tau")
+        return lambda _, x, t, tau, member: traced(jnp.append(x, tau), t)
 
     def mode_rates(self, *_: Any) -> Flow:
         """Refuse forces on modes of a matrix."""
@@ -133,6 +155,7 @@ class ForceReaders:
 
     def on_orbit(self, metric: Any, root: Any, noise: Noise | None) -> Flow:
         """Return the midpoint rule of the damping on the orbit, between halves of the noise."""
+        self.functions = self.field.functions
 
         def damped(energy: Any, x: Any, t: Any, tau: Any) -> Any:
             def improved(middle: Any, _: Any) -> Any:

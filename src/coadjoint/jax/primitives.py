@@ -17,6 +17,7 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
+from coadjoint.validation import reject_lost_labels
 
 Names = tuple[str, ...]
 
@@ -41,9 +42,17 @@ def doubles(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: _double(name, value) for name, value in values.items()}
 
 
+def unrounded(name: str, value: Any) -> Any:
+    """Convert an argument to an array of JAX, and refuse those whose labels would be lost, or numbers rounded."""
+    reject_lost_labels(value, name)
+    if isinstance(value, np.ndarray) and value.dtype == np.float64 and not jax.config.jax_enable_x64:
+        raise TypeError(f"{name} is an array of float64, which JAX rounds; give float32, or set jax_enable_x64")
+    return jnp.asarray(value)
+
+
 def _double(name: str, value: Any) -> Any:
     """Convert whole numbers to float64, and refuse numbers of lower precision."""
-    array = jnp.asarray(value)
+    array = unrounded(name, value)
     if jnp.issubdtype(array.dtype, jnp.integer):
         return array.astype(jnp.float64)
     if array.dtype != jnp.float64:
@@ -225,8 +234,10 @@ class _Members:
 
 
 def _shared(run: Any, names: Names, axes: Sequence[int | None]) -> bool:
-    """Whether no parameter has an axis of a batch."""
-    return all(axis is None for name, axis in zip(names, axes, strict=True) if run.is_parameter(name))
+    """Whether no parameter has an axis of a batch, and states may become members of one ensemble."""
+    return not run.has_batch and all(
+        axis is None for name, axis in zip(names, axes, strict=True) if run.is_parameter(name)
+    )
 
 
 def _in_turn(primitive: Primitive, arrays: Sequence[Any], axes: Sequence[int | None], **parameters: Any) -> Any:

@@ -1,143 +1,18 @@
-"""Implicit Runge-Kutta steps with a fixed number of iterations, and the fields in them, with functions of the user."""
+"""Implicit Runge-Kutta steps with a fixed number of iterations, and the fields in them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial, wraps
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from numpy.lib.mixins import NDArrayOperatorsMixin
 
-from coadjoint.errors import in_one_line
+from coadjoint.jax.traced_functions import TracedFunction, gradient_of
 from coadjoint.methods.numerics.solvers import Coefficients
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm
-from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
-
-MOST_BRANCHES = 64
-"""Largest number of combinations of branches of a function, which are all computed."""
-
-
-class Numbers(NDArrayOperatorsMixin):
-    """An array of JAX with the interface of NumPy, whose conditions are decided by a function. Slices are views."""
-
-    def __init__(self, value: Any, decide: Callable[[Any], bool], place: tuple[Numbers, Any] | None = None) -> None:
-        self._value, self._decide, self._place = value, decide, place
-
-    @property
-    def value(self) -> Any:
-        """The array of JAX; that of a view follows the whole."""
-        if self._place is None:
-            return self._value
-        whole, index = self._place
-        return whole.value[index]
-
-    def __jax_array__(self) -> Any:
-        return self.value
-
-    def _set(self, value: Any) -> None:
-        if self._place is None:
-            self._value = value
-        else:
-            whole, index = self._place
-            whole._set(whole.value.at[index].set(value))
-
-    def __getitem__(self, index: Any) -> Numbers:
-        index = plain(index)
-        parts = index if isinstance(index, tuple) else (index,)
-        is_view = any(isinstance(part, slice) or part is Ellipsis for part in parts) or len(parts) < self.ndim
-        return Numbers(self.value[index], self._decide, (self, index) if is_view else None)
-
-    def __setitem__(self, index: Any, value: Any) -> None:
-        self._set(self.value.at[plain(index)].set(plain(value)))
-
-    def __array_ufunc__(self, function: np.ufunc, method: str, *inputs: Any, out: Any = (), **options: Any) -> Any:
-        if method != "__call__" or options or any(not isinstance(one, Numbers) for one in out):
-            raise TypeError(f"it writes numbers of JAX into an array of NumPy, or calls {function.__name__}.{method}")
-        found = getattr(jnp, function.__name__)(*map(plain, inputs))
-        if not out:
-            return Numbers(found, self._decide)
-        out[0]._set(found)
-        return out[0]
-
-    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
-        found = getattr(jnp, function.__name__)(*map(plain, arguments), **{k: plain(v) for k, v in options.items()})
-        return jax.tree.map(lambda one: Numbers(one, self._decide), found)
-
-    def __bool__(self) -> bool:
-        return self._decide(self.value)
-
-    def __len__(self) -> int:
-        return int(self.value.shape[0])
-
-    def __iter__(self) -> Any:
-        return (self[i] for i in range(len(self)))
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        # NumPy calls functions of arrays of objects as methods of their entries.
-        found = getattr(self.value, name, None)
-        function = partial(getattr(jnp, name), self.value) if found is None else found
-        if not callable(function):
-            return function if isinstance(function, tuple | int | np.dtype) else Numbers(function, self._decide)
-
-        def method(*arguments: Any, **options: Any) -> Numbers:
-            return Numbers(function(*map(plain, arguments), **options), self._decide)
-
-        return method
-
-
-def plain(value: Any) -> Any:
-    """Return what a function returned, or was given, as arrays of JAX."""
-    if isinstance(value, Numbers):
-        return value.value
-    if isinstance(value, tuple | list):
-        return type(value)(map(plain, value))
-    if isinstance(value, np.ndarray) and value.dtype == object:
-        return jnp.stack([jnp.asarray(plain(one)) for one in value.ravel()]).reshape(value.shape)
-    return value
-
-
-def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
-    """Return a function for arrays of JAX, of one that is written with JAX, or with NumPy for Numba."""
-    function = getattr(function, "py_func", function)
-
-    @wraps(function, updated=())
-    def traced(*arguments: Any) -> Any:
-        return evaluated(arguments, ())
-
-    def evaluated(arguments: Any, given: tuple[bool, ...]) -> Any:
-        # Decisions that are not given are first taken as true.
-        taken: list[bool] = list(given)
-        conditions: list[Any] = []
-
-        def decide(condition: Any) -> bool:
-            if len(conditions) == len(taken):
-                taken.append(True)
-            conditions.append(condition)
-            return taken[len(conditions) - 1]
-
-        numbers = [Numbers(jnp.asarray(one), decide) for one in arguments]
-        try:
-            found = jnp.asarray(plain(function(*numbers)), dtype=jnp.float64)
-        except Exception as reason:
-            raise TypeError(
-                f"JAX cannot trace {what} ({type(reason).__name__}: {in_one_line(str(reason), 160)}); write it with "
-                'jax.numpy, or take backend="compiled"'
-            ) from reason
-        for k in range(len(taken) - 1, len(given) - 1, -1):
-            if 2 ** (k + 1) > MOST_BRANCHES:
-                raise TypeError(f'{what} has more than {MOST_BRANCHES} branches; take backend="compiled"')
-            other = evaluated(arguments, (*taken[:k], False))
-            found = jnp.where(conditions[k], found, other)
-        return found
-
-    return traced
-
+from coadjoint.systems.hamiltonians.terms import PolynomialTerm
 
 ITERATIONS = 20
 """Function iterations of a step: an error that halves in each of them is then 1e-6 of that of the first guess."""
@@ -196,6 +71,8 @@ class Steps(NamedTuple):
     """A step of a finished state to a finished state."""
     begin: Callable[..., Any] = _unchanged
     finish: Callable[..., Any] = _unchanged
+    functions: tuple[TracedFunction, ...] = ()
+    """The functions of the user in the steps."""
 
 
 class StageField:
@@ -208,11 +85,18 @@ class StageField:
         degree = max((len(key) for key in monomials), default=0)
         self.monomials = np.array([[*key, *[n] * (degree - len(key))] for key in monomials], dtype=np.int64)
         others = [term for term in system.hamiltonian.terms() if term.form is None]
-        self.functions = [term for term in others if not isinstance(term, PolynomialTerm)]
+        self._gradients = [
+            (term.coordinates, gradient_of(term)) for term in others if not isinstance(term, PolynomialTerm)
+        ]
         # Stored for i < j.
         i, j, k, c = system.algebra.triples
         self.products = np.append(j, i), np.append(k, k)
         self.rows = sparse(np.append(i, j), np.arange(2 * len(c)), np.append(c, -c), (n, 2 * len(c)))
+
+    @property
+    def functions(self) -> tuple[TracedFunction, ...]:
+        """The functions of the user."""
+        return tuple(gradient for _, gradient in self._gradients)
 
     def at(self, energy: Any, x: Any, t: Any) -> Any:
         """Return sign J(x) grad H(x, t)."""
@@ -220,8 +104,8 @@ class StageField:
         slopes = jnp.zeros_like(x)
         if len(self.monomials):
             slopes = jax.grad(lambda x: energy @ jnp.append(x, 1.0)[self.monomials].prod(axis=1))(x)
-        for term in self.functions:
-            slopes = slopes.at[term.coordinates].add(gradient_of(term)(padded[term.coordinates], t))
+        for coordinates, gradient in self._gradients:
+            slopes = slopes.at[coordinates].add(gradient(padded[coordinates], t))
         return self.product(x, slopes)
 
     def product(self, x: Any, u: Any) -> Any:
@@ -245,27 +129,6 @@ class StageField:
         return jnp.where(norm <= MOST_PARTS, lax.scan(part, x, None, length=MOST_PARTS)[0], jnp.nan)
 
 
-def gradient_of(term: FunctionTerm) -> Any:
-    """Return the gradient of a function in its own coordinates, of (y, t), by its derivative or by that of JAX."""
-    what = "a function of the Hamiltonian"
-    function: Any = term.value
-    if isinstance(function, JaxFunction):
-        of_jax = jax.grad(function.function)
-
-        def gradient(y: Any, t: Any) -> Any:
-            z = y[0] if term.scalar else y
-            return jnp.reshape(of_jax(z, t) if term.timed else of_jax(z), y.shape)
-
-        return gradient
-    traced = on_jax(term.gradient, what)
-
-    def given(y: Any, t: Any) -> Any:
-        z = y[0] if term.scalar else y
-        return jnp.reshape(traced(z, t) if term.timed else traced(z), y.shape)
-
-    return given
-
-
 def stage_steps(field: StageField, tableau: Coefficients) -> Steps:
     """Return the steps of an implicit Runge-Kutta method; the constants are the coefficients of the energy."""
 
@@ -283,4 +146,4 @@ def stage_steps(field: StageField, tableau: Coefficients) -> Steps:
         converged = corrections[-1] <= LARGEST_CORRECTION * jnp.max(jnp.abs(slopes))
         return jnp.where(converged, x + slopes.sum(axis=0), jnp.nan), None  # NaN if the iteration has not converged
 
-    return Steps(jnp.asarray, step, step)
+    return Steps(jnp.asarray, step, step, functions=field.functions)

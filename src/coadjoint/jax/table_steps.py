@@ -17,7 +17,8 @@ from jax import lax
 from jax.scipy.linalg import expm
 
 from coadjoint.jax.body_motion import Angles, body_angles
-from coadjoint.jax.stage_steps import Steps, gradient_of, sparse
+from coadjoint.jax.stage_steps import Steps, sparse
+from coadjoint.jax.traced_functions import TracedFunction, gradient_of
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, BlockKind
 from coadjoint.program.group_correction import UnshiftTables
 
@@ -53,13 +54,13 @@ def _exponential_jvp(values: Any, tangents: Any) -> Any:
 
 
 def _part(
-    table: Table, functions: Mapping[int, Any], part: int, side: int | None
+    table: Table, gradients: Mapping[int, TracedFunction], part: int, side: int | None
 ) -> tuple[Callable[[Any], Any], Callable[..., State]]:
     """Return the constants of a part from the numbers of the table, and its flow of these, tau, t and a state."""
     first, last = (int(k) for k in table["share"][part : part + 2])
     rows = slice(int(table["term_row"][first]), int(table["term_row"][last]))
     constants_of, angles = (
-        body_angles(table, part) if first in table["bodies"] else _angles(table, functions, first, last)
+        body_angles(table, part) if first in table["bodies"] else _angles(table, gradients, first, last)
     )
     count = rows.stop - rows.start
     layers = _layers(table, "state", int(table["dim"]), part, count)
@@ -91,7 +92,8 @@ def table_steps(
     if table["version"] > VERSION:
         raise ValueError(f"the table has the version {table['version']}; this reader knows versions up to {VERSION}")
     generators, after_shift = [_generator(one) for one in unshift], _after_shift(table)
-    parts = [_part(table, functions, p, side) for p in range(len(table["share"]) - 1)]
+    gradients = {k: gradient_of(term) for k, term in functions.items()}
+    parts = [_part(table, gradients, p, side) for p in range(len(table["share"]) - 1)]
     first_rows, step_rows, finish_rows = (range(*table["section"][k : k + 2].tolist()) for k in range(3))
 
     def constants(energy: Any) -> Any:
@@ -144,7 +146,7 @@ def table_steps(
     def whole(constants: Any, start: State, t: Any, h: Any, member: Any) -> State:
         return finish(constants, flows(constants, first_rows, t, h, unturned(start)), t, h, start, h)
 
-    return Steps(constants, step, whole, begin, finish)
+    return Steps(constants, step, whole, begin, finish, tuple(gradients.values()))
 
 
 def _generator(tables: UnshiftTables) -> Callable[[Any], Any]:
@@ -193,7 +195,7 @@ def _after_shift(table: Table) -> Callable[..., tuple[Any, Any]]:
     return after_shift
 
 
-def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -> Angles:
+def _angles(table: Table, gradients: Mapping[int, TracedFunction], first: int, last: int) -> Angles:
     """Return the angles of the terms `first` to `last` - 1, which are one part, as sums over factors and monomials."""
     n, rows = int(table["dim"]), slice(int(table["term_row"][first]), int(table["term_row"][last]))
     may_change = {*table["provenance"]["offset"]["index"].tolist()}
@@ -220,12 +222,8 @@ def _angles(table: Table, functions: Mapping[int, Any], first: int, last: int) -
     factor, degree, size = np.array([one[2] for one in found]), (coordinate < n).sum(axis=1), rows.stop - rows.start
     alone, linear, other = degree == 0, degree == 1, degree > 1
     of_user = [
-        (
-            int(table["term_row"][k] - rows.start),
-            table["target"][slice(*table["term_row"][k : k + 2])],
-            gradient_of(one),
-        )
-        for k, one in functions.items()
+        (int(table["term_row"][k] - rows.start), table["target"][slice(*table["term_row"][k : k + 2])], gradient)
+        for k, gradient in gradients.items()
         if first <= k < last
     ]
 

@@ -11,10 +11,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from coadjoint.jax.energy_coefficients import CoefficientsAtParameters
 from coadjoint.jax.forces import steps_between_forces
 from coadjoint.jax.primitives import doubles
 from coadjoint.jax.stage_steps import StageField, Steps, stage_steps
 from coadjoint.jax.table_steps import DEPENDENT, table_steps
+from coadjoint.jax.traced_functions import compare_with_compiled, sample_states
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import Forced
 from coadjoint.methods.protocol.flow_method import FlowMethod
@@ -22,11 +24,10 @@ from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
 from coadjoint.program.generators import given_matrices, group_side
 from coadjoint.program.group_correction import unshift_tables
 from coadjoint.program.public_table import energy_and_parameters
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
-from coadjoint.systems.coefficients import coefficients_of
-from coadjoint.systems.parameters import force_numbers, parameters_at, with_parameters
+from coadjoint.runs.start import with_group
+from coadjoint.systems.registry import UNIT_TOLERANCE, unit_coordinate
 
 CALLER = 'co.jax.solution with backend="xla"'
 
@@ -34,17 +35,18 @@ CALLER = 'co.jax.solution with backend="xla"'
 SHORTEST = 16
 # Segments may be longer than the root of the number of steps by this factor, so that they are of equal length.
 LONGEST = 8
-# Changes of coefficients of the energy below this multiple of their rounding are zero.
-ZERO_CHANGE = 256 * UNIT_ROUNDOFF
+# A part of the span after which functions are compared with the compiled ones, besides its start.
+SAMPLED_PART = 0.37
 
 
 class XlaRun:
     """A prepared run over a time span as operations of JAX, for values by name: x0, inputs and parameters."""
 
     def __init__(self, prepared: PreparedRun, t_span: Any, save_every: Any, t_eval: Any) -> None:
+        self._prepared = prepared
         self._run = ParametrizedRun(prepared, t_span, save_every, t_eval, CALLER, takes_inputs=True)
-        self._inputs = prepared.inputs
-        self._system = prepared.system if self._inputs is None else self._inputs.system_at(self._inputs.generic)
+        inputs = prepared.inputs
+        self._system = prepared.system if inputs is None else inputs.system_at(inputs.generic)
         self._constants: Any = None
         method, group = prepared.method, prepared.representation
         if self._system.is_batch:
@@ -56,7 +58,7 @@ class XlaRun:
             self._steps = steps_between_forces(steps, self._system, field, forced)
         else:
             self._steps, self._table = _steps_and_table(self._system.unforced, method, group)
-        self._linear = self._number_linear_terms()
+        self._energy = CoefficientsAtParameters(self._system, self._table, prepared.inputs, CALLER)
         self._attitude = self._initial_attitude(prepared)
         times, moments = self._run.times, self._run.moments
         self._t0, self._h = times.t0, times.h
@@ -69,14 +71,41 @@ class XlaRun:
         self._lengths = np.zeros(len(marks)) if moments is None else moments.length
         self._moments = times.at(np.arange(times.steps + 1)) if self._system.has_noise else None
         self.solve = jax.jit(self._solve)
+        self._compared = {True: False, False: False}  # whether functions were, at a known start and at sample points
 
     def __call__(self, x0: Any, attitude0: Any, parameters: Mapping[str, Any]) -> Any:
         """Return the states (points, n) or (points, members, n)."""
-        values = doubles(self._run.arguments(x0, attitude0, parameters))
+        given = self._run.arguments(x0, attitude0, parameters)
+        values = doubles(given)
         self._run.check({name: value.shape for name, value in values.items()})
         states = (self._intervals + 2) * values["x0"].size
         check_available_memory(8 * states, f"the {self._intervals + 2} states of the run, with {CALLER},")
-        return self.solve(values)
+        known = {name: _known_numbers(value) for name, value in given.items()}
+        start, attitude = known["x0"], known.get("attitude0")
+        if start is not None:
+            self._prepared.start(start)
+        if attitude is not None:
+            check_attitude(self._prepared, attitude)
+        elif "attitude0" in values:
+            values["attitude0"] = self._checked_attitude(values["attitude0"])
+        if self._steps.functions and not self._compared[start is not None]:
+            times = self._t0, self._t0 + SAMPLED_PART * self._h * self._run.times.steps
+            compare_with_compiled(self._steps.functions, sample_states(self._system, start), times, 0.5 * self._h)
+            self._compared[start is not None] = True
+        found = self.solve(values)
+        if not any(value is None for value in known.values()):
+            self._run.check_first_step(known)
+        return found
+
+    def _checked_attitude(self, attitude: Any) -> Any:
+        """Return an attitude that is checked on the host when the traced program runs."""
+
+        def check(own: Any) -> Any:
+            check_attitude(self._prepared, np.asarray(own))
+            return np.zeros(())
+
+        nothing = jax.ShapeDtypeStruct((), np.float64)
+        return attitude + jax.pure_callback(check, nothing, lax.stop_gradient(attitude), vmap_method="sequential")
 
     def _describe_members(self, method: Any, group: Any) -> tuple[Any, Mapping[str, Any]]:
         """Return the steps and the table of the first member of a batch; set the constants of all members."""
@@ -95,136 +124,19 @@ class XlaRun:
         self._constants = jax.tree.map(lambda *own: jnp.stack(own)[batch.owners], *constants)
         return each[0]
 
-    def _number_linear_terms(self) -> Mapping[int, int]:
-        """Return the number of the monomial of each coordinate that is an input."""
-        if self._inputs is None:
-            return {}
-        if len(self._inputs.in_energy) < len(self._inputs.changing):
-            raise TypeError(f"{CALLER} has inputs of the energy only, not torques; write them as a function of time")
-        number = {tuple(key): k for k, key in enumerate(self._table["energy"]["monomials"])}
-        found = {k: number[k,] for k in self._inputs.in_energy.tolist()}
-        if set(found.values()) & {*self._table["fixed"]}:
-            raise TypeError(
-                f"inputs of {self._system.name} change the parts of the splitting, and not only numbers of its table; "
-                f'take parts="coordinates" with {CALLER}'
-            )
-        return found
-
     def _initial_attitude(self, prepared: PreparedRun) -> Any:
         """Return the initial attitude unless another one is given; None for runs without."""
         group, initial = prepared.representation, prepared.initial_attitude
         if group is None:
             return None
+        if isinstance(initial, np.ndarray):
+            check_attitude(prepared, initial)
         return initial if isinstance(initial, np.ndarray) else np.eye(group_side(prepared.system.dim, group))
-
-    # The coefficients of the energy.
-
-    def _energy(self, values: Mapping[str, Any]) -> Any:
-        """Return the coefficients of the energy at values of parameters."""
-        known, energy = self._table["parameters"], self._table["energy"]["coefficients"]
-        if self._inputs is not None:
-            return self._energy_of_inputs(energy, values)
-        if values and self._system.is_batch:
-            raise ValueError(
-                f'{next(iter(values))} has the values of the members of the batch with backend="xla"; take '
-                'backend="compiled"'
-            )
-        for name in values:
-            if self._system.forces and name in force_numbers(self._system):
-                raise ValueError(
-                    f'{name} is a parameter of a force, which has the numbers of the prepared run with backend="xla"; '
-                    'take backend="compiled"'
-                )
-            self._check_places(name)
-        if not values:
-            return energy
-        if not all(known[name]["linear"] for name in values):
-            return self._energy_on_host(values)
-        for name, value in values.items():
-            one = known[name]
-            change = one["derivative"] * (value.ravel() - one["value"])[one["entry"]]
-            energy = jnp.asarray(energy).at[one["monomial"]].add(change)
-        return energy
-
-    def _energy_of_inputs(self, energy: Any, values: Mapping[str, Any]) -> Any:
-        """Return the coefficients of the energy at values of inputs, others as prepared."""
-        inputs: Any = self._inputs
-        energy = jnp.asarray(energy)
-        for k, number in self._linear.items():
-            energy = energy.at[number].set(inputs.values[k])
-        for name, value in values.items():
-            if name not in inputs.indices:
-                raise ValueError(
-                    f'{name} has the value of the prepared run with inputs and backend="xla"; prepare without inputs='
-                )
-            numbers = [self._linear[k] for k in inputs.indices[name].ravel().tolist()]
-            energy = energy.at[np.array(numbers)].set(value.ravel())
-        return energy
-
-    def _check_places(self, name: str) -> None:
-        one = self._table["parameters"].get(name)
-        if one is None or np.any(np.isin(one["monomial"], self._table["fixed"]) & (one["derivative"] != 0.0)):
-            raise ValueError(
-                f"{name} of {self._system.name} changes the parts of the splitting, and not only numbers of its table; "
-                'take parts="coordinates", no zeros in place of coefficients that change, or backend="compiled"'
-            )
-
-    def _energy_on_host(self, values: Mapping[str, Any]) -> Any:
-        """Return the coefficients of a ready-made system, whose function is called, and differentiated, on the host."""
-        names, arrays = tuple(values), tuple(values.values())
-        keys = [tuple(key) for key in self._table["energy"]["monomials"]]
-        count = sum(array.size for array in arrays)
-
-        def at(*arrays: Any) -> dict[str, Any]:
-            return {name: np.array(array) for name, array in zip(names, arrays, strict=True)}
-
-        def coefficients(*arrays: Any) -> Any:
-            found = coefficients_of(with_parameters(self._system.unforced, at(*arrays))).by_key()
-            found.pop((), None)
-            energy = np.array([found.pop(key, 0.0) for key in keys])
-            self._check_forms(energy, found)
-            return energy
-
-        def derivatives(*arrays: Any) -> Any:
-            number, start = {key: k for k, key in enumerate(keys)}, 0
-            found = np.zeros((len(keys), count))
-            for parameter in parameters_at(self._system.unforced, at(*arrays)).values():
-                for one in parameter.energy().as_monomials:
-                    if one.coordinates:
-                        found[number[one.coordinates], start + one.entry] += one.factor
-                start += parameter.value.size
-            return found
-
-        def called(function: Callable[..., Any], shape: tuple[int, ...], *arrays: Any) -> Any:
-            result = jax.ShapeDtypeStruct(shape, np.float64)
-            return jax.pure_callback(function, result, *arrays, vmap_method="sequential")
-
-        @jax.custom_jvp
-        def energy(*arrays: Any) -> Any:
-            return called(coefficients, (len(keys),), *arrays)
-
-        @energy.defjvp
-        def energy_jvp(arrays: Any, tangents: Any) -> Any:
-            along = jnp.concatenate([tangent.ravel() for tangent in tangents])
-            return energy(*arrays), called(derivatives, (len(keys), count), *arrays) @ along
-
-        return energy(*arrays)
-
-    def _check_forms(self, energy: Any, others: Mapping[Any, float]) -> None:
-        """Raise ValueError if coefficients change on which the parts depend."""
-        fixed = self._table["fixed"]
-        changes = energy[fixed] - self._table["energy"]["coefficients"][fixed]
-        largest = np.max(np.abs(energy), initial=0.0)
-        if np.max(np.abs([*changes, *others.values()]), initial=0.0) > ZERO_CHANGE * largest:
-            raise ValueError(
-                f"these parameters of {self._system.name} change the parts of the splitting, and not only numbers of "
-                'its table; take parts="coordinates", or backend="compiled"'
-            )
 
     # The steps.
 
     def _solve(self, values: Mapping[str, Any]) -> Any:
-        x0, attitude = values["x0"], values.get("attitude0", self._attitude)
+        x0, attitude = unit_or_nan(self._system, values["x0"]), values.get("attitude0", self._attitude)
         parameters = {name: value for name, value in values.items() if name not in ("x0", "attitude0")}
         energy, of_batch = self._energy(parameters), self._constants is not None
         constants = self._constants if of_batch else self._steps.constants(energy)
@@ -277,6 +189,32 @@ class XlaRun:
         before = jax.tree.map(lambda one: one[partial], states)
         ends = jax.vmap(self._steps.whole, (None, 0, 0, 0, None))(constants, before, times, lengths, member)
         return jax.tree.map(lambda one, end: one.at[partial].set(end), states, ends)
+
+
+def check_attitude(prepared: PreparedRun, attitude: Any) -> None:
+    """Raise ValueError for an initial attitude, or several, that a run refuses."""
+    momenta = np.zeros((len(attitude) if attitude.ndim > 2 else 1, prepared.system.dim))
+    with_group(prepared.system, momenta, True, prepared.representation, attitude)
+
+
+def _known_numbers(value: Any) -> Any:
+    """Return the numbers of an argument, also where it is differentiated; None inside of `jit` and `vmap`."""
+
+    def known(leaf: Any) -> Any:
+        return lax.stop_gradient(leaf) if isinstance(leaf, jax.core.Tracer) else leaf
+
+    try:
+        return np.array(jax.tree.map(known, value), dtype=np.float64)
+    except jax.errors.TracerArrayConversionError:
+        return None
+
+
+def unit_or_nan(system: Any, x0: Any) -> Any:
+    """Return initial states, NaN where a coordinate that must be 1 is not: traced ones raise no errors."""
+    unit, *others = {unit_coordinate(one.unforced) for one in system.distinct}
+    if unit is None or others:
+        return x0
+    return jnp.where(jnp.abs(x0[..., unit : unit + 1] - 1.0) <= UNIT_TOLERANCE, x0, jnp.nan)
 
 
 @jax.custom_batching.custom_vmap

@@ -87,9 +87,10 @@ class Forced(Wrapper):
     step, are then refused.
 
     A step consists of the half flows of the forces in their order, a step of the base for the Hamiltonian part, and the
-    half flows in reverse order. Each step of the base starts afresh, except for the initial guesses of schemes for
-    matrices. `integrate`, `prepare` and `stepper` apply it automatically if a system has forces; use it directly for
-    `properties`, which names what is preserved and what breaks the rest.
+    half flows in reverse order. Sampled laws are evaluated on the state at the start of the step, so that the first of
+    their forces is before all others. Each step of the base starts afresh, except for the initial guesses of schemes
+    for matrices. `integrate`, `prepare` and `stepper` apply it automatically if a system has forces; use it directly
+    for `properties`, which names what is preserved and what breaks the rest.
 
     Parameters
     ----------
@@ -199,10 +200,10 @@ class Forced(Wrapper):
         y = np.array(x)  # steps and flows of the user may write into their states
         for begin, length in substeps_of(self.fractions, t, h):
             half = 0.5 * length
-            for force in system.forces:
+            for _, force in system.flows:
                 y = force.flow_of_order(system.unforced, y, begin, half, self.order)
             y = np.asarray(self.inner.step(system.unforced, y, begin, length))
-            for force in reversed(system.forces):
+            for _, force in reversed(system.flows):
                 y = force.flow_of_order(system.unforced, y, begin + half, half, self.order)
         return y
 
@@ -226,12 +227,12 @@ class Forced(Wrapper):
 
         for begin, length in substeps_of(self.fractions, t, h):
             half = 0.5 * length
-            for force in system.forces:
+            for _, force in system.flows:
                 chain_tangent(force, begin, half)
             by.append(self.inner.tangent_by(plain, y, begin, length))
             y, derivative = self.inner.tangent(plain, y, begin, length)
             P = derivative @ P
-            for force in reversed(system.forces):
+            for _, force in reversed(system.flows):
                 chain_tangent(force, begin + half, half)
         return y, P, by
 

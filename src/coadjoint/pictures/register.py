@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 from coadjoint.errors import unknown_name
 from coadjoint.keyword_hints import suggest_keywords, unknown_picture
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import number_of_coordinate
 from coadjoint.systems.gallery_entry import Picture
-from coadjoint.validation import read_choice, read_integer
+from coadjoint.validation import read_integer
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -161,5 +162,5 @@ def read_picture(given: Any) -> tuple[Kind, Picture]:
 def coordinate_index(names: Sequence[str], chosen: Any) -> int:
     """Return the index of a coordinate given by number or name."""
     if isinstance(chosen, str):
-        return names.index(read_choice(chosen, "coordinate", names))
+        return number_of_coordinate(names, chosen)
     return read_integer(chosen, "a coordinate", 0, len(names) - 1)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from coadjoint.keyword_hints import unknown_picture
 from coadjoint.optional_packages import require_packages
+from coadjoint.pictures.kinds.control import CONTROL_PICTURES, controllers
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Kind, Paint, kinds, read_picture
 from coadjoint.pictures.style import figure_settings, new_figure, setting
@@ -95,6 +96,8 @@ def _declared(drawn: PlottedRun, series: Picture) -> list[Panel]:
     is_declared = drawn.gallery_entry is not None and series is drawn.gallery_entry.components
     # The declared coordinates may not exist for these parameters of the system.
     components = _prepare_possible(drawn, (series,)) if is_declared else []
+    if (is_declared or drawn.gallery_entry is None) and controllers(drawn.system):
+        components = _prepare_possible(drawn, [Picture(name) for name in CONTROL_PICTURES])
     components = components or [_prepare(drawn, Picture("components") if is_declared else series)]
     drift, observed = (_prepare_possible(drawn, (Picture(name),)) for name in ("drift", "observed"))
     default = (Picture("coadjoint orbit"), Picture("eigenvalues"))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import FlaggedSteps, values_along
 from coadjoint.runs.events import Event
@@ -17,11 +18,11 @@ from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.results.quantities import is_formula
 from coadjoint.short_repr import distinct, short
 from coadjoint.systems.batch import Batch
-from coadjoint.systems.coordinates import coordinates_of
+from coadjoint.systems.coordinates import coordinates_of, number_of_coordinate
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import with_time
-from coadjoint.validation import is_integer, read_choice, read_integer
+from coadjoint.validation import is_integer, read_integer
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -228,6 +229,7 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
     if number is not None:
         return Quadratic(0.0, linear=np.eye(1, n, number)[0])
     if is_formula(g):
+        check_names(g, coordinates, f"the event {name}")
         return g
     function, start = with_time(g, name), plain_system.states_of(x0) if matrices else x0
     value = function(start.copy(), t0)
@@ -254,7 +256,7 @@ def coordinate_of(g: Any, name: str, coordinates: Sequence[str], n: int) -> int 
             f"the event {name} is {short(g)}, which is no coordinate; give a polynomial, "
             f"co.Polynomial({short(g)}, basis={short(tuple(coordinates), 200)})"
         )
-    return coordinates.index(read_choice(g, "coordinate", coordinates))
+    return number_of_coordinate(coordinates, g)
 
 
 def roots(values: Values, before: Floats, after: Floats, resolution: Floats) -> Floats:

@@ -16,11 +16,14 @@ from numpy.typing import NDArray
 from coadjoint.errors import unknown_name
 from coadjoint.kernels.tables.compiled import NotWritable
 from coadjoint.kernels.tables.writable import WritableTables
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels, labelled
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
+from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.forces.torque import is_on_bodies, places_of_torques, torque_vector
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
 
@@ -101,7 +104,8 @@ class Inputs:
             return
         from coadjoint.kernels.tables.forces import linear_coefficients_in
 
-        for label, force in zip(self.system.labels, self.system.forces, strict=True):
+        for k, force in self.system.flows:
+            label = self.system.labels[k]
             contained = sorted({*linear_coefficients_in(force, self._unforced)} & {*self.in_energy.tolist()})
             if contained:
                 raise TypeError(
@@ -138,12 +142,14 @@ class Inputs:
                 f"inputs has {short(label)} for {name}, which is {short(str(force))}; of the forces only a constant "
                 "Torque may be an input"
             )
-        if np.ndim(force.torque) > 1:
+        if np.ndim(force.torque) > 1 and self.system.has_matrices:
             raise TypeError(f"inputs has {short(label)} for {name}, which is a matrix; only a vector may be an input")
         if k in self._torques:
             raise ValueError(f"inputs name {short(label)} more than once; each torque is one input")
-        indices = self._torques[k] = len(self.values) + np.arange(self.system.dim)
-        self.values = np.concatenate([self.values, force.torque])
+        on_bodies = is_on_bodies(np.shape(force.torque), self.system)
+        places = places_of_torques(self.system) if on_bodies else np.arange(self.system.dim)
+        indices = self._torques[k] = len(self.values) + places
+        self.values = np.concatenate([self.values, torque_vector(force.torque, self.system)])
         return indices
 
     def __repr__(self) -> str:
@@ -153,7 +159,7 @@ class Inputs:
         """Return the values with these inputs inserted: (m,), or (members, m) for individual values of members."""
         if self._full_input is not None and list(inputs) == [self._full_input]:
             # All coefficients in coordinate order are the array itself.
-            numbers = read_numbers(inputs[self._full_input], self._full_input)
+            numbers = self._numbers(inputs[self._full_input], self._full_input)
             if numbers.shape[-1:] == self.values.shape and numbers.ndim <= 2 and len(numbers) and are_finite(numbers):
                 return numbers
         arrays, members = {}, None
@@ -161,7 +167,7 @@ class Inputs:
             indices = self.indices.get(name)
             if indices is None:
                 raise unknown_name("input of this run", name, self.indices)
-            numbers = read_numbers(value, name)
+            numbers = self._numbers(value, name)
             if numbers.shape != indices.shape:
                 per_member = numbers.shape[1:] == indices.shape and numbers.ndim > indices.ndim
                 if not per_member or not len(numbers) or members not in (None, len(numbers)):
@@ -175,6 +181,14 @@ class Inputs:
             indices = self.indices[name]
             values[..., indices.ravel()] = numbers.reshape(*numbers.shape[: numbers.ndim - indices.ndim], -1)
         return values
+
+    def _numbers(self, value: Any, name: str) -> Floats:
+        """Return the numbers of an input; those of coordinates may be labelled by their names."""
+        if labelled(value) is not None and self.indices[name].ndim == 1:
+            names = coordinate_names(self.system)
+            order = {"component": [names[k % self.system.dim] for k in self.indices[name].tolist()], **MEMBERS}
+            value = by_labels(value, name, STATE_DIMENSIONS[0], order)
+        return read_numbers(value, name)
 
     def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
         expected = self.indices[name].shape
@@ -232,9 +246,11 @@ class Inputs:
                 indices[int(present.number[own[0]])] = k
             else:
                 tangled += present.number[own].tolist()
-        for force, numbers in self._torques.items():
+        for k, (force, numbers) in enumerate(self._torques.items()):
+            # Each torque has a number for every coordinate; those of one on bodies are some of them.
+            places = numbers.ravel() - len(self._linear) - k * self.system.dim
             first = energy.size + force * self.system.dim
-            indices.update(zip(range(first, first + len(numbers)), numbers.tolist(), strict=True))
+            indices.update(zip((first + places).tolist(), numbers.ravel().tolist(), strict=True))
         return WritableTables(loop, watch, indices, values, tangled)
 
     def settled(self, method: Method, system: Any = None) -> Method:

@@ -54,7 +54,9 @@ def integrate(
         The system; a `batch` has one for each member.
     x0 : array_like, shape (n,) or (members, n)
         Initial momentum, or one for each member of an ensemble; (n,) is shared by all members of a batch, and every
-        state by all systems of a `batch` with named axes. For a `MatrixSystem` a matrix (N, N), or (members, N, N).
+        state by all systems of a `batch` with named axes. For a `MatrixSystem` a matrix (N, N), or (members, N, N). An
+        array of xarray is used by its dimensions ``component`` (``row`` and ``column`` of matrices) and ``member``, in
+        any order, and by its labels, the names of the coordinates; so is a table of pandas by its columns.
     t_span : (float, float)
         Start and end. The run goes backward in time if the end is the smaller one. The span must be a whole number of
         steps, up to the rounding of an end that was computed as a sum of the steps, such as ``np.cumsum([0.1] * 300)``:

@@ -10,6 +10,7 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import Immutable
 from coadjoint.kernels.loop import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
@@ -49,6 +50,7 @@ from coadjoint.runs.times import (
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
+from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import read_bool, read_integer
@@ -91,7 +93,7 @@ class _Cache:
         return times
 
 
-class Preparation:
+class Preparation(Immutable):
     """A system, a scheme and a step with everything that does not depend on the initial state; immutable."""
 
     def __init__(
@@ -234,7 +236,10 @@ class Preparation:
                 f"to `prepare`, as attitude=True or 'coadjoint' (here {short(self.initial_attitude)})"
             )
         read = momenta_of if begins else any_momenta_of
-        momenta, single = read(self.system, x0) if self._vector_size is None else vectors_of(x0, self._vector_size)
+        if self._vector_size is None:
+            momenta, single = read(self.system, x0)
+        else:
+            momenta, single = vectors_of(states_by_label(self.system, x0, "x0"), self.system)
         if values is not None and values.ndim > 1:
             if single:
                 momenta, single = np.tile(momenta, (len(values), 1)), False

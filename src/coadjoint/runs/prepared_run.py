@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 class PreparedRun(Preparation):
     """A system, a scheme and a step with everything that does not depend on the initial state; see `prepare`.
 
-    It is immutable. Several threads may run it concurrently, since each run has its own arrays.
+    It is immutable: its attributes cannot be set. Several threads may run it concurrently, since each run has its own
+    arrays.
 
     Attributes
     ----------
@@ -110,8 +111,7 @@ class PreparedRun(Preparation):
                     plan = cache.plan = plan.at_times(times) or plan
                 solution = solution_of_short_run(plan, x0.copy(), began) if plan.times is times else None
                 if solution is not None:
-                    if cache.checks_step:
-                        self._check_step(solution)
+                    self.check_first_step(solution)
                     return solution
         progress = progress is not False and read_progress(progress)
         times, moments = self.times_of(t_span, save_every, t_eval)
@@ -119,14 +119,14 @@ class PreparedRun(Preparation):
         event_list = () if events is None else read_events(events)
         solution = self.follow(times, self.start(x0, attitude, values), progress, values, event_list, moments)
         set_elapsed(solution, time.perf_counter() - began)
-        if self.cache.checks_step:
-            self._check_step(solution)
+        self.check_first_step(solution)
         return solution
 
-    def _check_step(self, solution: Solution) -> None:
-        """Warn if the step is too large for this run; loops of half a step are those of a copy, and not kept."""
-        self.cache.checks_step = False
-        self.in_one_thread().warn_of_large_step(solution)
+    def check_first_step(self, solution: Solution) -> None:
+        """Warn if the step is too large for the first run; loops of half a step are those of a copy, and not kept."""
+        if self.cache.checks_step:
+            self.cache.checks_step = False
+            self.in_one_thread().warn_of_large_step(solution)
 
     @property
     def parameters(self) -> Mapping[str, NDArray[np.float64]]:
@@ -291,11 +291,11 @@ class PreparedRun(Preparation):
 
     @suggest_keywords
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:
-        """Return only the final state of a run, with a third of the overhead of `run`.
+        """Return only the final state of a run, with less than half of the overhead of `run`.
 
-        For shooting methods, maps and control loops of few steps: the overhead of a call is about 3 us. The result is
-        bitwise equal to ``run(x0, t_span).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs
-        prepared with an attitude or with inputs fall back to `run`.
+        For shooting methods, maps and control loops of few steps: no solution object is created. The result is bitwise
+        equal to ``run(x0, t_span).x[-1]``, with the same errors. Ensembles, batches, matrices, and runs prepared with
+        an attitude or with inputs fall back to `run`.
 
         Parameters
         ----------

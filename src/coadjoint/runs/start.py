@@ -17,16 +17,18 @@ from coadjoint.algebra.representation import (
     group_elements,
     rotation_block,
 )
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels, is_xarray
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.program.generators import group_side
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name, with_state_axes
+from coadjoint.systems.coordinates import coordinate_names, states_by_label
 from coadjoint.systems.registry import check_unit_coordinate, has_unit_coordinate, unit_coordinate
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
-from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers
+from coadjoint.validation import FLOAT64, SMALL_SIZE, are_finite, read_numbers, to_array
 
 BYTES_PER_MEMBER = 100
 """Memory for a member of a family, besides its state."""
@@ -70,7 +72,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
     """Validate x0, (n,) or (members, n); return a copy (members, n), and whether it is a single state."""
     size = vector_size(system)
     if size is not None:
-        return vectors_of(x0, size)
+        return vectors_of(states_by_label(system, x0, "x0"), system)
     momenta, single = any_momenta_of(system, x0)
     if system.is_batch:
         units = [unit_coordinate(one.unforced) for one in system.distinct]
@@ -84,6 +86,7 @@ def momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bo
 
 def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64], bool]:
     """Return `momenta_of`, also for states that begin no motion: forces may have moved a coordinate that is 1."""
+    x0 = states_by_label(system, x0, "x0")
     if system.has_matrices:
         rows = system.unforced.read(x0)
         if not len(rows):
@@ -99,10 +102,18 @@ def any_momenta_of(system: System | Batch, x0: Any) -> tuple[NDArray[np.float64]
         if momenta.shape not in ((n,), (len(system), n)):
             raise ValueError(
                 f"x0 has the shape {momenta.shape}; a batch of {len(system)} members needs ({len(system)}, {n}), "
-                f"or ({n},) for all of them"
+                f"or ({n},) for all of them{_held_hint(system, momenta)}"
             )
         momenta = np.array(np.broadcast_to(momenta, (len(system), n)), order="C")
-    return _checked(momenta, n, x0)
+    return _checked(momenta, system, x0)
+
+
+def _held_hint(system: Any, momenta: NDArray[np.float64]) -> str:
+    """Return a hint for states that were made before forces with numbers in the state were added."""
+    held = getattr(system.of_member(0), "held", 0)
+    if not held or not momenta.ndim or momenta.shape[-1] != system.dim - held:
+        return ""
+    return f", of which forces hold the last {held}: make it by system.state(...) after with_forces"
 
 
 def vector_size(system: Any) -> int | None:
@@ -111,20 +122,22 @@ def vector_size(system: Any) -> int | None:
     return None if is_other or has_unit_coordinate(system.unforced) else int(system.dim)
 
 
-def vectors_of(x0: Any, n: int) -> tuple[NDArray[np.float64], bool]:
-    """Return what `momenta_of` returns for a system whose states are vectors of n numbers."""
+def vectors_of(x0: Any, system: Any) -> tuple[NDArray[np.float64], bool]:
+    """Return what `momenta_of` returns for a system whose states are vectors."""
+    n = system.dim
     if type(x0) is np.ndarray and x0.dtype is FLOAT64 and x0.shape == (n,) and n <= SMALL_SIZE:
         # The short way of the most frequent case; numbers with a finite sum are finite.
         momenta = x0.copy()
         if math.isfinite(sum(momenta.tolist())):
             return momenta[None], True
-    return _checked(read_numbers(x0, "x0"), n, x0)
+    return _checked(read_numbers(x0, "x0"), system, x0)
 
 
-def _checked(momenta: NDArray[np.float64], n: int, x0: Any) -> tuple[NDArray[np.float64], bool]:
+def _checked(momenta: NDArray[np.float64], system: Any, x0: Any) -> tuple[NDArray[np.float64], bool]:
     """Validate a copy of the numbers of x0; return it as (members, n), and whether it was a single state."""
+    n = system.dim
     if momenta.ndim not in (1, 2) or momenta.shape[-1] != n:
-        hint = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else ""
+        hint = "; np.ravel(x0) makes one state of its numbers" if momenta.size == n else _held_hint(system, momenta)
         raise ValueError(f"x0 has the shape {momenta.shape}; it must be ({n},) or (members, {n}){hint}")
     if not are_finite(momenta):
         raise ValueError("x0 contains NaN or infinity; every component must be finite")
@@ -140,14 +153,19 @@ def combined(system: Any, x0: Any) -> tuple[Any, Any]:
     check_system(system)
     if not system.is_batch or system.combined:
         return system, x0
-    shape, dims = system[0].shape, getattr(x0, "dims", None)
-    states, axes = np.asarray(x0 if dims is None else x0.values), system.axes
+    shape, axes, dims = system[0].shape, system.axes, x0.dims if is_xarray(x0) else None
+    if dims is None:
+        states = to_array(states_by_label(system, x0, "x0"), "x0", "iufc")
+    else:
+        of_state = STATE_DIMENSIONS[len(shape) - 1]
+        dims = [dim for dim in dims if dim not in (*of_state, "part")]
+        states = by_labels(x0, "x0", of_state, {"component": coordinate_names(system)})
     lengths = tuple(axis.length for axis in axes.values())
     leading = states.ndim - len(shape)
     if leading < 0 or states.shape[leading:] != shape:
         raise ValueError(f"x0 has the shape {states.shape}; each state must be of shape {shape}, its last dimensions")
     if dims is not None:
-        names = tuple(map(str, dims[:leading]))
+        names = tuple(map(str, dims))
     elif leading <= 1:
         names = ("member",)[:leading]
     elif leading == len(axes) + 1 and states.shape[: len(axes)] == lengths:
@@ -192,6 +210,7 @@ def read_attitude(attitude: Any, system: Any) -> Any:
         return attitude
     representation = system.of_member(0).representation
     size = 0 if representation is None else np.shape(representation)[-1]
+    attitude = by_labels(attitude, "attitude", STATE_DIMENSIONS[1], MEMBERS)
     return group_elements(attitude, size, rotation_block(representation))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import IntegrationError
+from coadjoint.errors import Immutable, IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
@@ -27,7 +27,7 @@ from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import read_number
 
 
-class Stepper:
+class Stepper(Immutable):
     """One step of a scheme as a map; see `stepper`.
 
     Parameters

@@ -46,6 +46,7 @@ class Batch:
     unforced = of("first.unforced")
     forces = of("first.forces")
     labels = of("first.labels")
+    flows = of("first.flows")
     has_noise = of("first.has_noise")
     states_of = of("first.states_of")
     rows_of = of("first.rows_of")

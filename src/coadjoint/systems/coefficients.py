@@ -203,7 +203,10 @@ def _with_linear_term(H: HamiltonianLike) -> Summable:
 def with_linear(system: SystemT, linear: Floats) -> SystemT:
     """Return the system with another linear term in its Hamiltonian; without closed form, integrals and parameters."""
     H = _with_linear_term(system.hamiltonian)
-    return with_hamiltonian(system, H.with_linear(np.asarray(linear, dtype=np.float64)))
+    changed = with_hamiltonian(system, H.with_linear(np.asarray(linear, dtype=np.float64)))
+    base = system._base_parameters if system.parameters is None else system.parameters
+    object.__setattr__(changed, "_base_parameters", base)
+    return changed
 
 
 def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
@@ -212,7 +215,8 @@ def with_hamiltonian(system: SystemT, hamiltonian: HamiltonianLike) -> SystemT:
     for name in list(vars(changed)):
         if isinstance(getattr(type(system), name, None), cached_property):
             del vars(changed)[name]
-    fields: dict[str, Any] = {"hamiltonian": hamiltonian, "closed_form": None, "_parameters": None, "_integrals": {}}
+    fields: dict[str, Any] = {"hamiltonian": hamiltonian, "_integrals": {}}
+    fields |= dict.fromkeys(("closed_form", "_parameters", "_base_parameters"))
     for name, value in fields.items():
         if hasattr(system, name):
             object.__setattr__(changed, name, value)

@@ -15,10 +15,11 @@ from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.families.products import direct_sum
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
-from coadjoint.algebra.polynomials.monomials import names_of_basis
+from coadjoint.algebra.polynomials.monomials import names_of_basis, numbers_by_name
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
 from coadjoint.systems.registry import gallery_entry_of
-from coadjoint.validation import read_finite
+from coadjoint.validation import read_choice, read_finite
 
 Function = TypeVar("Function")
 
@@ -28,18 +29,42 @@ SPREAD = 256.0  # ratio of sizes of groups of coordinates from which each has it
 def coordinate_names(system: Any, count: int | None = None) -> tuple[str, ...]:
     """Return `count` (default: `dim`) names that the system or its algebra declares, else x1, x2, ..."""
     system = system.unforced
-    count = system.dim if count is None else count
-    entry = gallery_entry_of(system.name)
+    return declared_names(system.name, system.algebra, system.dim if count is None else count)
+
+
+def declared_names(title: str | None, algebra: Any, count: int) -> tuple[str, ...]:
+    """Return the names of `count` coordinates of the system of this name on an algebra, or on none."""
+    entry = None if title is None else gallery_entry_of(title)
     names = () if entry is None else entry.names(count)
     if names:
         return names
-    basis = getattr(system.algebra, "basis", ())
+    basis = getattr(algebra, "basis", ())
     return names_of_basis(basis) if len(basis) == count else tuple(default_names(count))
+
+
+def number_of_coordinate(names: Sequence[str], name: str) -> int:
+    """Return the number of a coordinate by its name, or by one of x1, x2, ... if these name no other coordinate."""
+    known = numbers_by_name(names)
+    return known[name if name in known else read_choice(name, "coordinate", names)]
 
 
 def coordinates_of(system: Any) -> tuple[str, ...]:
     """Return the names of the coordinates, for events and polynomials; empty for matrices, which have none."""
     return () if system.has_matrices else coordinate_names(system)
+
+
+def names_for(system: Any, function: Any) -> tuple[str, ...] | None:
+    """Return the names of the coordinates if a function is a text, or may have been written in names; else None."""
+    is_written = isinstance(function, str) or hasattr(function, "_written_names") or hasattr(function, "summands")
+    return coordinate_names(system) if is_written else None
+
+
+def states_by_label(system: Any, x: Any, what: str = "x") -> Any:
+    """Return labelled states of a system as an array, by the names of dimensions and coordinates; others unchanged."""
+    if isinstance(x, np.ndarray | list | tuple):
+        return x
+    axes = STATE_DIMENSIONS[len(system.shape) - 1]
+    return by_labels(x, what, axes, {"component": coordinate_names(system), **MEMBERS})
 
 
 def in_coordinates_of(system: Any, function: Function) -> Function:

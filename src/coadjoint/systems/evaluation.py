@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.exact.numbers import exact_number, exact_numbers
+from coadjoint.labels import labelled
 from coadjoint.validation import REAL_KINDS, read_numbers, to_array
 
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
@@ -46,6 +47,8 @@ def vectorized_over_states(method: MethodT) -> MethodT:
 
     @functools.wraps(method)
     def vectorized(self: Any, x: npt.ArrayLike, t: Any = 0.0) -> Any:
+        if labelled(x) is not None and hasattr(self, "states_by_label"):
+            x = self.states_by_label(x)
         array: npt.NDArray[Any] = x if type(x) is np.ndarray else to_array(x, "x", "iufc")
         if array.ndim < 2 or len(getattr(self, "shape", ())) > 1:  # one state, or matrices
             return method(self, x, t)

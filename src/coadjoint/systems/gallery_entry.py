@@ -50,12 +50,13 @@ class Picture:
     - ``"components"``: chosen, functions, flips, quantity
     - ``"directions"``: vectors (needed), axes_named, title, view
     - ``"drift"``, ``"error"``, ``"observed"``, ``"energy by scale"``: none
+    - ``"gimbal angles"``, ``"pointing error"``, ``"torques"``, ``"wheel speeds"``: none
     - ``"eigenvalues"``, ``"field spectra"``: at
     - ``"field"``: width (needed), modes or values, at, label
     - ``"nutation"``: axis, up, turns
     - ``"path in space"``: axis
     - ``"phase ellipse"``: moments or lumps, times, until, labels
-    - ``"phase portrait"``: across, up, labels, cyclic, equal, title
+    - ``"phase portrait"``: across, up, labels, cyclic, equal, title, curves
     - ``"section"``: event, components
     - ``"space-time"``: sites (needed), label (needed), across, centred, title
     - ``"sphere field"``: values (needed), at, view, label

@@ -13,12 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.monomials import names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
-from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
+from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of, names_for
 from coadjoint.systems.evaluation import ProductSums, scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -87,8 +86,8 @@ class LiePoissonSystem(System):
     algebra : LieAlgebra
         The algebra, on whose dual x lies; ``J_ij(x) = sum_k c_ij^k x_k``.
     hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian, Hamiltonian, function or text
-        The energy. A function of x is a `Hamiltonian`; a text is a `formula` in x1, x2, ... or in the names of the
-        basis.
+        The energy. A function of x is a `Hamiltonian`; a text is a `formula` in the names of the coordinates, or in
+        x1, x2, ... if none of these is the name of another coordinate.
     sign : {+1, -1}
         +1 for right-invariant systems (the convention of Reich, 1993), -1 for left-invariant (body) systems.
     casimirs : mapping, optional
@@ -122,9 +121,10 @@ class LiePoissonSystem(System):
     Raises
     ------
     TypeError, ValueError
-        An argument of the wrong type; a sign that is not +1 or -1; a Hamiltonian of another dimension; coordinates of a
-        piece of a `SplitHamiltonian` that do not commute; a Casimir or an integral that is not constant (checked if its
-        gradient is known); a representation with other commutators.
+        An argument of the wrong type; a sign that is not +1 or -1; a Hamiltonian of another dimension; a function
+        written with the name of another coordinate; coordinates of a piece of a `SplitHamiltonian` that do not commute;
+        a Casimir or an integral that is not constant (checked if its gradient is known); a representation with other
+        commutators.
 
     Notes
     -----
@@ -168,24 +168,21 @@ class LiePoissonSystem(System):
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is a {type(algebra).__name__}; give a LieAlgebra, such as co.algebras.so(3)")
         set_fields(self, algebra=algebra, sign=read_sign(sign))
-        names = names_of_basis(algebra.basis) if isinstance(hamiltonian, str) else None
+        set_fields(self, name=read_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
         owner = algebra.name or "the algebra"
-        set_fields(self, hamiltonian=as_hamiltonian(hamiltonian, algebra.dim, owner, names))
+        set_fields(self, hamiltonian=as_hamiltonian(hamiltonian, algebra.dim, owner, names_for(self, hamiltonian)))
         if isinstance(self.hamiltonian, Summable):
             self.hamiltonian.check_commuting(algebra)
         check_available_memory(
             BYTES_PER_CONSTANT * algebra._constant_count,
             f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},",
         )
-        products = self._product, self._absolute_product
-        given_casimirs = None if casimirs is None else read_casimirs(casimirs, algebra.dim, *products)
-        given_integrals = {} if integrals is None else integrals
-        found_integrals = read_integrals(given_integrals, self.hamiltonian, algebra.dim, *products)
+        given_casimirs = None if casimirs is None else read_casimirs(casimirs, self)
+        found_integrals = read_integrals({} if integrals is None else integrals, self)
         matrices = algebra.representation
         if representation is not None:
             matrices = check_representation(representation, algebra.triples, algebra.dim, algebra.basis)
         set_fields(self, _casimirs=given_casimirs, _integrals=found_integrals, representation=matrices)
-        set_fields(self, name=read_name(name, f"Lie-Poisson system on {algebra.name or 'g*'}"))
         set_fields(
             self,
             hamiltonian=in_coordinates_of(self, self.hamiltonian),

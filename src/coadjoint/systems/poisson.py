@@ -12,7 +12,7 @@ import numpy.typing as npt
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
-from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of
+from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of, names_for
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import (
@@ -121,14 +121,14 @@ class PoissonSystem(System):
             self,
             sign=read_sign(sign),
             _dim=n,
-            hamiltonian=as_hamiltonian(hamiltonian, n),
             structure_function=structure_matrix,
             derivative_function=derivative,
             name=read_name(name, f"Poisson system of dimension {n}"),
         )
+        H = as_hamiltonian(hamiltonian, n, names=names_for(self, hamiltonian))
         set_fields(
             self,
-            hamiltonian=in_coordinates_of(self, self.hamiltonian),
+            hamiltonian=in_coordinates_of(self, H),
             _parameters=read_parameters(parameters),
             closed_form=read_closed_form(exact),
         )
@@ -139,8 +139,7 @@ class PoissonSystem(System):
             check_derivative(
                 structure_matrix, derivative, names=names, shapes=(shape, (*shape, self.dim)), n=self.dim, timed=False
             )
-        given = {} if casimirs is None else casimirs
-        set_fields(self, _casimirs=read_casimirs(given, n, self._product, self._absolute_product))
+        set_fields(self, _casimirs=read_casimirs({} if casimirs is None else casimirs, self))
 
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:
         return np.abs(self.structure_matrix(x)) @ np.abs(u)

@@ -41,7 +41,7 @@ _REGISTRY: dict[str, Callable[..., Any]] = {}
 _ENERGIES: dict[str, DeclaredEnergy] = {}
 _GALLERY_ENTRIES: dict[str, GalleryEntry] = {}
 _UNITS: dict[str, str] = {}
-UNIT_TOLERANCE = 1e-6  # deviation of a coordinate from 1 that is taken for rounding
+UNIT_TOLERANCE = 2.0**-40  # deviation of a coordinate from 1 that is taken for rounding, as of a mean of states
 
 
 @overload
@@ -172,7 +172,7 @@ def check_unit_coordinate(system: Any, states: npt.NDArray[np.float64]) -> None:
     wrong = ~(np.abs(states[..., coordinate] - 1.0) <= UNIT_TOLERANCE)
     if wrong.any():
         raise ValueError(
-            f"x0[..., {coordinate}] is {states[..., coordinate][wrong].flat[0]:g}, and {_UNITS[system.name]} of "
+            f"x0[..., {coordinate}] is {states[..., coordinate][wrong].flat[0]:.15g}, and {_UNITS[system.name]} of "
             f"{system.name} must be 1; set this coordinate, by which positions and momenta are canonical pairs, to 1"
         )
 

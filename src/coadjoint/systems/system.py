@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
+from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
 from coadjoint.systems.forces.base import Force, forces_on, forces_text, labels_of
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
@@ -91,9 +92,9 @@ class System:
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
+    _base_parameters: dict[str, Any] | None = None  # of the system that has another linear term, without inputs
     _kind = property(type, doc="The class of the systems with which a batch mixes this one.")
-    closed_form: Callable[..., Any] | None = None
-    """The given function ``exact(x0, t, attitude)``, or None."""
+    closed_form: Callable[..., Any] | None = None  # ``exact(x0, t, attitude)``
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
@@ -109,6 +110,8 @@ class System:
     def parameters(self) -> dict[str, Any] | None:
         """Parameters for which ``co.systems.get(name, **parameters)`` makes this system again, or None (a copy)."""
         return None if self._parameters is None else dict(self._parameters)
+
+    states_by_label = states_by_label
 
     def structure_matrix(self, x: npt.ArrayLike) -> npt.NDArray[Any]:
         """Return the structure matrix J(x), dense.
@@ -160,24 +163,12 @@ class System:
         return np.asarray(self.algebra.coadjoint(u))
 
     def hamiltonian_field(self, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
-        """Return ``sign * J(x) grad H(x, t)`` at one state, without the forces.
-
-        Parameters
-        ----------
-        x : (n,) array
-            The state.
-        t : number
-            The time.
-
-        Returns
-        -------
-        ndarray, shape (n,)
-        """
+        """Return ``sign * J(x) grad H(x, t)``, (n,), at one state x, (n,), and a time, without the forces."""
         return self.sign * self._product(x, self.hamiltonian.gradient(x, t))
 
     def _vector(self, x: Any) -> npt.NDArray[Any]:
         """Return a state of real numbers as a vector, in which forces take it."""
-        return read_point(read_numbers(x, "x"), self.dim)
+        return read_point(read_numbers(self.states_by_label(x), "x"), self.dim)
 
     @vectorized_over_states
     @ignore_overflow
@@ -286,8 +277,9 @@ class System:
         """Return the system with damping, torques or noise, after the forces that it has.
 
         A run uses a symmetric splitting: half flows of the forces in their order, a step of the scheme for the
-        Hamiltonian part, half flows in reverse order. `Method.properties` lists the properties lost by the forces, and
-        `Solution.balance` compares the changes of energy and Casimirs with the work of the forces.
+        Hamiltonian part, half flows in reverse order. Sampled laws see the state at the start of a step, in any order.
+        `Method.properties` lists the properties lost by the forces, and `Solution.balance` compares the changes of
+        energy and Casimirs with the work of the forces.
 
         Parameters
         ----------
@@ -318,8 +310,8 @@ class System:
         vars(forced).pop("in_numbers", None)
         set_fields(forced, forces=acting, labels=labels_of(acting), _unforced=plain, _parameters=None, closed_form=None)
         set_fields(forced, name=truncate_title(f"{plain.name} with {', '.join(forced.labels)}"))
-        set_fields(forced, reversible=all(force.reversible for force in acting))
-        set_fields(forced, has_noise=any(force.random for force in acting))
+        reversible, random = all(force.reversible for force in acting), any(force.random for force in acting)
+        set_fields(forced, reversible=reversible, has_noise=random)
         return forced
 
     def among(self, first: int, last: int) -> Self:
@@ -327,6 +319,15 @@ class System:
         if not first or not self.has_noise:
             return self
         return self.unforced.with_forces(*(force.of_members_from(first) for force in self.forces))
+
+    @property
+    def flows(self) -> tuple[tuple[int, Force], ...]:
+        """Flows of the forces with their positions, as in the first half of a step: laws are sampled before all act."""
+        if not any(force.sampled for force in self.forces):
+            return tuple(enumerate(self.forces))
+        from coadjoint.systems.forces.sampled import flows_of
+
+        return flows_of(self.forces)
 
     @property
     def distinct(self) -> tuple[Self, ...]:

@@ -9,16 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.user_functions import check_skew, evaluate, sample_points
+from coadjoint.systems.user_functions import check_places, check_skew, evaluate, sample_points, takes_time
 from coadjoint.validation import is_integer, is_real, read_integer, read_list, read_title, set_fields
-
-Product = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.float64]]
 
 
 def read_name(name: Any, default: str) -> str:
@@ -62,6 +61,8 @@ def read_closed_form(exact: Callable[..., Any] | None) -> Callable[..., Any] | N
     """Validate the closed form of a system: a function of (x0, t, attitude), or None."""
     if exact is not None and not callable(exact):
         raise TypeError(f"exact is {short(exact)}; give a function of (x0, t, attitude), or None")
+    if exact is not None:
+        check_places(exact, "exact", "x0, t, attitude")
     return exact
 
 
@@ -81,21 +82,22 @@ class KnownInvariants(Mapping[str, Any]):
         return len(self._makers)
 
 
-def read_casimirs(casimirs: Mapping[str, Any], n: int, product: Product, size: Product) -> dict[str, Any]:
+def read_casimirs(casimirs: Mapping[str, Any], system: Any) -> dict[str, Any]:
     """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points."""
-    # ``product(x, u)`` is J(x) u, and ``size(x, u)`` the sum of absolute products in each component. The tolerance is u
-    # times the number of operations times that sum for polynomials; gradients of an `Invariant` may lose 20 bits.
+    # The tolerance is u times the number of operations times the sum of absolute products in each component for
+    # polynomials; gradients of an `Invariant` may lose 20 bits.
     if isinstance(casimirs, KnownInvariants):
         return dict(casimirs)
-    result = read_invariants(casimirs, n, "Casimir")
+    result = read_invariants(casimirs, system, "Casimir")
     for name, casimir in result.items():
         if casimir.gradient is not None:
-            _check(name, casimir, n, product, size)
+            _check(name, casimir, system)
     return result
 
 
-def read_invariants(argument: Any, n: int, kind: str) -> dict[str, Any]:
-    """Validate invariants in n coordinates by name; functions are wrapped. `kind` is their name in messages."""
+def read_invariants(argument: Any, system: Any, kind: str) -> dict[str, Any]:
+    """Validate invariants of a system by name; functions are wrapped. `kind` is their name in messages."""
+    n = system.dim
     if not isinstance(argument, Mapping):
         raise TypeError(
             f"{kind.lower()}s is a {type(argument).__name__}; give a mapping from name to Polynomial or Invariant"
@@ -114,8 +116,15 @@ def read_invariants(argument: Any, n: int, kind: str) -> dict[str, Any]:
                     "give a Polynomial, a Quadratic, an Invariant or a function of x"
                 )
             invariant = Invariant(invariant)
+        if isinstance(invariant, Invariant) and takes_time(invariant.value, f"the {kind} {short(name)}"):
+            raise TypeError(
+                f"the {kind} {short(name)} is a function of (x, t), and {kind}s are functions of x; give one, or "
+                "record a function of (x, t) by observe="
+            )
         if isinstance(invariant, Polynomial) and invariant.dim != n:
             raise ValueError(f"the {kind} {short(name)} has {invariant.dim} variables but the system has dimension {n}")
+        if isinstance(invariant, Polynomial):
+            check_names(invariant, coordinate_names(system), f"the {kind} {short(name)}")
         result[str(name)] = invariant.bind(n) if isinstance(invariant, Quadratic) else invariant
     return result
 
@@ -134,14 +143,14 @@ def gradient_and_scale(
     return np.asarray(gradient, dtype=np.float64), np.asarray(size, dtype=np.float64), operations
 
 
-def _check(name: str, casimir: Polynomial | Quadratic | Invariant, n: int, product: Product, size: Product) -> None:
-    for x in sample_points(n):
+def _check(name: str, casimir: Polynomial | Quadratic | Invariant, system: Any) -> None:
+    for x in sample_points(system.dim):
         scaled = gradient_and_scale(name, casimir, x)
         if scaled is None:
             continue
         gradient, bound, operations = scaled
-        defect = np.abs(product(x, gradient))
-        tolerance = operations * UNIT_ROUNDOFF * size(x, bound).max(initial=0.0)
+        defect = np.abs(system._product(x, gradient))
+        tolerance = operations * UNIT_ROUNDOFF * system._absolute_product(x, bound).max(initial=0.0)
         if defect.max(initial=0.0) > tolerance:
             i = int(np.argmax(defect))
             raise ValueError(
@@ -154,12 +163,12 @@ TIMES = (0.0, 1.0)  # at which integrals are checked: a field may rest at time z
 
 
 @ignore_overflow
-def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product, size: Product) -> Mapping[str, Any]:
+def read_integrals(integrals: Any, system: Any) -> Mapping[str, Any]:
     """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known."""
     if isinstance(integrals, KnownInvariants):
         return integrals
-    result = read_invariants(integrals, n, "integral")
-    points = sample_points(n) if any(F.gradient is not None for F in result.values()) else []
+    result, H = read_invariants(integrals, system, "integral"), system.hamiltonian
+    points = sample_points(system.dim) if any(F.gradient is not None for F in result.values()) else []
     for x in points:
         for t in TIMES if H.timed else TIMES[:1]:
             force = evaluate(lambda y, t=t: H.gradient(y, t), x, False)
@@ -168,7 +177,7 @@ def read_integrals(integrals: Any, H: HamiltonianLike, n: int, product: Product,
             bound, work = np.abs(force), 2**20
             if hasattr(H, "gradient_and_size"):
                 _, bound, work = gradient_and_scale("energy", H, x) or (force, bound, work)
-            field, sizes = product(x, force), size(x, bound)
+            field, sizes = system._product(x, force), system._absolute_product(x, bound)
             for name, F in result.items():
                 scaled = None if F.gradient is None else gradient_and_scale(name, F, x, "integral")
                 if scaled is None:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.systems.forces.torque import torque_vector
 from coadjoint.systems.hamiltonians.terms import Term, built_in
 from coadjoint.systems.lie_poisson import LiePoissonSystem, known_or_found_casimirs
 from coadjoint.systems.vanishing_products import without_cancelling
@@ -135,7 +136,8 @@ def stacks_with_forces(
 
 def _torque_numbers(system: Any) -> Floats:
     zeros = np.zeros(system.dim)
-    return np.concatenate([force.torque if force.is_constant_torque else zeros for force in system.forces])
+    each = [torque_vector(force.torque, system) if force.is_constant_torque else zeros for force in system.forces]
+    return np.concatenate(each)
 
 
 def _algebra(system: LiePoissonSystem, known: dict[Hashable, int]) -> tuple[int, int]:

@@ -22,8 +22,15 @@ SEED = 1993  # of sample points; any other would do
 SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
 LEAST_SHARED_BODIES, BODIES_OF_A_SHARE, MAX_SHARES = 57, 16, 32
 """Bodies from which on threads share a member of 18 coordinates each; what is done once for each share is small."""
-TIMES = ("t", "time")
-"""Names of arguments that are the time."""
+MOVED = 2.0**-30  # part of its arguments by which those of a function may be moved for the same values
+KNOWN_NAMES = {
+    "x": ("x", "x0", "y", "z", "X", "Y", "Z", "L", "M", "S", "W", "state", "momentum"),
+    "t": ("t", "time"),
+    "tau": ("tau", "h", "dt"),
+    "A": ("A", "attitude", "rotation", "orientation", "dcm", "quaternion"),
+    "r": ("r", "position"),
+}
+"""Names of the state, the time, a duration, an attitude and a position, by which arguments are recognized."""
 MANY_COORDINATES = 1 << 16
 """Dimension above which one point is a sample."""
 
@@ -123,6 +130,53 @@ def multiple_of(function: Any, factor: Coefficient, scalar: bool) -> Any:
     return None if function is None else MultipleOf(function, factor, scalar)
 
 
+def kind_of_name(name: str) -> str | None:
+    """Return which argument has a name, a key of `KNOWN_NAMES`, or None for a name that is not known."""
+    return next((kind for kind, names in KNOWN_NAMES.items() if name in names), None)
+
+
+def parameters_of_function(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """Return the parameters of a function; none of a built-in one without a signature."""
+    try:
+        return list(inspect.signature(getattr(function, "py_func", function)).parameters.values())
+    except (TypeError, ValueError):
+        return []
+
+
+def check_places(function: Callable[..., Any], name: str, arguments: str) -> None:
+    """Raise TypeError if a known name stands at the place of another argument, such as (t, x) for (x, t)."""
+    expected = arguments.split(", ")
+    kinds = [kind_of_name(one) for one in expected]
+    parameters = parameters_of_function(function)
+    for parameter, kind in zip(parameters, kinds, strict=False):
+        found = kind_of_name(parameter.name)
+        # A time is nothing else. Other names have other meanings elsewhere: x may be a position, tau a time.
+        wrong = found in kinds or found == "t" or (kind == "t" and found in ("x", "A", "r"))
+        if found not in (None, kind) and wrong and (parameter.default is parameter.empty or found == "t"):
+            raise TypeError(
+                f"{name} is a function of {names_of(parameters)}, and is called with ({arguments}); give the arguments "
+                "this order and these names"
+            )
+
+
+def names_of(parameters: Sequence[inspect.Parameter]) -> str:
+    """Return the names of parameters as in a call."""
+    return f"({', '.join(one.name for one in parameters)})"
+
+
+def attitude_arguments(torque: Callable[..., Any]) -> str | None:
+    """Return "x, A" or "x, A, t" for a function whose second parameter is named A; None for any other."""
+    parameters = parameters_of_function(torque)
+    if len(parameters) < 2 or parameters[1].name != "A":
+        if any(one.name == "A" and one.default is one.empty for one in parameters):
+            raise TypeError(f"the torque is a function of {names_of(parameters)}; give one of (x, A) or (x, A, t)")
+        return None
+    more = [one for one in parameters[2:] if one.default is one.empty or one.name == "t"]
+    if [one.name for one in more] not in ([], ["t"]) or any(one.kind is one.VAR_POSITIONAL for one in parameters):
+        raise TypeError(f"the torque is a function of {names_of(parameters)}; give one of (x, A) or (x, A, t)")
+    return "x, A, t" if more else "x, A"
+
+
 def takes_time(function: Callable[..., Any], name: str) -> bool:
     """Return whether `function` takes ``(x, t)`` rather than ``(x)``; raise TypeError otherwise."""
     # A second argument counts as the time if it has no default, or if its name is ``t``.
@@ -141,9 +195,6 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
         positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
         parameters = [p for p in signature.parameters.values() if p.kind in positional]
         required = [p for p in parameters if p.default is inspect.Parameter.empty]
-        if len(required) == 2 and required[0].name in TIMES and required[1].name not in TIMES:
-            names = ", ".join(p.name for p in required)
-            raise TypeError(f"{name} is a function of ({names}); the state is first, and the time second: give (x, t)")
         count = 2 if len(parameters) > 1 and len(required) < 2 and parameters[1].name == "t" else len(required)
         if any(
             p.kind is inspect.Parameter.KEYWORD_ONLY and p.default is p.empty for p in signature.parameters.values()
@@ -151,6 +202,7 @@ def takes_time(function: Callable[..., Any], name: str) -> bool:
             count = 0
     if count not in (1, 2):
         raise TypeError(f"{name} takes {count} positional arguments; give a function of (x) or (x, t)")
+    check_places(function, name, "x, t" if count == 2 else "x")
     return count == 2
 
 
@@ -179,6 +231,7 @@ def check_arguments(function: Callable[..., Any], name: str, arguments: str) -> 
         raise TypeError(f"{name} is {short(function)}; it must be a function of ({arguments})") from None
     except ValueError:
         pass
+    check_places(function, name, arguments)
 
 
 def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
@@ -214,6 +267,36 @@ def evaluate(
             if failures is not None:
                 failures.append(reason)
             return None
+
+
+def first_difference(
+    reference: Callable[[Any, Any], Any], found: Any, y: npt.NDArray[np.float64], t: float, is_flow: bool = False
+) -> str | None:
+    """Return how values differ from those of a function at numbers y and a time, but for rounding; None if they do not.
+
+    Of a flow, a function of a state with the length of a step behind it, the changes of the state are compared.
+    """
+    # Values differ by rounding if they are those at arguments that are moved by this part of themselves. One that is
+    # not finite, as that of a compiled function that raises, may be finite if it is so there.
+    states = y[: len(y) - 1] if is_flow else np.zeros(np.shape(found))
+    with np.errstate(all="ignore"):
+        wanted = np.asarray(reference(y, t), dtype=np.float64)
+        known, finite = np.isfinite(wanted), np.isfinite(found)
+        off = np.where(known & finite, np.abs(found - wanted), np.where(known == finite, 0.0, np.inf))
+        tolerance = 16.0 * UNIT_ROUNDOFF * (np.abs(wanted) + np.abs(states)) + MOVED * np.abs(wanted - states)
+        tolerance = np.where(known, tolerance, 0.0)
+        if np.all(off <= tolerance):
+            return None
+        for signs in np.random.default_rng(SEED).choice([-1.0, 1.0], (4, len(y) + 1)):
+            moved = y * (1.0 + MOVED * signs[:-1])
+            there = np.asarray(reference(moved, t * (1.0 + MOVED * signs[-1])), dtype=np.float64)
+            change = there - wanted - (moved[: len(states)] - y[: len(states)] if is_flow else 0.0)
+            tolerance = np.where(known == np.isfinite(there), np.fmax(tolerance, 4.0 * np.abs(change)), np.inf)
+    wrong = ~(off <= tolerance)
+    if not wrong.any():
+        return None
+    k = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
+    return f"{float(found[k]):.6g} in place of {float(wanted[k]):.6g} at a sample point"
 
 
 def check_derivative(

@@ -87,8 +87,6 @@ def test_links_of_copied_pages():
     assert '<a href="explorer/index.html">Open it.' in with_explorer(text, "index.md") and "<!-- explorer" in text
     top = system_pages()["systems/heavy_top.md"]
     assert '<a href="../explorer/index.html#system=heavy_top">' in with_explorer(top, "systems/heavy_top.md")
-    readme = published(ROOT / "README.md")
-    assert "](explorer.md)" in readme and "](docs/" not in readme
     tables = with_schemes(published(DOCS / "schemes.md"), set(scheme_pages()))
     assert "[`IsospectralGauss()`](schemes/IsospectralGauss.md)" in tables
     assert {f"schemes/{name}.md" for name in re.findall(r"\]\(schemes/(\w+)\.md\)", tables)} <= set(scheme_pages())

@@ -368,3 +368,11 @@ def test_wrong_runs_of_a_preparation_for_an_accuracy_are_refused():
         ready.run(SAMPLE[0], SPAN, wind=1.0)
     text = repr(ready)
     assert "accuracy 1e-08" in text and "Taylor" in text and "rigid_body" in text
+
+
+@pytest.mark.parametrize("scale", [2.0**332, 2.0**510])
+def test_motions_are_chosen_for_where_squares_of_their_speed_overflow(scale):
+    """The field is finite, up to 1e307: the same motion in other units of time."""
+    body, x0 = co.systems.rigid_body((1, 2, 3)), np.array([0.3, 1.0, 0.2])
+    plain, fast = (co.integrate(body, s * x0, (0, 10 / s), accuracy=1e-6) for s in (1.0, scale))
+    np.testing.assert_allclose(fast.x[-1] / scale, plain.x[-1], rtol=0, atol=2e-6)

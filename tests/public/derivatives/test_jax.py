@@ -358,5 +358,27 @@ print(jax.jit(jax.grad(lambda x: f(2.0 * x).sum()))(np.ones((20000, 3))).shape)
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="processes cannot be bound to one core")
+@pytest.mark.parametrize("backend", ["compiled", pytest.param("xla", marks=pytest.mark.long)])
+def test_batches_may_be_mapped_over_their_states(backend):
+    """One after the other; each has the values and derivatives of the run alone."""
+    bodies = co.batch([co.systems.rigid_body((1.0, 2.0, 2.5)), co.systems.rigid_body((1.0, 2.0, 3.0))])
+    ready = co.prepare(bodies, co.Splitting(), 0.1)
+    g, several = co.jax.solution(ready, (0, 0.3), 3, backend=backend), np.array([MANY[:2], MANY[2:], MANY[1:3]])
+    mapped = [
+        jax.vmap(g)(several),
+        jax.jit(jax.vmap(lambda x0: jax.jvp(g, (x0,), (x0,))[1]))(several),
+        jax.vmap(jax.grad(lambda x0: (g(x0) ** 3).sum()))(several),
+    ]
+    for k, x0 in enumerate(several):
+        sol, tangents = ready.jvp(x0, (0, 0.3), {"x0": x0}, 3)
+        _, pullback = ready.vjp(x0, (0, 0.3), 3)
+        wanted = sol.x, tangents.x, pullback(3 * sol.x**2)["x0"]
+        for found, one in zip(mapped, wanted, strict=True):
+            # Three steps of five flows with derivatives below 32.
+            np.testing.assert_allclose(found[k], one, rtol=0, atol=3 * 5 * 4 * 32 * 2.0**-53)
+    with refused(ValueError, "x0", "(3,)", "(2, 3)", "vmap"):
+        jax.vmap(g)(MANY[:2])
+
+
 def test_large_ensembles_are_called_back_on_one_core():
     assert run_python(ONE_CORE, timeout=100).stdout == "(20000, 3)\n"

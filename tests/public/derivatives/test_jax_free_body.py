@@ -179,9 +179,25 @@ def test_wrong_arguments_are_refused(kind):
     for values, error, named in (
         ((x[:2], None, x, 1.0), ValueError, ("x ", "(2,)", "(3,)")),
         ((np.ones((5, 3), kind), None, x, 1.0), ValueError, ("x ", "(5, 3)", "vmap")),
-        ((x, np.eye(4), x, 1.0), ValueError, ("A ", "(4, 4)", "(3, 3)")),
-        ((x, None, x, np.ones(2)), ValueError, ("h ", "(2,)")),
+        ((x, np.eye(4, dtype=kind), x, 1.0), ValueError, ("A ", "(4, 4)", "(3, 3)")),
+        ((x, None, x, np.ones(2, kind)), ValueError, ("h ", "(2,)")),
         ((x.astype(np.float16), None, x.astype(np.float16), np.float16(1)), TypeError, ("float16", "float32")),
     ):
         with refused(error, *named):
             co.jax.free_body(*values)
+    # Arrays of float64, which JAX would round; numbers of Python take the precision of the others.
+    for name, values in (
+        ("x", (np.ones(3), None, x, 1.0)),
+        ("A", (x, np.eye(3), x, 1.0)),
+        ("h", (x, None, x, np.array(1.0))),
+    ):
+        if kind == np.float64:
+            assert co.jax.free_body(*values) is not None
+            continue
+        for called in (
+            co.jax.free_body,
+            lambda *values: jax.jit(lambda x: co.jax.free_body(x, *values[1:]))(values[0]),
+        ):
+            if name != "x" or called is co.jax.free_body:
+                with refused(TypeError, f"{name} ", "float64", "jax_enable_x64"):
+                    called(*values)

@@ -1,5 +1,7 @@
 """Runs as operations of JAX: agreement with the compiled loops, transformations, devices, memory and refused runs."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -195,6 +197,115 @@ def test_second_derivatives_are_differences_of_the_compiled_gradient(system, met
         ends = [compiled(ready, x0 + by * v, **span)[1] for by in (h, -h)]
         # The error is h^2 times the fourth derivative, and the rounding divided by h.
         np.testing.assert_allclose(second, (ends[0] - ends[1]) / (2 * h), rtol=0, atol=1e-8 * size)
+
+
+def test_second_derivatives_by_parameters_of_ready_made_systems():
+    """By the axial moment of a symmetric body, whose momentum turns about its axis, and by pairs of moments."""
+    a, c, t, x0 = 1.0, 1.6, 0.8, np.array([1.0, 0.2, 0.5])
+    ready = prepared((a, a, c), co.Splitting(order=8, parts="coordinates"))
+    f = co.jax.solution(ready, (0, t), 16, backend="xla")
+    moments = np.array([a, a, c])
+    hessian = jax.jit(jax.hessian(lambda inertia: f(x0, inertia=inertia)[-1, 0]))(moments)
+    # x1 = r cos(phi), phi = phi0 + t x3 (1/a - 1/c), of which dphi/dc = t x3/c^2.
+    r, phi = np.hypot(*x0[:2]), np.arctan2(x0[1], x0[0]) + t * x0[2] * (1 / a - 1 / c)
+    first, second = t * x0[2] / c**2, -2 * t * x0[2] / c**3
+    # The differences have twelve digits, of derivatives below one; steps err by 1e-12.
+    assert abs(hessian[2, 2] + r * (np.cos(phi) * first**2 + np.sin(phi) * second)) < 1e-10
+    gradient = gradients_by_inertia(ready, x0, t)
+    h = 2.0**-12
+    for k in range(3):
+        ends = [gradient(moments + by * h * np.eye(3)[k]) for by in (1, -1)]
+        np.testing.assert_allclose(hessian[k], (ends[0] - ends[1]) / (2 * h), rtol=0, atol=h**2)
+
+
+@pytest.mark.long
+def test_third_derivatives_by_parameters_of_ready_made_systems_are_refused(f):
+    third = jax.jacfwd(jax.hessian(lambda inertia: f(X0, inertia=inertia)[-1, 0]))
+    with refused(NotImplementedError, "ready-made", "first and second"):
+        third(INERTIA)
+
+
+def gradients_by_inertia(ready, x0, t):
+    """The gradient of the first component at the end by the moments, of the compiled run."""
+
+    def gradient(moments):
+        other = prepared(tuple(moments), ready.method)
+        sol, pullback = other.vjp(x0, (0, t), save_every=16)
+        return pullback(np.array([[0.0] * 3] * (len(sol.t) - 1) + [[1.0, 0.0, 0.0]]))["inertia"]
+
+    return gradient
+
+
+UNITS = ["bodies", "satellite", "decorated_particles", "double_spherical_pendulum", "gravitating_bodies"]
+
+
+@pytest.mark.parametrize("backend", ["compiled", "xla"])
+@pytest.mark.parametrize("name", long_where(UNITS[:1] + UNITS[2:], UNITS))
+def test_starts_that_are_no_states_are_refused_by_every_backend(name, backend):
+    """A coordinate that must be 1, and numbers that are not finite."""
+    system = co.systems.get(name)
+    f = co.jax.solution(co.prepare(system, co.Splitting(), 0.05), (0, 0.05), backend=backend)
+    x0 = 0.4 * np.cos(1.0 + np.arange(system.dim))
+    central = int(np.argmax(np.abs(system.casimirs["z"].gradient(x0))))
+    x0[central] = 1.3
+    with refused(ValueError, "x0", "1.3", "must be 1"):
+        f(x0)
+    with refused(ValueError, "x0", "NaN"):
+        f(np.full(system.dim, np.nan))
+    with refused(ValueError, "must be 1"):
+        jax.grad(lambda x0: f(x0)[-1].sum())(x0)
+    if name == "satellite":  # traced
+        if backend == "xla":
+            assert np.isnan(jax.jit(f)(x0)[-1]).all()
+        else:
+            with refused(jax.errors.JaxRuntimeError, "must be 1"):
+                jax.jit(f)(x0)
+    x0[central] = 1.0
+    assert np.isfinite(f(x0)).all()
+
+
+@pytest.mark.parametrize("backend", ["compiled", "xla"])
+def test_attitudes_that_are_no_rotations_are_refused_by_every_backend(backend):
+    """Given in a call, traced, for members, and prepared."""
+    sheared = np.eye(3) + 0.3 * np.eye(3, k=1)
+    f = co.jax.solution(prepared(method=co.Splitting(), attitude=True), (0, 0.05), backend=backend)
+    for called in (f, lambda x0, attitude0: f(np.array([x0, x0]), attitude0=np.array([np.eye(3), attitude0]))):
+        with refused(ValueError, "attitude", "not orthogonal"):
+            called(X0, attitude0=sheared)
+    of_attitude, turned = jax.jit(jax.value_and_grad(lambda A: f(X0, attitude0=A)[1][-1, 0, 0])), np.diag((1.0, -1, -1))
+    with refused(jax.errors.JaxRuntimeError, "not orthogonal"):
+        of_attitude(sheared)
+    value, gradient = of_attitude(turned)  # turned in space
+    assert value == gradient[0, 0] and not gradient[1:].any()
+    with refused(ValueError, "attitude", "not orthogonal"):
+        co.jax.solution(prepared(method=co.Splitting(), attitude=sheared), (0, 0.05), backend=backend)(X0)
+
+
+FIRST = {
+    "xla": lambda ready, x0: co.jax.solution(ready, (0, 10), backend="xla")(x0),
+    "xla, inertia and members": lambda ready, x0: co.jax.solution(ready, (0, 10), backend="xla")(
+        np.tile(x0, (70, 1)), inertia=INERTIA
+    ),
+    "xla, gradient": lambda ready, x0: jax.grad(lambda x: co.jax.solution(ready, (0, 10), backend="xla")(x)[-1].sum())(
+        x0
+    ),
+    "jvp": lambda ready, x0: ready.jvp(x0, (0, 10), {"x0": X0}),
+    "vjp": lambda ready, x0: ready.vjp(x0, (0, 10)),
+    "vjp to a crossing": lambda ready, x0: ready.vjp(x0, (0, 10), events=co.Event("x2")),
+    "gradient": lambda ready, x0: jax.grad(lambda x: co.jax.solution(ready, (0, 10))(x)[-1].sum())(x0),
+}
+
+
+@pytest.mark.parametrize("name", long_where(["xla, gradient", "xla, inertia and members"], FIRST))
+def test_first_runs_warn_of_a_large_step_however_they_are_made(name):
+    """Once, and not of slow motions."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", co.LargeStepWarning)
+        FIRST[name](co.prepare(BODY, co.Splitting(), 2.0), 2.0**-6 * X0)
+        ready = co.prepare(BODY, co.Splitting(), 2.0)
+        with pytest.warns(co.LargeStepWarning, match="the step 2 is too large"):
+            FIRST[name](ready, 3.0 * X0)
+        FIRST[name](ready, 3.0 * X0)
 
 
 def test_transformations_compose():

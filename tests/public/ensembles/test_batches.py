@@ -1,5 +1,7 @@
 """Batches of systems: validation, solutions and their members."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -203,3 +205,40 @@ def test_names_of_batches_are_those_of_the_first_two_systems():
     assert co.batch(named[:1] * 3).name == "batch of 3 (a)"
     assert co.batch(named[:2]).name == "batch of 2 (a, b)"
     assert co.batch([*named, named[0]]).name == "batch of 4 (a, b, ...)"
+
+
+SATELLITE, LAW = co.systems.body((1.0, 2.0, 2.5)), co.forces.Pointing(0.5, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("members", "found"),
+    [
+        (
+            [body(1, 2, 3).with_forces(co.forces.LinearDamping(r)) for r in (0.1, 0.2, 0.1)],
+            {"forces_0_rate": [0.1, 0.2, 0.1]},
+        ),
+        (
+            [body(1, 2, 3).with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, n))) for n in (0.5, -1.0)],
+            {"forces_1_torque_2": [0.5, -1.0]},
+        ),
+        (
+            [SATELLITE.with_forces(co.forces.Sampled(replace(LAW, damping=d), p)) for d, p in ((1.5, 0.5), (2.0, 1.0))],
+            {"forces_0_law_damping": [1.5, 2.0], "forces_0_period": [0.5, 1.0]},
+        ),
+        (
+            [
+                co.systems.rigid_body(I).with_forces(co.forces.LinearDamping(r))
+                for I, r in (((1, 2, 3), 1), ((1, 2, 2.5), 2))
+            ],
+            {"inertia_2": [3.0, 2.5], "forces_0_rate": [1.0, 2.0]},
+        ),
+    ],
+)
+def test_parameters_in_which_members_differ_are_coordinates_of_datasets(members, found):
+    """Those of forces have the names that they have in sweeps of files."""
+    batch = co.batch(members)
+    x0 = [SATELLITE.with_forces(*members[0].forces).state()] * 2 if batch.dim > 3 else [(1.0, 0.2, 0.1)] * len(members)
+    coordinates = co.integrate(batch, x0, (0, 1), 0.5, co.Splitting(2)).to_xarray().coords
+    swept = {str(name): values for name, values in coordinates.items() if str(name).startswith("swept_")}
+    assert {name.removeprefix("swept_"): values.values.tolist() for name, values in swept.items()} == found
+    assert all(values.dims == ("member",) for values in swept.values())

@@ -457,6 +457,15 @@ NOT_EXPORTED = {
         lambda: co.prepare(BODY.with_forces(co.forces.Torque(lambda t: np.array([0.0, 0.0, t]))), step=0.1),
         ("Torque", "function", "inputs="),
     ),
+    "a sampled law": (
+        lambda: co.prepare(
+            co.systems.body((1.0, 2.0, 2.5)).with_forces(
+                co.forces.Torque((0.0, 0.0, 0.1)), co.forces.Sampled(co.forces.Torque((0.0, 0.0, 0.1)), 0.5)
+            ),
+            step=0.1,
+        ),
+        ("Sampled", "law", "input"),
+    ),
     "reversible steps with forces": (
         lambda: co.prepare(
             BODY.with_forces(co.forces.Torque((0.1, 0.0, 0.0))), co.ReversibleSteps(co.Splitting(), 0.2), step=0.1

@@ -52,6 +52,9 @@ def fluid(initial, more=""):
     return FLUID.replace("INITIAL", initial) + more
 
 
+TWO_SAMPLES = "samples = 2\nseed = 1"
+
+
 def swept(over, beside=""):
     return f"{READY_MADE}[sweep]\n{beside}\n[sweep.over]\n{over}\n"
 
@@ -235,6 +238,14 @@ REFUSED = {
         "sweep.over.initial.x[0]", ("1000000000000",)),
     "a setting of text": (swept('"initial.x[0]" = ["a"]'), "initial.x", ("list of numbers",)),
     "ragged settings": (swept('"initial.x" = [[1.0, 2.0, 3.0], [1.0, 2.0]]'), "sweep.over.initial.x", ()),
+    "ends in the wrong order": (
+        swept('"initial.x[0]" = { uniform = [3, 1] }', TWO_SAMPLES), "sweep.over.initial.x[0]", ("[3, 1]", "smaller")),
+    "ends of a list in the wrong order": (
+        swept('"initial.x" = { uniform = [[0, 1, 2], 1.5] }', TWO_SAMPLES), "sweep.over.initial.x", ("smaller",)),
+    "ends too far apart": (
+        swept('"initial.x[0]" = { uniform = [-1e308, 1e308] }', TWO_SAMPLES), "sweep.over.initial.x[0]", ("distance",)),
+    "a number rounded to zero": (ready(STEP, "step = 1e-400"), "line 13, column 8: step", ("1e-400", "too small")),
+    "a number of many digits": (ready(STEP, "step = 0.1" + "0" * 400), "line 13, column 8: step", ("digits", "402")),
     "an infinite setting": (swept('"initial.x" = [[1.0, 2.0, 3.0], [1.0, inf, 1.0]]'), "initial.x", ("infinity",)),
     "members of members": (swept('"initial.x" = [[[1.0, 2.0, 3.0], [1.0, 0.0, 0.0]]]'), "initial.x", ("(2, 3)",)),
     "an unknown swept key": (swept('"initial.y" = [1.0]'), "initial.y", ("known here",)),
@@ -426,6 +437,8 @@ def test_other_bytes_and_longer_files_are_refused(files):
     for name, said in (("other.toml", "UTF-8 (byte 4)"), ("none.toml", "No such file"), (".", "directory")):
         found = command(files.capsys, "check", name)
         assert (found.status, found.out) == (2, "") and said in found.err and found.err.startswith(f"{name}: ")
+    Path("marked.toml").write_bytes(b"\xef\xbb\xbf" + READY_MADE.replace("\n", "\r\n").encode())
+    assert command(files.capsys, "check", "marked.toml").status == 0
     with Path("long.toml").open("wb") as file:
         file.truncate(2**28 + 1)
     assert f"longer than {2**28} bytes" in command(files.capsys, "check", "long.toml").err

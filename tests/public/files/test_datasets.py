@@ -18,10 +18,12 @@ def test_variables_and_attributes():
     )
     dataset = sol.to_xarray()
     sizes = {"time": 21, "component": 3, "invariant": 2, "tenth": 10, "row": 3, "column": 3, "axis": 3}
+    sizes["component_of_quaternion"] = 4
     assert dict(dataset.sizes) == sizes
     assert dataset["component"].values.tolist() == ["x1", "x2", "x3"]
     assert dataset["x"].dims == ("time", "component")
     assert dataset["attitude"].dims == ("time", "row", "column")
+    np.testing.assert_allclose(abs((dataset["quaternion"] * sol.rotation.as_quat()).sum(axis=1)), 1.0, rtol=1e-14)
     assert dataset["casimir_x_2"].attrs["long_name"] == "|x|^2"
     np.testing.assert_array_equal(dataset["casimir_x_2"], sol.casimirs["|x|^2"])
     np.testing.assert_array_equal(dataset["observed_x1_x2"], sol.x[:, 0] * sol.x[:, 1])

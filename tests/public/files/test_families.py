@@ -178,7 +178,7 @@ class FakeArray:
     """Values with dimensions, which xarray would refuse."""
 
     def __init__(self, values, dims):
-        self.values, self.dims, self.coords = values, dims, {}
+        self.data, self.dims, self.coords = values, dims, {}
 
 
 def run(x0):

@@ -70,11 +70,21 @@ def test_notations_and_exact_coefficients(text, monomials):
         (f"{LARGEST + 10**300}*x1", "too large"),
         (f"{LARGEST}*x1 + {LARGEST}*x1", "too large"),
         (f"{LARGEST}*2*x1", "too large"),
+        ("9" * 401 + "*x1", "401 digits"),
+        ("0." + "3" * 400 + "*x1", "401 digits"),
+        ("1e-400*x1", "too small"),
+        ("x2 + 0.01e-330*x1", "too small"),
+        ("x1^0.1e-400", "too small"),
     ],
 )
 def test_other_texts_are_refused(text, said):
     with refused(ValueError, said):
         co.Polynomial(text, dim=2)
+
+
+def test_numbers_just_inside_the_limits_are_read():
+    assert co.Polynomial("0." + "3" * 399 + "*x1", dim=2).monomials == {(1, 0): 1 / 3}
+    assert co.Polynomial("5e-324*x1 + 0e-400*x2 + 0.00", dim=2).monomials == {(1, 0): 5e-324}
 
 
 def test_long_polynomials_are_parsed_in_linear_time(files):

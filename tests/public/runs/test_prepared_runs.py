@@ -134,3 +134,25 @@ def test_solutions_are_frozen_and_name_missing_attributes():
         _ = sol.momentum
     with pytest.raises(dataclasses.FrozenInstanceError):
         sol.x = X
+
+
+@pytest.mark.parametrize(
+    "name", ["prepared", "prepared for an accuracy", "stepper", "system", "matrices", "two fields"]
+)
+def test_what_runs_share_cannot_be_changed(name):
+    """Also copies and pickles; a changed step would be printed, and the run would take the other one."""
+    body = co.systems.rigid_body((1, 2, 3))
+    shared = {
+        "prepared": lambda: co.prepare(body, co.Splitting(), 0.1, inputs=True),
+        "prepared for an accuracy": lambda: co.prepare(body, accuracy=1e-6, x0=(0.1, 1, 0.2), t_span=(0, 10)),
+        "stepper": lambda: co.stepper(body, co.Splitting(), 0.1),
+        "system": lambda: body,
+        "matrices": lambda: co.systems.sphere_euler(N=4),
+        "two fields": lambda: co.systems.reduced_mhd(N=5),
+    }[name]()
+    for one in (shared, copy.copy(shared), pickle.loads(pickle.dumps(shared))):
+        before = dict(vars(one))
+        for attribute in {"system", "method", "step", "h", "observe", "name", "dim", "hamiltonian"} & vars(one).keys():
+            with pytest.raises(AttributeError, match=attribute):
+                setattr(one, attribute, 0.2)
+        assert vars(one) == before

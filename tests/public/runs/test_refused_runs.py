@@ -147,3 +147,104 @@ def test_integration_error_is_picklable():
 def test_save_every_beyond_the_run():
     sol = co.integrate(BODY, (0.1, 1.0, 0.2), (0, 1), 0.1, save_every=10**30)
     assert sol.t.tolist() == [0.0, 1.0]
+
+
+def raising(x, t):
+    if t > 0.7:
+        raise ValueError("no table at this time")
+    return np.array([0.0, 0.0, 1.0])
+
+
+def undefined(x, t):
+    return np.array([0.0, np.sqrt(0.7 - t), 0.0])
+
+
+def law(t):
+    return np.array([0.0, np.sqrt(0.7 - t), 0.0])
+
+
+FAILING = {
+    "raises": (BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque(raising)), "ValueError", "no table"),
+    "nan": (BODY.with_forces(co.forces.Torque(undefined), co.forces.LinearDamping(0.1)), "gives", "nan"),
+}
+
+
+@pytest.mark.parametrize("save_every", [1, 4])
+@pytest.mark.parametrize("name", FAILING)
+@pytest.mark.filterwarnings("error")
+def test_a_torque_that_fails_is_named_with_its_time_and_what_it_gave(name, save_every, capfd):
+    system, *said = FAILING[name]
+    x0 = np.array([0.1, 0.2, 0.3])
+    with refused(co.IntegrationError, "step 6", "0.625", "Torque", *said, "0.7", "correct the function") as caught:
+        co.integrate(system, x0, (0, 1), 0.125, save_every=save_every)
+    assert caught.value.step == 6 and 0.7 < float(str(caught.value).partition(";")[0].split()[-1]) <= 0.75
+    assert "smaller step" not in str(caught.value)
+    ready = co.prepare(system, step=0.125)
+    for call in (lambda: ready.end(x0, (0, 1)), lambda: co.stepper(system, co.Splitting(), 0.125)(x0, 0.625)):
+        with refused(co.IntegrationError, "Torque", *said):
+            call()
+    with refused(co.IntegrationError, "Torque", *said, "2 of 2 members"):
+        ready.run([x0, 2 * x0], (0, 1))
+    assert capfd.readouterr() == ("", "")
+
+
+def energy(x, t):
+    return x[0] * x[1] * np.sqrt(0.7 - t)
+
+
+@pytest.mark.filterwarnings("error")
+def test_laws_energies_and_flows_that_fail_are_named(capfd):
+    sat = co.systems.body((1.0, 2.0, 2.5)).with_forces(
+        co.forces.Torque((0.0, 0.0, 0.1)), co.forces.Sampled(co.forces.Torque(law), 0.25)
+    )
+    with refused(co.IntegrationError, "the law of Sampled", "nan", "0.75"):
+        co.integrate(sat, sat.state(), (0, 1), 0.125)
+    own = BODY.with_forces(co.forces.OwnForce(lambda x, t, tau: x * np.exp(-tau * np.sqrt(0.7 - t)), name="mine"))
+    with refused(co.IntegrationError, "mine", "nan"):
+        co.integrate(own, (0.1, 0.2, 0.3), (0, 1), 0.125)
+    driven = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(energy), name="driven")
+    with refused(co.IntegrationError, "gradient of the energy of driven", "nan", "correct"):
+        co.integrate(driven, (0.1, -1.0, 0.4), (0, 1), 0.125)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_number_that_overflows_is_no_fault_of_a_function():
+    growing = BODY.with_forces(co.forces.LinearDamping(-200.0))
+    with refused(co.IntegrationError, "overflowed", "smaller step"):
+        co.integrate(growing, (0.1, 0.2, 0.3), (0, 10), 0.5)
+
+
+def attraction(r, A):
+    return -1.0 / np.sqrt(np.sum((r[0] - r[1]) ** 2))
+
+
+def test_bodies_at_one_place_are_named():
+    pair = co.systems.bodies([(1.0, 2.0, 2.5)] * 3, (1.0, 2.0, 3.0), potential=attraction)
+    for places in ([(1.0, 0.0, 0.0)] * 2 + [(0.0, 2.0, 0.0)], [(1.0, 0.0, 0.0)] * 3):
+        with refused(co.IntegrationError, "bodies 0 and 1", "one place", "t = 2"):
+            co.integrate(pair, pair.state(positions=places), (2, 3), 0.125)
+
+
+def test_hints_for_lists_of_forces_short_states_and_long_spins():
+    damping, law = co.forces.LinearDamping(0.1), co.forces.Sampled(co.forces.Torque((0.0, 0.0, 0.1)), 0.5)
+    for listed in ([damping, damping], (damping,)):
+        with refused(TypeError, "list", "with_forces(*forces)"):
+            BODY.with_forces(listed)
+    bare = co.systems.body((1.0, 2.0, 2.5))
+    sat = bare.with_forces(law)
+    for system in (sat, co.batch([sat, sat])):
+        for call in (
+            lambda system=system: co.integrate(system, bare.state(), (0, 1), 0.25),
+            lambda system=system: co.prepare(system, step=0.25).run(bare.state(), (0, 1)),
+        ):
+            with refused(ValueError, "(12,)", "15", "last 3", "system.state", "after with_forces"):
+                call()
+    chain = co.systems.spin_lattice("chain", 3)
+    spins = np.array([[0.0, 0.0, 50.0], [0.0, 30.0, 40.0], [60.0, 0.0, 0.0]])
+    with refused(co.IntegrationError, "unit vectors", "50 to 60", "divide"):
+        co.integrate(chain, spins.ravel(), (0, 1), 0.5, co.SphericalMidpoint())
+    with pytest.raises(co.IntegrationError) as caught:
+        co.integrate(
+            chain, spins.ravel() / np.repeat(np.linalg.norm(spins, axis=1), 3), (0, 50), 50.0, co.SphericalMidpoint()
+        )
+    assert "unit vectors" not in str(caught.value)

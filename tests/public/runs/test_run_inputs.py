@@ -349,3 +349,46 @@ def test_names_of_parameters_are_no_names_of_the_linear_term():
     pushed = satellite.with_forces(co.forces.Torque((0, 0, 0)))
     ready = co.prepare(pushed, co.Splitting(order=2), 0.1, inputs={"rotors": "Torque"})  # a torque is no coefficient
     assert ready.run((1, 0, 0), (0, 0.1), rotors=(0, 0, 1)).x.shape == (2, 3)
+
+
+def of_inputs(name):
+    """A prepared run with inputs, a state, and the values of all inputs for one call, or for two members."""
+    linear = np.array([0.1, -0.2, 0.3])
+    if name == "torque too":
+        forced = co.systems.rigid_body().with_forces(co.forces.Torque((0, 0, 0)))
+        inputs = {"thrust": "Torque", "linear": (0, 1, 2)}
+        return (
+            co.prepare(forced, co.Splitting(2), 0.1, inputs=inputs),
+            (1, 0.2, 0.1),
+            {"thrust": linear, "linear": linear},
+        )
+    system = {
+        "gyrostat": lambda: co.systems.gyrostat((1, 2, 3), (0.1, 0.2, 0.3)),
+        "heavy_top": co.systems.heavy_top,
+        "body": lambda: co.systems.body((1.0, 2.0, 2.5)),
+        "members": co.systems.rigid_body,
+    }[name]()
+    x0 = {"body": lambda: system.state(angular_velocity=(1, 0.2, 0.1)), "heavy_top": lambda: (1, 0.2, 0.1, 0, 0, 1)}
+    value = np.stack([linear, 2 * linear]) if name == "members" else linear
+    start = x0.get(name, lambda: (1, 0.2, 0.1))()
+    return co.prepare(system, co.Splitting(2), 0.1, inputs={"field": (0, 1, 2)}), start, {"field": value}
+
+
+@pytest.mark.parametrize("name", ["gyrostat", "heavy_top", "body", "members", "torque too"])
+def test_stored_runs_with_inputs_have_the_attributes_of_their_system(name, tmp_path):
+    """Loaded and rebuilt, also from an archive, they are bodies, whose velocity depends on the inputs."""
+    ready, x0, values = of_inputs(name)
+    sol = ready.run(x0, (0, 1), **values)
+    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
+    loaded, again = co.load(tmp_path / "run.nc"), co.results.rebuild(sol.to_xarray())
+    for other in (loaded, again):
+        np.testing.assert_array_equal(other.x, sol.x)
+        for attribute in ("angular_velocity", "angular_momentum"):
+            np.testing.assert_array_equal(getattr(other, attribute), getattr(sol, attribute))
+        first, original = other.system.of_member(0).unforced, sol.system.of_member(0).unforced
+        assert type(first) is type(original) and first.parameters is None
+    if name == "members":
+        coordinates = sol.to_xarray().coords
+        assert coordinates["swept_linear_1"].values.tolist() == [-0.2, -0.4]
+    if name == "gyrostat":
+        np.testing.assert_allclose(loaded.angular_velocity[0], x0 / np.array([1, 2, 3]) + values["field"], rtol=1e-15)

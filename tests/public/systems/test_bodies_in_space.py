@@ -296,7 +296,7 @@ def test_the_second_argument_of_a_torque_is_the_time():
     """Messages say with what a function is called, and names of an attitude in place of A are refused."""
     for system in (S.rigid_body(), S.body()):
         for function in (lambda t, x: -x, lambda time, x: -x):
-            with refused(TypeError, "x)", "time second", "(x, t)"):
+            with refused(TypeError, "x)", "(x, t)"):
                 system.with_forces(co.forces.Torque(function))
         for function in (lambda x, attitude: -x, lambda x, q: -x, lambda x, R: -x):
             with refused(TypeError, "second argument is the time t", "name the attitude A"):
@@ -305,8 +305,8 @@ def test_the_second_argument_of_a_torque_is_the_time():
             system.with_forces(co.forces.Torque(lambda x, B: B[0]))
         with refused(ValueError, "called with (x, t)", "(2,)", system.name):
             system.with_forces(co.forces.Torque(lambda x, t: x[:2]))
-    with refused(ValueError, "called with (x)", "(3,)", "(12,)", "(x, A)"):
-        S.body().with_forces(co.forces.Torque(lambda x: -x[:3]))
+    with refused(ValueError, "called with (x)", "(4,)", "(12,)", "(3,)"):
+        S.body().with_forces(co.forces.Torque(lambda x: -x[:4]))
     with refused((TypeError, ValueError), "(t, x)", "(x, t)"):
         co.integrate(S.rigid_body(), (1, 0, 0), (0, 1), 0.1, observe={"first": lambda t, x: x[0]})
 
@@ -377,3 +377,55 @@ def test_wrong_potentials_are_refused():
         S.bodies([(2, 2, 0), (1, 1, 1)], MASSES, lambda r, A: A[0, 2, 0] * r[0, 0])
     with refused(TypeError, "potential", "gradient="):
         S.bodies(potential=lambda r, A: abs(r[0, 0]))
+
+
+PUSH = np.array([0.1, 0.2, -0.3])
+PUSHED = {
+    "body": (S.body((1.0, 2.0, 2.5)), PUSH),
+    "body with wheels": (S.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3)), PUSH),
+    "top": (co.systems.heavy_top(), PUSH),
+    "two bodies": (S.bodies([(1.0, 2.0, 2.5)] * 2, (1.0, 2.0)), np.array([PUSH, -2 * PUSH])),
+    "three bodies": (S.bodies([(1.0, 2.0, 2.5)] * 3, (1.0, 2.0, 3.0)), np.outer([1.0, -2.0, 0.5], PUSH)),
+}
+
+
+@pytest.mark.parametrize("name", PUSHED)
+def test_torques_in_the_frames_of_bodies(name):
+    """A constant, and functions of the time and of the state, against numbers at their places among the coordinates."""
+    system, torque = PUSHED[name]
+    places = np.zeros(system.dim)
+    for k, row in enumerate(np.atleast_2d(torque)):
+        places[12 * k : 12 * k + 3] = row
+    x, method = np.cos(1.0 + np.arange(system.dim)), co.methods.Forced(co.Splitting())
+    wanted = system.with_forces(co.forces.Torque(places))
+    for force in (torque, lambda t: torque, lambda time: torque, lambda x: torque, lambda x, t: torque):
+        found = system.with_forces(co.forces.Torque(force))
+        np.testing.assert_array_equal(found.vector_field(x, 0.5), wanted.vector_field(x, 0.5))
+        # One rounding of each sum of weights.
+        np.testing.assert_allclose(
+            method.step(found, x, 0.5, 0.25), method.step(wanted, x, 0.5, 0.25), rtol=0, atol=64 * 2.0**-53
+        )
+    with refused(ValueError, "torque", f"({system.dim},)"):
+        system.with_forces(co.forces.Torque(np.zeros(system.dim + 1)))
+    with refused(ValueError, "(2,)", f"({system.dim},)", str(np.shape(torque)), "body frames"):
+        system.with_forces(co.forces.Torque(lambda t: np.zeros(2)))
+
+
+def test_a_torque_in_the_frame_of_a_body_is_an_input_and_a_parameter():
+    """About a principal axis the momentum is its integral; beside a sampled force, which lengthens the state."""
+    law = co.forces.Sampled(co.forces.Torque((0.0, 0.0, 0.5)), 0.25)
+    sat = S.body((1.0, 2.0, 2.5)).with_forces(co.forces.Torque((0.0, 0.0, 1.0))).with_forces(law)
+    ready = co.prepare(sat, co.Splitting(), 0.125, inputs={"push": "Torque"})
+    assert sat.dim == 15
+    for push in (0.0, 2.0):
+        x = ready.run(sat.state(), (0.0, 1.0), push=(0.0, 0.0, push)).x[-1]
+        np.testing.assert_allclose(x[:3], (0.0, 0.0, 0.5 + push), rtol=0, atol=1e-14)
+    _, tangents = ready.jvp(sat.state(), (0.0, 1.0), {"inputs.push": np.eye(3)}, push=PUSH)
+    difference = [
+        ready.run(sat.state(), (0, 1), push=PUSH + e).x[-1] - ready.run(sat.state(), (0, 1), push=PUSH - e).x[-1]
+        for e in 1e-5 * np.eye(3)
+    ]
+    np.testing.assert_allclose(np.asarray(tangents.x)[-1], np.array(difference).T / 2e-5, rtol=0, atol=1e-9)
+    members = co.batch([S.body((1.0, 2.0, third)).with_forces(co.forces.Torque((0, 0, third))) for third in (2.5, 2.6)])
+    ends = co.integrate(members, members[0].state(), (0, 1), 0.125).x[-1]
+    np.testing.assert_allclose(ends[:, 2], (2.5, 2.6), rtol=0, atol=1e-14)

@@ -142,3 +142,92 @@ LINE = co.Quadratic(0.0, linear=[0.0, 1e-9, 0.0]).terms()
 def test_a_class_whose_parts_contradict_each_other_is_refused(changed, error, named):
     with refused(error, *named):
         co.LiePoissonSystem(co.algebras.so(3), Own(**changed))
+
+
+F = co.forces
+BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
+UP = np.array([0.0, 0.0, 0.3])
+
+
+def named(arguments, value="UP"):
+    """Return a function with arguments of these names."""
+    return eval(f"lambda {arguments}: {value}", {"np": np, "UP": UP})
+
+
+@pytest.mark.parametrize("name", ["t", "time"])
+def test_the_argument_of_a_torque_is_the_time_by_its_name(name):
+    """The impulse of 0.3 t^2 over a time of 2, where a state would give another one."""
+    system = BODY.with_forces(F.Torque(named(name, f"np.array([0.0, 0.0, 0.9 * {name} * {name}])")))
+    x, method = np.array([0.0, 0.0, 1.0]), co.methods.Forced(co.Splitting())
+    assert method.step(system, x, 0.0, 2.0)[2] == pytest.approx(1.0 + 0.3 * 8.0, abs=1e-14)
+    assert system.vector_field(x, 2.0)[2] == pytest.approx(3.6, abs=1e-14)
+
+
+@pytest.mark.parametrize("name", ["x", "y", "state", "momentum", "L"])
+def test_the_argument_of_a_torque_is_the_state_by_its_name(name):
+    system = BODY.with_forces(F.Torque(named(name, f"0.5 * {name}")))
+    np.testing.assert_array_equal(system.vector_field([0.0, 0.0, 2.0], 7.0), [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize("name", ["tau", "T", "s", "_", "u", "value"])
+def test_an_argument_of_a_torque_that_may_be_either_is_refused_with_both_spellings(name):
+    with refused(TypeError, "torque", f"({name})", "t if it is the time", "x if it is the state"):
+        F.Torque(named(name))
+    assert BODY.with_forces(F.Torque(named(f"t, {name}=1.0"))).vector_field([0.0, 0.0, 2.0])[2] == 0.3
+
+
+def path(t):
+    return np.array([1.0 + 0.1 * t, 0.0, 0.3 * t])
+
+
+EYE = "np.eye(3)"
+SPINS = co.systems.spin_lattice
+SWAPPED = {
+    "(t, x)": (lambda f: F.Torque(f), "t, x", "(x, t)"),
+    "(time, x)": (lambda f: co.Hamiltonian(f), "time, x", "(x, t)"),
+    "(x, y)": (lambda f: co.Hamiltonian(f), "x, y", "(x, t)"),
+    "H(t)": (lambda f: co.Hamiltonian(f), "t", "(x)"),
+    "event": (lambda f: co.Event(f), "t", "(x)"),
+    "event of both": (lambda f: co.Event(f), "t, x", "(x, t)"),
+    "observed": (lambda f: co.integrate(BODY, (0, 0, 1), (0, 1), 0.5, observe={"a": f}), "t, x", "(x, t)"),
+    "B(r, t)": (lambda f: F.MagneticDipole((1, 0, 0), f, path), "r, t", "(t, r)"),
+    "B(x)": (lambda f: F.MagneticDipole((1, 0, 0), f), "x", "(t)"),
+    "rate(x)": (lambda f: F.Pointing(1.0, 1.0, rate=f), "x", "(t)"),
+    "attitude(A)": (lambda f: F.Pointing(1.0, 1.0, attitude=f), "A", "(t)"),
+    "position(r)": (lambda f: F.GravityGradient(1.0, f), "r", "(t)"),
+    "sun(x)": (lambda f: F.SolarPressure(1.0, f, [1.0], [(1, 0, 0)], [(0, 0, 1)]), "x", "(t)"),
+    "flow(x, tau, t)": (lambda f: F.OwnForce(f), "x, tau, t", "(x, t, tau)"),
+    "flow(t, x, dt)": (lambda f: F.OwnForce(f), "t, x, dt", "(x, t, tau)"),
+    "potential(A, r)": (lambda f: co.systems.bodies([(1, 2, 2.5)], (1.0,), potential=f), "A, r", "(r, A)"),
+    "field(S)": (lambda f: SPINS("chain", 3, field=f), "S", "(t)"),
+    "exact(t, x0)": (lambda f: co.LiePoissonSystem(BODY.algebra, BODY.hamiltonian, exact=f), "t, x0", "(x0, t"),
+}
+
+
+@pytest.mark.parametrize("name", SWAPPED)
+def test_arguments_at_the_places_of_others_are_refused(name):
+    call, arguments, expected = SWAPPED[name]
+    with refused(TypeError, f"({arguments})", expected):
+        call(named(arguments))
+
+
+def test_values_of_functions_are_checked_as_constants_are():
+    turning = "np.array([[np.cos(t), -np.sin(t), 0], [np.sin(t), np.cos(t), 0], [0, 0, 1.0]])"
+    assert callable(F.Pointing(1.0, 1.0, attitude=named("t", turning)).attitude)
+    mirrored = turning.replace("-np.sin(t)", "np.sin(t)")
+    for wrong in ("1.1 * np.eye(3)", "np.diag([1.0, 1.0, -1.0])", mirrored):
+        with refused(ValueError, "attitude", "no rotation", "0.625"):
+            F.Pointing(1.0, 1.0, attitude=named("t", wrong))
+    with refused(ValueError, "attitude", "(3, 3)"):
+        F.Pointing(1.0, 1.0, attitude=named("t", "np.array([0.0, 0.0, 0.0, 1.0])"))
+    with refused(ValueError, "position", "zero"):
+        F.GravityGradient(1.0, named("t", "np.zeros(3)"))
+    # Names that are not known stand at their places, and the values tell.
+    with refused(ValueError, "B of MagneticDipole", "0.625", "subscript"):
+        F.MagneticDipole((1, 0, 0), named("a, b", "np.array([a[0], b, 0.0])"), path)
+    with refused(ValueError, "B of MagneticDipole", "(3,)"):
+        F.MagneticDipole((1, 0, 0), named("t, r", "r[:2]"), path)
+    sat = co.systems.body((1.0, 2.0, 2.5))
+    magnet = sat.with_forces(F.MagneticDipole((1, 0, 0), named("a, b", "np.array([b[0], a, b[2]])"), path))
+    # At t = 2 the field is (1.2, 2, 0.6): the torque is (1, 0, 0) x B.
+    np.testing.assert_allclose(magnet.vector_field(sat.state(), 2.0)[:3], (0.0, -0.6, 2.0), rtol=0, atol=1e-15)

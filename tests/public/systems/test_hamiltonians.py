@@ -315,8 +315,7 @@ def named(x):
     [
         (named, 2.5),
         ("2*x1^2 + sqrt(1 + x3^2)/3 - exp(-x2)", 1),
-        # In another order than their numbers: without the names, the coordinates would be exchanged in silence.
-        (co.formula("cos(x2) + 2*x1^2 + x3^3", basis=("x2", "x1", "x3")), 1),
+        (co.formula("cos(c) + 2*b^2 + a^3", basis=("c", "b", "a")), 1),
         (co.formula("a*cos(x2) + 2*x1^2 + x3^3/b", dim=3, parameters={"a": 0.7, "b": 3}), 2.5),
     ],
 )

@@ -39,9 +39,9 @@ def test_stacks_of_any_size(s, lead):
     parts = {
         "energy spectrum": lambda W: s.energy_spectrum(W)[1],
         "enstrophy spectrum": lambda W: s.enstrophy_spectrum(W)[1],
-        "field": lambda W: s.to_grid(W, (8, 9)),
-        "back": lambda W: s.from_grid(s.to_grid(W)),
-        "modes": lambda W: s.from_modes(s.mode_array(W)),
+        "field": lambda W: s.to_grid(W, (8, 9), absolute=True),
+        "back": lambda W: s.from_grid(s.to_grid(W, absolute=False), absolute=False),
+        "modes": lambda W: s.from_modes(s.mode_array(W, absolute=True), absolute=False),
         "motion": s.vector_field,
         "spectrum": s.spectrum,
         "energy": s.energy,
@@ -110,12 +110,16 @@ def test_fields_about_several_points_add_up_in_any_order(s):
 
 @fluids
 def test_matrices_of_another_size_are_refused(s):
-    for call in (s.to_grid, s.mode_array, s.energy_spectrum, s.relative, s.absolute):
+    for call in (s.to_grid, s.mode_array, s.energy_spectrum):
+        with refused(ValueError, "(5, 5)"):
+            call(np.zeros((5, 5)), absolute=True)
+    for call in (s.relative, s.absolute):
         with refused(ValueError, "(5, 5)"):
             call(np.zeros((5, 5)))
     # the numbers of states are taken for them
     W = s.random(3)
-    np.testing.assert_array_equal(s.to_grid(s.to_vector(W)[None]), s.to_grid(W[None]))
+    of_numbers, of_matrices = (s.to_grid(A[None], absolute=False) for A in (s.to_vector(W), W))
+    np.testing.assert_array_equal(of_numbers, of_matrices)
 
 
 @fluids
@@ -123,7 +127,7 @@ def test_spectra_are_integrals(s):
     """Of the square of the vorticity on a grid that is fine enough, and of the square of the velocity by -psi omega."""
     W = s.random(2, degrees=(1, 6))
     shape = (64, 64)
-    omega, psi = (s.to_grid(A, shape) for A in (s.relative(W), s.stream(s.relative(W))))
+    omega, psi = (s.to_grid(A, shape, absolute=True) for A in (s.relative(W), s.stream(s.relative(W))))
     assert s.enstrophy_spectrum(W)[1].sum() == pytest.approx(integral(s, omega**2) / 2, rel=1e-12)
     assert s.energy_spectrum(W)[1].sum() == pytest.approx(-integral(s, psi * omega) / 2, rel=1e-12)
     assert integral(s, omega**2) == pytest.approx(s.area, rel=1e-12)
@@ -219,7 +223,7 @@ def test_the_shape_of_the_bump_on_a_jet(band):
 @pytest.mark.parametrize("name", ["zonal_jet", "rossby_haurwitz"])
 def test_a_longitude_turns_the_state(name, longitude):
     s = co.systems.sphere_euler(N=32, rotation=0.5)
-    first, turned = (s.mode_array(getattr(s, name)(longitude=east)) for east in (0.0, longitude))
+    first, turned = (s.mode_array(getattr(s, name)(longitude=east), absolute=True) for east in (0.0, longitude))
     wanted = first * np.exp(-1j * np.arange(32) * longitude)
     np.testing.assert_allclose(turned, wanted, rtol=0, atol=1e-13 * np.abs(first).max())
     assert np.abs(turned - first).max() > 1e-6 * np.abs(first).max()

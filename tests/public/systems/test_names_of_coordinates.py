@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
+from configuration_files import ConfigurationFiles
 from refusals import refused
 
 TOP = ("m1", "m2", "m3", "gamma1", "gamma2", "gamma3")
@@ -85,3 +86,111 @@ def test_polynomials_of_names_that_are_not_those_of_the_system_are_refused():
         co.Polynomial("m1 + y", basis=TOP)
     with refused(ValueError, "names"):
         co.Polynomial("q", basis=("q", "p")).named(("q",))
+
+
+BASES = [("e0", "e1", "e2"), ("e2", "e1", "e3"), ("x3", "h", "x1"), ("e1", "x1", "e2")]
+
+
+def so3(basis, H=None, **options):
+    """so(3) in a basis of these names, and the energy (1, 2, 4)/2 if none is given."""
+    algebra = co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1}, (1, 2): {0: 1}, (2, 0): {1: 1}}, basis=basis)
+    return co.LiePoissonSystem(algebra, co.Quadratic([1.0, 2.0, 4.0]) if H is None else H, **options)
+
+
+@pytest.mark.parametrize("basis", BASES)
+def test_a_name_is_that_of_one_coordinate_everywhere(basis, tmp_path, monkeypatch, capsys):
+    """In energies, Casimirs, events, observed quantities, pictures and files it is the coordinate of the dataset."""
+    monkeypatch.chdir(tmp_path)
+    system, x0 = so3(basis), (0.9, 0.7, -1.1)
+    names = names_of(system)
+    polynomials = {name: co.Polynomial(f"{name} - 0.25", basis=names) for name in names}
+    events = [*map(co.Event, names), *(co.Event(p, name=f"{name} - 0.25") for name, p in polynomials.items())]
+    run = co.integrate(system, x0, (0, 8), 0.05, observe=polynomials, events=events)
+    data = run.to_xarray()
+    tables = "".join(f'[events.e{k}]\ng = "{n}"\n[events.d{k}]\ng = "{n} - 0.0"\n' for k, n in enumerate(names))
+    triples = [np.roll(basis, -k).tolist() for k in range(3)]
+    energy = " + ".join(f"{c}*{name}^2/2" for c, name in zip((1, 2, 4), names, strict=True))
+    text = f"""
+algebra = {{basis = {list(basis)}, brackets = {[f"[{a}, {b}] = {c}" for a, b, c in triples]}}}
+hamiltonian = {{polynomial = "{energy}"}}
+casimirs = {{own = "{" + ".join(f"{name}^2" for name in names)}"}}
+observe = {{{", ".join(f'o{k} = "{name} - 0.25"' for k, name in enumerate(names))}}}
+initial = {{x = {list(x0)}}}
+run = {{t_span = [0, 8], step = 0.05}}
+{tables}"""
+    stored = ConfigurationFiles(tmp_path, capsys).run(text)
+    figure = run.plot(["components"], components=list(names))
+    lines = [line for line in figure.axes[0].lines if len(line.get_xdata()) > 1]
+    for k, name in enumerate(names):
+        x = run.x[:, k]
+        np.testing.assert_array_equal(data["x"].sel(component=name), x)
+        np.testing.assert_array_equal(so3(basis, f"{name}^2/2").hamiltonian.gradient(x0), np.eye(3)[k] * x0)
+        np.testing.assert_array_equal(so3(basis, f"cos({name})").hamiltonian.gradient(x0), -np.sin(np.eye(3)[k] * x0))
+        assert lines[k].get_ydata()[[0, -1]].tolist() == [x[0], x[-1]]
+        for observed in (run.observed[name], stored.observed[f"o{k}"]):
+            np.testing.assert_array_equal(observed, x - 0.25)
+        crossings = np.count_nonzero(np.diff(np.sign(x)))
+        assert len(run.events[name]) == len(stored.events[f"e{k}"]) == len(stored.events[f"d{k}"]) == crossings
+        assert len(run.events[f"{name} - 0.25"]) == np.count_nonzero(np.diff(np.sign(x - 0.25)))
+    np.testing.assert_array_equal(stored.x, run.x)
+    assert sum(map(len, (run.events[name] for name in names))) > 0
+
+
+def test_numbers_of_coordinates_are_names_where_no_other_coordinate_has_them():
+    """x4 is the first coordinate gamma1 of a top, but no name where x0, x1, x2 or x2, x1, x3 are coordinates."""
+    top = co.systems.heavy_top()
+    run = co.integrate(top, X0, (0, 0.2), 0.1, co.GaussLegendre(2), events=co.Event("x4"))
+    assert run.events.names == ("x4",)
+    assert run.plot(["components"], components=["x4"]).axes[0].lines[0].get_ydata()[-1] == run.x[-1, 3]
+    for basis, wrong in ((BASES[0], "x3"), (BASES[2], "x2")):
+        system = so3(basis)
+        with refused(ValueError, wrong, "x1"):
+            so3(basis, f"x1^2 + {wrong}")
+        with refused(ValueError, wrong):
+            co.integrate(system, (1, 2, 3), (0, 1), 0.1, events=co.Event(wrong))
+        with refused(ValueError, wrong):
+            co.integrate(system, (1, 2, 3), (0, 1), 0.1).plot(components=[wrong])
+
+
+SUM_OF_SQUARES = co.Polynomial("x1^2 + x2^2 + x3^2", dim=3)
+PERMUTED = co.Polynomial("x1^2/2", basis=("x2", "x1", "x3"))
+
+
+@pytest.mark.parametrize(
+    ("basis", "written", "texts"),
+    [
+        (BASES[0], SUM_OF_SQUARES, ("x1", "x2", "x3")),
+        (BASES[1], SUM_OF_SQUARES / 2, ("x1", "x2", "x3")),
+        (("e1", "e2", "e3"), PERMUTED, ("x2", "x1", "x3")),
+    ],
+)
+def test_functions_written_in_other_names_are_refused(basis, written, texts):
+    """By position, x1 of the text would be another coordinate; exponents have no names."""
+    system, x0 = so3(basis), (1.0, 2.0, 3.0)
+    function = co.formula("cos(x1)", basis=texts)
+    for refusal in (
+        lambda: so3(basis, written),
+        lambda: so3(basis, written**2),
+        lambda: so3(basis, function),
+        lambda: so3(basis, function / 2 + co.Quadratic(1.0)),
+        lambda: so3(basis, casimirs={"C": written}),
+        lambda: co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1}}, basis=basis, casimirs={"C": written}),
+        lambda: so3(basis, integrals={"C": written}),
+        lambda: co.integrate(system, x0, (0, 1), 0.1, observe={"C": written}),
+        lambda: co.integrate(system, x0, (0, 1), 0.1, events=co.Event(written)),
+    ):
+        with refused(ValueError, "x1", "basis"):
+            refusal()
+    for given in (co.Polynomial(written.monomials), written.named(names_of(system))):
+        np.testing.assert_array_equal(so3(basis, given).hamiltonian.gradient(x0), written.gradient(x0))
+
+
+def test_names_of_texts_in_sums_and_of_systems_without_an_algebra():
+    with refused(ValueError, "x2, x1, x3", "x1, x2, x3"):
+        PERMUTED + SUM_OF_SQUARES
+    assert (co.Polynomial("q", basis=("q", "p")) + co.Polynomial("x2", dim=2)).names == ("q", "p")
+    J = co.systems.sklyanin().structure_function
+    system = co.PoissonSystem(J, "x1^2/2 + x0", dim=4, name="sklyanin")
+    np.testing.assert_array_equal(system.hamiltonian.gradient(np.ones(4)), [1.0, 1.0, 0.0, 0.0])
+    with refused(ValueError, "x1", "basis"):
+        co.PoissonSystem(J, co.Polynomial("x1^2", dim=4), name="sklyanin")

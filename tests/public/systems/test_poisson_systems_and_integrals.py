@@ -105,6 +105,9 @@ def test_a_dataset_keeps_those_that_are_polynomials():
     [
         ({"x2": co.Polynomial({(0, 1, 0): 1})}, ValueError, ("'x2'", "integral", "rate")),
         ({"q": co.Quadratic([1, 2, 0])}, ValueError, ("'q'", "integral")),
+        ({"H": lambda x, t: x[2] + t}, TypeError, ("'H'", "integral", "(x, t)", "observe")),
+        ({"H": co.Invariant(lambda x, t: x[2] + t)}, TypeError, ("'H'", "integral", "(x, t)")),
+        ({"H": lambda x, t, s: x[2]}, TypeError, ("'H'", "integral", "3")),
         ({"v": co.Invariant(lambda x: x[1], lambda x: np.array([0.0, 1.0, 0.0]))}, ValueError, ("'v'", "integral")),
         ({"energy": THIRD}, ValueError, ("'energy'",)),
     ],
@@ -128,3 +131,15 @@ def test_a_field_that_rests_at_time_zero_is_looked_at_later():
     with refused(ValueError, "'x3'", "integral"):
         co.LiePoissonSystem(SO3, turning, integrals={"x3": THIRD})
     assert co.LiePoissonSystem(SO3, turning, integrals={"x1": co.Polynomial({(1, 0, 0): 1})}).integrals
+
+
+def test_casimirs_of_the_time_are_refused_and_observed_functions_of_it_recorded():
+    def moving(x, t):
+        return x[2] + t
+
+    with refused(TypeError, "'C'", "Casimir", "(x, t)", "observe"):
+        co.LiePoissonSystem(SO3, co.Quadratic([1.0, 1.0, 2.0]), casimirs={"C": moving})
+    observe = {"plain": moving, "invariant": co.Invariant(moving)}
+    sol = co.integrate(body(), (1.0, 0.5, 0.25), (0, 1), 0.5, observe=observe)
+    for values in sol.observed.values():
+        np.testing.assert_array_equal(values, sol.x[:, 2] + sol.t)

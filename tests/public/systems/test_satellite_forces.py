@@ -240,7 +240,7 @@ def test_each_component_has_its_own_limit(name):
     free = S.body(TENSOR, wheels=0.05 * np.eye(3), gyros=PYRAMID)
     found, wanted = (free.with_forces(force) for force in LIMITED[name])
     x0 = found.state(TURNED, SPIN)
-    moved, expected = (one.forces[0].flow(one, x0, 0.0, PERIOD) for one in (found, wanted))
+    moved, expected = (one.flows[0][1].flow(one, x0, 0.0, PERIOD) for one in (found, wanted))
     np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-15)
     assert np.abs(moved - x0).max() > 0.01
 
@@ -513,5 +513,5 @@ def test_the_smallest_impulse_fires_and_any_smaller_one_does_not():
     for factor, fires in ((1.0, True), (np.nextafter(1.0, 2.0), False)):
         jets = F.Thrusters(F.Torque(torque), PERIOD, 1.0, min_impulse=factor * PERIOD * np.abs(torque))
         sat = S.body((1.0, 1.0, 1.0), attitude=False).with_forces(jets)
-        end = sat.forces[0].flow(sat, sat.state(), 0.0, PERIOD)
+        end = sat.flows[0][1].flow(sat, sat.state(), 0.0, PERIOD)
         np.testing.assert_array_equal(end[:3], fires * PERIOD * torque)

@@ -182,6 +182,9 @@ def test_states_of_canonical_pairs_have_one_as_central_coordinate():
             entry(wrong)
         if name != "equilibrium":
             entry(right + 1e-15)
+    for off in (1e-7, -1e-10, 2.0**-39):
+        with refused(ValueError, "z of satellite must be 1"):
+            co.integrate(satellite, right + off * (np.arange(10) == 9), span, 0.1)
     state = pair.state([[-1, 0, 0], [3, 0, 0]])
     state[-1] = 2.0
     with refused(ValueError, "gravitating_bodies", "must be 1"):

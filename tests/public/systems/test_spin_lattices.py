@@ -199,7 +199,7 @@ def test_parameters_count_together():
         ({"lattice": [(0, 1), (4, 3), (1, 2), (3, 4)], "shape": 5}, ("3 and 4", "twice")),
         ({"lattice": [(0, 1), (4, 3), (1, 7)], "shape": 5}, ("edge 2", "site 7", "0 to 4")),
         ({"field": lambda t: (1.0, 2.0)}, ("field(t)", "(2,)")),
-        ({"field": lambda x, t: (1.0, 2.0, 3.0)}, ("field", "time")),
+        ({"field": lambda x, t: (1.0, 2.0, 3.0)}, ("field", "(t)")),
         ({"field": lambda t: [1.0 / t] * 3}, ("field(0.0)", "ZeroDivisionError")),
         ({"field": lambda t: np.array([np.inf, 0.0, 0.0])}, ("field(0.0)", "finite")),
         ({"field": lambda t: np.array([[0.0] * 3, [0.0, np.nan, 0.0]])}, ("field(0.0)", "finite")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from fractions import Fraction
 from functools import lru_cache
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.short_repr import short
 from coadjoint.validation import read_number
 
 Constant = int | float | Fraction
@@ -95,11 +97,20 @@ def fits(value: int | float | Fraction) -> bool:
 
 def parse_number(literal: str) -> Constant:
     """Parse a number: int if it consists of digits, else float."""
-    if not literal.isdigit():
-        return checked(float(literal))
-    if len(literal) > MAX_DIGITS:
-        raise ValueError(f"a number of {len(literal)} digits {TOO_LARGE}")
-    return checked(int(literal))
+    if literal.isdigit() and len(literal) <= MAX_DIGITS:
+        return checked(int(literal))
+    return parse_decimal(literal)
+
+
+def parse_decimal(literal: str) -> float:
+    """Parse a number as a float; ValueError if it has too many digits, is too large, or would be rounded to zero."""
+    digits = sum(map(str.isdigit, literal))
+    if digits > MAX_DIGITS:
+        raise ValueError(f"a number of {digits} digits {TOO_LARGE}")
+    value = float(literal)
+    if value == 0.0 and any(digit in "123456789" for digit in re.split("[eE]", literal)[0]):
+        raise ValueError(f"the number {short(literal, 40)} is too small for float64; write 0, or choose other units")
+    return float(checked(value))
 
 
 def quotient(numerator: Constant, denominator: Constant) -> Constant:

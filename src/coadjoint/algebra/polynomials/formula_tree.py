@@ -10,7 +10,12 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from coadjoint.algebra.exact.numbers import MAX_DIGITS, NUMBER, Constant, parse_number
-from coadjoint.algebra.polynomials.monomials import coordinate_names, read_coefficient
+from coadjoint.algebra.polynomials.monomials import (
+    MAX_SHOWN_NAMES,
+    coordinate_names,
+    names_clash,
+    read_coefficient,
+)
 from coadjoint.errors import in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short, short_rest
@@ -24,7 +29,6 @@ MAX_OPERATIONS = 1000
 NESTING_MESSAGE = "has brackets or signs that are nested too deeply"
 TERMS_PARSED_AT_ONCE = 256  # summands; keeps sums of any length from nesting
 MAX_QUOTED = 60  # letters of a formula in a message
-MAX_SHOWN_NAMES = 120  # letters of names in a message
 
 NOTATION = "write numbers, coordinates, parameters and operations on them, such as 0.5*x1^2 - x2*(x3 + 1)/3"
 FUNCTIONS: Mapping[str, tuple[str, str]] = {
@@ -251,21 +255,11 @@ class FormulaTree:
 
 
 def names_in(text: str, dim: int, names: Sequence[str] | None) -> Sequence[str] | None:
-    """Return the names of the coordinates if a text has one that is not among x1, x2, ...; otherwise None."""
-    if names is None:
+    """Return the names of the coordinates in a text: the given ones, or None if x1, x2, ... in it are their numbers."""
+    if names is None or list(names) == (numbered := coordinate_names(dim)):
         return None
-    default, used = coordinate_names(dim), NAME.findall(text)
-    index = {name: k for k, name in enumerate(names)}
-    place = {name: k for k, name in enumerate(default)}
-    if not any(name in index and name not in place for name in used):
-        return None
-    for name in used:
-        if name in index and name in place and index[name] != place[name]:
-            raise ValueError(
-                f"{short(text)} has {name}, which is the name of coordinate {index[name]} and, in polynomials in "
-                f"x1, x2, ..., that of coordinate {place[name]}; give a list of [coefficient, [exponents]]"
-            )
-    return names
+    is_numbered = set(names).difference(numbered).isdisjoint(NAME.findall(text))
+    return None if is_numbered and not names_clash(names, numbered) else names
 
 
 def coordinates_and_parameters(

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import exact_number, exact_numbers, is_finite
+from coadjoint.errors import in_one_line
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.validation import MAX_TITLE_LENGTH, is_integer, is_real, read_integer, read_list, read_title
@@ -27,6 +28,7 @@ MAX_NUMBERS = 2**18
 
 MAX_DIGITS = 6  # of numbers that are shown, as of format "g"
 MAX_SHOWN = 30  # monomials printed individually
+MAX_SHOWN_NAMES = 120  # letters of names in a message
 
 
 def read_exponents(argument: Any) -> Exponents:
@@ -212,7 +214,30 @@ def coordinate_names(dim: int) -> list[str]:
 
 def names_of_basis(basis: Sequence[str]) -> tuple[str, ...]:
     """Return the names of the coordinates for those of the basis elements; e1, e2, ... become x1, x2, ..."""
-    return tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
+    names = tuple(re.sub(r"^e(?=\d)", "x", name) for name in basis)
+    return names if len(set(names)) == len(names) else tuple(basis)  # e1 beside x1
+
+
+def names_clash(first: Sequence[str], second: Sequence[str]) -> bool:
+    """Return whether a name is that of two different coordinates."""
+    numbers = {name: k for k, name in enumerate(first)}
+    return any(numbers.get(name, k) != k for k, name in enumerate(second))
+
+
+def numbers_by_name(names: Sequence[str]) -> dict[str, int]:
+    """Return the number of a coordinate by its name, and by x1, x2, ... if none of these names another coordinate."""
+    numbered = coordinate_names(len(names))
+    known = names if names_clash(names, numbered) else (*numbered, *names)
+    return {name: k % len(names) for k, name in enumerate(known)}
+
+
+def check_names(function: Any, names: Sequence[str], what: str) -> None:
+    """Raise ValueError if a function is written in names of which the system uses one for another coordinate."""
+    for part in getattr(function, "summands", (function,)):
+        written = getattr(part, "_written_names", None)
+        if written is not None and names_clash(written, names):
+            given, right = (in_one_line(", ".join(each), MAX_SHOWN_NAMES) for each in (written, names))
+            raise ValueError(f"{what} is written in {given}; the coordinates are {right}: write it in these, by basis=")
 
 
 def read_names(names: Any, dim: int) -> tuple[str, ...]:

@@ -17,6 +17,7 @@ from coadjoint.algebra.polynomials.monomials import (
     Coefficient,
     Exponents,
     ProductSum,
+    check_names,
     coordinate_names,
     differentiated,
     exponents_of,
@@ -81,6 +82,8 @@ class Polynomial:
     # Prevents NumPy arrays from multiplying a polynomial entry by entry.
     __array_ufunc__ = None
     _names: tuple[str, ...] | None = None
+    _written_names: tuple[str, ...] | None = None
+    """Names of the coordinates in the text that the polynomial was made of."""
     _renamed: Polynomial | None = None
 
     def __init__(
@@ -94,8 +97,8 @@ class Polynomial:
             from coadjoint.algebra.polynomials.formulas import read_polynomial
 
             monomials, dim = read_polynomial(monomials, dim, basis, parameters)
-            if basis is not None:
-                self._names = special_names(tuple(basis))
+            self._written_names = tuple(coordinate_names(dim) if basis is None else basis)
+            self._names = special_names(self._written_names)
         elif basis is not None or parameters is not None:
             name, meaning = ("basis", "coordinates") if basis is not None else ("parameters", "numbers")
             raise TypeError(f"{name} is given with exponents; it names the {meaning} of a text, so omit it")
@@ -160,7 +163,7 @@ class Polynomial:
             return self
         if self._renamed is None or self._renamed._names != special:
             renamed = Polynomial.__new__(Polynomial)
-            renamed.__dict__.update(self.__dict__, _names=special, _renamed=None)
+            renamed.__dict__.update(self.__dict__, _names=special, _written_names=None, _renamed=None)
             self._renamed = renamed
         return self._renamed
 
@@ -178,7 +181,11 @@ class Polynomial:
     def _with_monomials(self, monomials: Mapping[Exponents, Coefficient], *others: Polynomial) -> Polynomial:
         """Return a result in the same coordinates, with the names of this or of another operand."""
         result = Polynomial._from_valid(monomials, self._dim)
-        result._names = next((p._names for p in (self, *others) if p._names is not None), None)
+        for p in (self, *others):
+            result._names = result._names or p._names
+            if p._written_names is not None:
+                check_names(p, result._written_names or (), "a polynomial")
+                result._written_names = p._written_names
         return result
 
     def __repr__(self) -> str:

@@ -36,7 +36,7 @@ from coadjoint.systems.hamiltonians.sum_of_hamiltonians import polynomial_of
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
-from coadjoint.validation import check_power, read_finite, read_integer, read_number, supports_arithmetic
+from coadjoint.validation import check_power, read_finite, read_integer, read_number, supports_arithmetic, to_array
 
 
 class ModifiedHamiltonian:
@@ -125,11 +125,13 @@ class ModifiedHamiltonian:
         float or ndarray
             One value for each state.
         """
-        return self._sum(lambda term: term(x), _read_step(h))
+        states = to_array(x, "x", "iufc")
+        return self._sum(lambda term: term(states), _read_step(h))
 
     def gradient(self, x: Any, h: Any) -> NDArray[Any]:
         """Return the gradients at states, in the shape of x; parameters as for a call."""
-        return self._sum(lambda term: term.gradient(x), _read_step(h))
+        states = to_array(x, "x", "iufc")
+        return self._sum(lambda term: term.gradient(states), _read_step(h))
 
     def _sum(self, evaluate: Callable[[Polynomial], Any], h: Any) -> Any:
         terms = self._numeric()

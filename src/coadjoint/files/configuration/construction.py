@@ -18,15 +18,16 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials import formulas
 from coadjoint.algebra.polynomials.formula_tree import names_in, read_parameters
 from coadjoint.algebra.polynomials.formulas import add_term, too_high
-from coadjoint.algebra.polynomials.monomials import Exponents, names_of_basis
+from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.errors import ConfigurationError, in_one_line
 from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import declared_names
 from coadjoint.systems.forces import registry as described
-from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula_in
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
@@ -119,12 +120,13 @@ def _hamiltonian_part(name: str, file: File) -> System:
     if file.algebra.brackets is not None:
         _check_dimension(name, file.algebra, file.initial.x)
     algebra = _algebra(name, file.algebra)
-    hamiltonian = _hamiltonian(name, file.hamiltonian, algebra)
+    names = declared_names(file.name, algebra, algebra.dim)
+    hamiltonian = _hamiltonian(name, file.hamiltonian, algebra, names)
     casimirs: dict[str, Polynomial] | None = None if file.casimirs is None else {}
     for key, polynomial in (file.casimirs or {}).items():
         assert casimirs is not None
         with section(name, f"casimirs.{key}"):
-            casimirs[key] = parse_polynomial(polynomial, algebra.dim, names_of_basis(algebra.basis))
+            casimirs[key] = parse_polynomial(polynomial, algebra.dim, names)
     with section(name, "casimirs"):
         LiePoissonSystem(algebra, 0 * Polynomial.variable(0, algebra.dim), casimirs=casimirs)
     with section(name, "hamiltonian"):
@@ -195,7 +197,7 @@ def _algebra(name: str, table: AlgebraTable) -> LieAlgebra:
         return LieAlgebra.from_brackets(dim, table.brackets or {}, basis=basis)
 
 
-def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any:
+def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra, names: Sequence[str]) -> Any:
     whole = "formula" if table.formula is not None else "polynomial"
     if getattr(table, whole) is not None:
         for key in ("M", "linear", "constant", "polynomial"):
@@ -203,14 +205,12 @@ def _hamiltonian(name: str, table: HamiltonianTable, algebra: LieAlgebra) -> Any
                 raise ConfigurationError(f"{name}: hamiltonian.{key}: is given with {whole}; include it there")
     if table.parameters and table.formula is None:
         raise ConfigurationError(f"{name}: hamiltonian.parameters: belongs to a formula; give formula, or omit them")
-    names = names_of_basis(algebra.basis)
     if table.formula is not None:
         for key in table.parameters:
             with section(name, f"hamiltonian.parameters.{key}"):
                 read_parameters({key: table.parameters[key]}, names)
         with section(name, "hamiltonian.formula"):
-            chosen = names_in(table.formula, algebra.dim, names)
-            return formula(table.formula, algebra.dim, chosen, table.parameters)
+            return formula_in(table.formula, algebra.dim, names, table.parameters)
     if table.polynomial is not None:
         with section(name, "hamiltonian.polynomial"):
             return parse_polynomial(table.polynomial, algebra.dim, names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import re
 import tomllib
 import types
@@ -13,6 +14,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
+from coadjoint.algebra.exact.numbers import parse_decimal
 from coadjoint.errors import ConfigurationError, in_one_line, nearest
 from coadjoint.files.configuration.models import MAX_SHOWN_LENGTH, File
 from coadjoint.keyword_hints import KEYWORDS
@@ -30,7 +32,10 @@ _LONG_NUMBER = re.compile(r"\d[\d_]{3999,}")
 
 
 def read_utf8(path: str | Path) -> str:
-    """Read a file as UTF-8 with normalized line ends; ConfigurationError if it is unreadable, too long, or no UTF-8."""
+    """Read a file as UTF-8 with normalized line ends, without a byte-order mark.
+
+    Raise ConfigurationError if it is unreadable, too long, or no UTF-8.
+    """
     try:
         with open(path, "rb") as file:
             # Devices may be endless, and a dataset given by mistake may be huge.
@@ -40,7 +45,7 @@ def read_utf8(path: str | Path) -> str:
     if len(content) > MAX_BYTES:
         raise ConfigurationError(f"{path}: is longer than {MAX_BYTES} bytes; give long ensembles in Python")
     try:
-        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as reason:
         raise ConfigurationError(f"{path}: is not text in UTF-8 (byte {reason.start}); save it as such") from None
 
@@ -50,10 +55,22 @@ def parse_toml(name: str, text: str) -> dict[str, Any]:
     match = _LONG_KEY.search(text)
     if match is not None:
         raise _syntax_error(name, text, match.start(), f"a key has more than {MAX_NESTING} parts")
+
+    def number(literal: str) -> float:
+        value = float(literal)
+        if math.isfinite(value):  # others are refused by their keys
+            try:
+                return parse_decimal(literal)
+            except ValueError as reason:
+                raise _syntax_error(name, text, text.find(literal), str(reason)) from None
+        return value
+
     try:
-        return tomllib.loads(text)
+        return tomllib.loads(text, parse_float=number)
     except tomllib.TOMLDecodeError as reason:
         problem = str(reason)
+    except ConfigurationError:
+        raise
     except RecursionError:
         raise _syntax_error(
             name, text, _nesting_position(text), f"lists and tables are nested deeper than {MAX_NESTING}; nest less"

@@ -313,8 +313,13 @@ def random_settings(
     if kind == "uniform":
         words = np.stack([random_words(seed, stream, float(s), 0, count) for s in range(samples)])
         first, last = _number_pair(spread, "an end", shape)
+        with np.errstate(over="ignore"):
+            if not np.all((first <= last) & np.isfinite(np.subtract(last, first))):
+                raise ValueError(f"uniform is {short(spread)}; give the smaller end first, at a distance in float64")
         fractions = (words >> np.uint64(11)).astype(np.float64).reshape(samples, *shape) * 2.0**-53
-        return np.asarray(first + (last - first) * fractions)
+        # A sum may be rounded up to the end, which is excluded.
+        below = np.where(first < last, np.nextafter(last, first), first)
+        return np.asarray(np.minimum(first + (last - first) * fractions, below))
     deviates = np.stack([normal_deviates(seed, stream, float(s), 0, count) for s in range(samples)])
     deviates = deviates.reshape(samples, *shape)
     if kind == "normal":

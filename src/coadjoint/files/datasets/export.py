@@ -15,7 +15,6 @@ from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, 
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
     OBSERVED_NAMES,
-    STATE_DIMENSIONS,
     angular_motion_variables,
     coordinates_of,
     event_variables,
@@ -31,6 +30,7 @@ from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.reconstruction import events_of, not_stored
 from coadjoint.files.records.records import event_record, record_of, system_of
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import STATE_DIMENSIONS
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
@@ -61,7 +61,8 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
     Variables over ``time`` (and ``member`` for an ensemble): ``x`` over ``component`` (matrices over ``row`` and
     ``column``, complex ones also over ``part``, real and imaginary), ``energy``, ``casimir_<name>``,
     ``observed_<name>``, ``attitude`` over ``row`` and ``column``; of fluids ``vorticity`` on a grid; of bodies
-    ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also over ``body``;
+    ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also over ``body``, with
+    attitudes as ``quaternion`` (x, y, z, w), and ``wheel_speed`` and ``gimbal_angle`` of rotors;
     ``drift`` over ``invariant`` and ``tenth`` of the run, replaced for systems with forces by ``change``, ``balance``,
     and ``work`` over ``account``; ``x0``, ``attitude0``, and ``event_...`` of crossings. Numbers in which the systems
     of a batch differ are coordinates, such as ``swept_inertia_2``; a batch with named axes has these as dimensions in

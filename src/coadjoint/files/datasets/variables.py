@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,18 +12,17 @@ from numpy.typing import NDArray
 from coadjoint.files.datasets.named_axes import unstacked
 from coadjoint.files.datasets.writers import CHECKSUM, with_checksum
 from coadjoint.files.records.records import safe_name
+from coadjoint.labels import COMPLEX_PARTS, STATE_DIMENSIONS
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.results.solution import Solution
+from coadjoint.runs.results.solution_attributes import rotations_of
 from coadjoint.short_repr import short
+from coadjoint.systems.coefficients import linear_of
 from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.fluid_system import FluidSystem
-
-COMPLEX_PARTS = ("real", "imaginary")
-"""Parts of complex numbers along the last axis, since NetCDF has no complex numbers."""
-STATE_DIMENSIONS = (("component",), ("row", "column"), ("layer", "row", "column"))
-"""Dimensions of a state: a vector, a matrix, or matrices in layers."""
 
 Floats = NDArray[np.float64]
 MAX_DEFAULT_BYTES = 1 << 27
@@ -107,16 +106,41 @@ def time_variables(solution: Solution) -> Variables:
 
 
 def angular_motion_variables(solution: Solution) -> Variables:
-    """Return the angular velocity and momentum of bodies in their frames; nothing for other systems."""
+    """Return attitudes and angular velocities and momenta of bodies in their frames, and rotors; else nothing."""
     variables: Variables = {}
-    dims = ("time", *_member(solution))
-    if not all(hasattr(one.unforced, "angular_velocity") for one in solution.system.distinct):
+    dims, systems = ("time", *_member(solution)), [one.unforced for one in solution.system.distinct]
+    if not all(hasattr(one, "angular_velocity") for one in systems):
         return variables
+
+    def add(name: str, values: NDArray[np.float64], axis: str, long_name: str, **attributes: Any) -> None:
+        of_body = ("body",) * (values.ndim - len(dims) - 1)
+        variables[name] = ((*dims, *of_body, axis), values, {**cf_attributes(long_name), **attributes})
+
     for name in ("angular_velocity", "angular_momentum"):
-        values = getattr(solution, name)
-        of_body = ("body", "axis") if values.ndim > len(dims) + 1 else ("axis",)
-        variables[name] = ((*dims, *of_body), values, cf_attributes(f"{name.replace('_', ' ')} in the body frame"))
+        add(name, getattr(solution, name), "axis", f"{name.replace('_', ' ')} in the body frame")
+    if all(one.has_attitude for one in systems):
+        rotations: Any = solution._of_bodies("attitudes", "attitude")
+    else:
+        rotations = rotations_of(solution.attitude) if solution.carried == "representation" else None
+    if rotations is not None:
+        long_name = "unit quaternion of the attitude, from the body to space"
+        add("quaternion", _quaternions(rotations), "component_of_quaternion", long_name, order="x, y, z, w")
+    for name, rotors, axis in (("wheel_speed", "wheels", "wheel"), ("gimbal_angle", "gyros", "gyro")):
+        if all(len(getattr(one, rotors, ())) for one in systems):
+            long_name = f"{name.replace('_', ' ')}s relative to the body [radians]"
+            add(name, solution._of_bodies(f"{name}s", name), axis, long_name)
     return variables
+
+
+def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the quaternions (k, ..., 4) of rotations over time without changes of sign; NaN after a failure."""
+    from scipy.spatial.transform import Rotation
+
+    finite, found = np.isfinite(rotations).all(axis=(-2, -1)), np.full((*rotations.shape[:-2], 4), np.nan)
+    found[finite] = Rotation.from_matrix(rotations[finite]).as_quat(canonical=True)
+    opposite = (found[1:] * found[:-1]).sum(axis=-1, keepdims=True) < 0.0
+    found[1:] *= np.cumprod(np.where(opposite, -1.0, 1.0), axis=0)
+    return found
 
 
 def summary_variables(solution: Solution) -> Variables:
@@ -182,18 +206,36 @@ def parameters_of(system: Any) -> Variables:
     """Return the numbers in which the systems of a batch differ, over the members, named like those of a sweep."""
     if not system.is_batch:
         return {}
-    parameters_of_systems = [member.unforced.parameters or {} for member in system.distinct]
+    numbers_of_systems = [dict(_numbers_of(member)) for member in system.distinct]
     differing = dict[str, list[Any]]()
-    for name in parameters_of_systems[0]:
-        values = [parameters.get(name) for parameters in parameters_of_systems]
+    for name in numbers_of_systems[0]:
+        values = [numbers.get(name) for numbers in numbers_of_systems]
         shapes = {_shape_of_numbers(value) for value in values}
         if len(shapes) == 1 and None not in shapes:
-            differing[f"system.parameters.{name}"] = values
+            differing[name] = values
     return {
         name: (dims, values[system.owners], attributes)
         for name, (dims, values, attributes) in over_members(differing).items()
         if np.any(values != values[0])
     }
+
+
+def _numbers_of(system: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the parameters of a system, the linear term of a run with inputs, and the parameters of its forces."""
+    plain = system.unforced
+    base = plain._base_parameters
+    known = plain.parameters if base is None else {**base, "linear": linear_of(plain.hamiltonian)}
+    yield from ((f"system.parameters.{name}", value) for name, value in (known or {}).items())
+    for k, force in enumerate(system.forces):
+        yield from _numbers_of_force(f"forces[{k}]", force)
+
+
+def _numbers_of_force(place: str, force: Force) -> Iterator[tuple[str, Any]]:
+    for name, value in force.parameters().items():
+        if isinstance(value, Force):
+            yield from _numbers_of_force(f"{place}.{name}", value)
+        else:
+            yield f"{place}.{name}", value
 
 
 def over_members(values: Mapping[str, list[Any]]) -> Variables:
@@ -304,7 +346,7 @@ def with_vorticity(dataset: xarray.Dataset, solution: Solution, grid: Any) -> xa
 def _on_grid(fluid: FluidSystem, W: NDArray[Any], shape: Any) -> Floats:
     """Return the field of matrices (..., N, N) on a grid; NaN for states after a failure."""
     finite = np.isfinite(W).all(axis=(-2, -1))
-    values = fluid.to_grid(W[finite], shape)
+    values = fluid.to_grid(W[finite], shape, absolute=True)
     result = np.full((*finite.shape, *values.shape[1:]), np.nan)
     result[finite] = values
     return result

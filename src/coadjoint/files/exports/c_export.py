@@ -202,6 +202,9 @@ def loop_of_run(prepared: PreparedRun) -> tuple[CompiledLoop, TableNumbers]:
     system, scheme = prepared.system, prepared.scheme
     if system.is_batch:
         raise TypeError(f"the {system.name} has several systems, and one is exported; prepare the system of a member")
+    sampled = [label for label, force in zip(system.labels, system.forces, strict=True) if force.sampled]
+    if sampled:
+        raise TypeError(f"{sampled[0]} calls a law, a function, which cannot be exported; give its torque as an input")
     if system.has_matrices:
         raise TypeError(
             f"{system.name} has matrices as states, which are multiplied by BLAS and not exported; give a system on a "
@@ -285,8 +288,8 @@ def _forced(prepared: PreparedRun, loop: CompiledLoop, numbers: TableNumbers, in
     if inner.compensated:
         raise TypeError(f"{prepared.method} has compensated sums beside forces; give compensated=False to export it")
     lines, n = inner.lines, prepared.system.dim
-    for k, (label, table) in enumerate(zip(prepared.system.labels, forces, strict=True)):
-        flow, change = _flow_of_force(label, table, numbers, n)
+    for k, ((position, _), table) in enumerate(zip(prepared.system.flows, forces, strict=True)):
+        flow, change = _flow_of_force(prepared.system.labels[position], table, numbers, n)
         lines += function(f"force_{k}", f"double *x{inputs}, double tau", flow)
         if tangent:
             lines += function(f"force_change_{k}", "double *v, double tau", change)

@@ -20,6 +20,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.runs.events import Event
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Axis, Batch, axis_coordinates, check_axis_name
+from coadjoint.systems.coefficients import with_linear
 from coadjoint.systems.coordinates import coordinates_of
 from coadjoint.systems.fluids.carried_fields import TwoLayerSystem
 from coadjoint.systems.forces import registry as described
@@ -90,12 +91,14 @@ def _system_of(record: Entry, dim: int | None) -> System:
 def _unforced_system_of(record: Entry, dim: int | None) -> Any:
     name = record["name"].text()
     if "parameters" in record:
-        record.reject_unknown("name", "parameters")
+        record.reject_unknown("name", "parameters", "linear")
         parameters = record["parameters"].plain_table()
         with as_value_errors(record["parameters"]):
             system = importlib.import_module("coadjoint.systems").get(name, **parameters)
         _check_dimension(record, system.dim, dim)
-        return system
+        linear = record.optional("linear", lambda entry: entry.numbers(system.dim))
+        with as_value_errors(record):
+            return system if linear is None else with_linear(system, linear)
     _check_stored(record, name)
     if "matrices" in record:
         matrices = matrix_system_of(record)
@@ -359,4 +362,7 @@ def _event_of(name: str, record: Entry, system: Any) -> Event:
             return Event(**{**record.value, "g": not_stored}, name=name)
         if g.is_table:
             return Event(**{**record.value, "g": _form_of(g, system.dim)}, name=name)
+        if isinstance(g.value, str) and g.value not in coordinates_of(system):
+            # `event_record` writes polynomials in x1, x2, ..., whatever the names of the coordinates are.
+            return Event(**{**record.value, "g": parse_polynomial(g.value, system.dim)}, name=name)
         return event_of_file(name, record.value, system)

@@ -14,12 +14,14 @@ from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
 from coadjoint.algebra.polynomials.monomials import plain as text_of
+from coadjoint.algebra.polynomials.monomials import special_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.files.records.entries import CASIMIR, ENERGY, EXACT, INTEGRAL, STREAM
 from coadjoint.files.records.reconstruction import system_of
 from coadjoint.runs.events import Event
 from coadjoint.short_repr import plain
 from coadjoint.systems.batch import Axis, Batch
+from coadjoint.systems.coefficients import linear_of
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, formula_of
@@ -53,11 +55,14 @@ def _entries(system: Any, missing: list[str]) -> dict[str, Any]:
         return _batch_entries(system, missing)
     if system.forces:
         return _forced_entries(system, missing)
-    parameters = system.parameters
+    base = system._base_parameters
+    parameters = system.parameters if base is None else base
     if parameters is not None and system.name in importlib.import_module("coadjoint.systems").names():
         functions = [f"{system.name}: {key}" for key, value in parameters.items() if callable(value)]
-        missing += functions
-        return {} if functions else {"parameters": {key: plain(value) for key, value in parameters.items()}}
+        if base is None or not functions:
+            missing += functions
+            linear = {} if base is None else {"linear": linear_of(system.hamiltonian).tolist()}
+            return {} if functions else {"parameters": {key: plain(v) for key, v in parameters.items()}, **linear}
     match system:
         case MatrixSystem():
             return _matrix_entries(system, missing)
@@ -201,13 +206,13 @@ def _polynomial_record(polynomial: Polynomial) -> dict[str, Any]:
 
 def _formula_record(function: ParsedFunction, factors: Sequence[Any]) -> dict[str, Any]:
     """Return the formula of a function as its text, and the factors that multiply it."""
-    names = None if function.names is None else list(function.names)
+    names = None if function.names is None else special_names(function.names)
     parameters = {name: plain(value) for name, value in function.parameters.items()}
     return {
         "kind": "formula",
         "dim": function.dim,
         "text": function.text,
-        "names": names,
+        "names": None if names is None else list(names),
         "parameters": parameters,
         "factors": list(factors),
     }

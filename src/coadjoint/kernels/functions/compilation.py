@@ -216,7 +216,10 @@ def _value(inner: Any, size: int, scalar: bool, timed: bool) -> Callable[..., No
     def call(y: Any, t: float, out: Any) -> None:
         out[0] = np.nan
         x = y[0] if scalar else carray(y, (size,))
-        out[0] = inner(x, t) if timed else inner(x)
+        try:
+            out[0] = inner(x, t) if timed else inner(x)
+        except Exception:
+            out[0] = np.nan
 
     return call
 
@@ -226,9 +229,12 @@ def _array(inner: Any, size: int, results: int, timed: bool) -> Callable[..., No
         for k in range(results):
             out[k] = np.nan
         x = carray(y, (size,))
-        values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
-        for k in range(results):
-            out[k] = values[k]
+        try:
+            values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
+            for k in range(results):
+                out[k] = values[k]
+        except Exception:
+            out[0] = np.nan
 
     return call
 

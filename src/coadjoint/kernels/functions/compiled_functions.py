@@ -22,6 +22,12 @@ class KernelFunction:
     def __init__(self, address: int, held: Any, remade: Callable[[], tuple[Any, ...]] | None = None) -> None:
         self.address, self._held, self.remade = address, held, remade
 
+    def values(self, y: Any, t: float, results: int) -> Any:
+        """Return so many values at numbers y and a time; of a function with machine code, not of a table."""
+        numbers, found = np.array(y, dtype=np.float64), np.empty(results)
+        CALLBACK(self.address)(numbers.ctypes.data, t, found.ctypes.data)
+        return found
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Return arguments that make the function again in another process."""
         if self.remade is None:

@@ -300,12 +300,12 @@ def addresses_of(
         if forms_of(user_function := getattr(term, derivative)) is None and not is_called_in_python(user_function)
     )
     for k, term in functions.items():
-        keepalive.append(_owner_of(term, derivative, owner))
+        keepalive.append(compiled_derivative(term, derivative, owner))
         addresses[k] = keepalive[-1].address
     return addresses, tuple(keepalive)
 
 
-def _owner_of(term: FunctionTerm, derivative: str, owner: str) -> KernelFunction:
+def compiled_derivative(term: FunctionTerm, derivative: str, owner: str) -> KernelFunction:
     """Compile a derivative of a term, or make a table of it."""
     function, size = getattr(term, derivative), len(term.coordinates)
     if (forms := forms_of(function)) is not None:

@@ -172,12 +172,22 @@ class _ForceTableBuilder:
 
     def _compile(self, function: Callable[..., Any], arguments: str, size: int, what: str) -> None:
         self.called = function
-        if not self._compiles:
-            return
-        require_packages(f"{what}, a Python function,", "numba")
-        timed = arguments != "x"
-        adapted = _adapted_arguments(function, arguments, self._shape)
-        self.keepalive = (compiled_function(adapted, size, self.n, scalar=False, flat=True, timed=timed, what=what),)
+        if self._compiles:
+            self.keepalive = (compiled_force_function(function, arguments, size, self.n, what, self._shape),)
+
+
+def compiled_force_function(
+    function: Callable[..., Any],
+    arguments: str,
+    size: int,
+    results: int,
+    what: str,
+    shape: tuple[int, ...] | None = None,
+) -> KernelFunction:
+    """Compile the function of a force, as a function of `size` numbers and the time; `shape` is that of a matrix."""
+    require_packages(f"{what}, a Python function,", "numba")
+    adapted, timed = _adapted_arguments(function, arguments, shape), arguments != "x"
+    return compiled_function(adapted, size, results, scalar=False, flat=True, timed=timed, what=what)
 
 
 def _adapted_arguments(
@@ -215,14 +225,16 @@ def forced_loop(
     system: Any, inner: Mapping[float, CompiledLoop], fractions: Sequence[float], order: int, representation: Any
 ) -> CompiledLoop:
     """Return a loop of substeps at fractions of the step, each between half flows of the forces, of an order."""
-    accounts, first = accounts_of(system), 0
+    accounts = accounts_of(system)
+    owners_of_accounts = [label for label, _ in accounts]
     tables: list[ForceTable] = []
     keepalive: list[Any] = []
-    for label, force in zip(system.labels, system.forces, strict=True):
-        count = sum(account == label for account, _ in accounts)
-        reader = _ForceTableBuilder(system.unforced, first, count, order)
+    for k, force in system.flows:
+        label = system.labels[k]
+        reader = _ForceTableBuilder(
+            system.unforced, owners_of_accounts.index(label), owners_of_accounts.count(label), order
+        )
         tables.append(force.describe_to(reader, system.unforced))
-        first += count
         keepalive += reader.keepalive
     hamiltonian_part = system.unforced
     casimirs_conserved = hamiltonian_part.has_matrices or all(force.casimirs for force in system.forces)
@@ -248,7 +260,7 @@ def forced_loop(
     )
     recorded = [
         CompiledTables(table, (), partial(_sources_of_force, hamiltonian_part, force, table, k))
-        for k, (force, table) in enumerate(zip(system.forces, tables, strict=True))
+        for (k, force), table in zip(system.flows, tables, strict=True)
     ]
     places = [INNER_LOOP_INDEX + (first_other + (k - 1) * len(loop_integers) if k else 0) for k in range(len(inner))]
     referenced: dict[int, Any] = dict(zip(places, inner.values(), strict=True))

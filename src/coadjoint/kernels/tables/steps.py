@@ -335,22 +335,28 @@ def _adapted_stream(
         out[:] = np.nan
         matrix = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
         centre(matrix)
-        result = inner(matrix, t) if timed else inner(matrix)
-        for i in range(N):
-            for j in range(N):
-                value = complex(result[i, j])
-                out[2 * (i * N + j)] = value.real
-                out[2 * (i * N + j) + 1] = value.imag
+        try:
+            result = inner(matrix, t) if timed else inner(matrix)
+            for i in range(N):
+                for j in range(N):
+                    value = complex(result[i, j])
+                    out[2 * (i * N + j)] = value.real
+                    out[2 * (i * N + j) + 1] = value.imag
+        except Exception:
+            out[0] = np.nan
 
     def of_real(W: Any, t: float, P: Any) -> None:
         out = carray(P, (N * N,))
         out[:] = np.nan
         matrix = carray(W, (N * N,)).copy().reshape((N, N))
         centre(matrix)
-        result = inner(matrix, t) if timed else inner(matrix)
-        for i in range(N):
-            for j in range(N):
-                out[i * N + j] = result[i, j]
+        try:
+            result = inner(matrix, t) if timed else inner(matrix)
+            for i in range(N):
+                for j in range(N):
+                    out[i * N + j] = result[i, j]
+        except Exception:
+            out[0] = np.nan
 
     with warnings.catch_warnings():
         # Suppress Numba's warning that products of transposed matrices are slower.

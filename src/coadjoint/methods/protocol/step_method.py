@@ -27,6 +27,7 @@ from coadjoint.methods.registry import SCHEME_RULE, read_method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.system import System
+from coadjoint.systems.user_functions import check_places
 
 NO_PROPERTIES = Properties(poisson=False, energy=False, casimirs="none", attitude="none")
 
@@ -135,6 +136,7 @@ def step_takes_time(function: Callable[..., Any]) -> bool:
     needed = sum(p.kind in kinds and p.default is inspect.Parameter.empty for p in parameters)
     if needed not in (2, 3):
         raise TypeError(f"{short(function)} takes {needed} arguments; a step is a function of (x, h), or of (x, t, h)")
+    check_places(function, short(function), "x, t, h" if needed == 3 else "x, h")
     return needed == 3
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -190,7 +190,7 @@ def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
 @kind("directions", moves=True)
 def directions(
     drawn: PlottedRun,
-    vectors: Mapping[str, Any],
+    vectors: Mapping[str, Any] | Callable[[int], Mapping[str, Any]],
     axes_named: Sequence[str] = ("$e_1$", "$e_2$", "$e_3$"),
     title: str = "",
     view: tuple[float, float] | None = None,
@@ -201,8 +201,9 @@ def directions(
 
     Parameters
     ----------
-    vectors : mapping of str to three ints or str, or to array_like, shape (3, n)
-        Name to coordinates, or to the linear forms whose values are the components.
+    vectors : mapping of str to three ints or str, or to array_like, shape (3, n), or callable
+        Name to coordinates, or to the linear forms whose values are the components; or a function of the dimension that
+        returns these.
     axes_named : sequence of three str
         Names of the axes.
     title : str
@@ -212,7 +213,8 @@ def directions(
         of the paths.
     """
     saved, drawn = drawn, drawn.refined
-    paths = {name: _unit(_components(drawn, vector)) for name, vector in vectors.items()}
+    named = vectors(drawn.n) if callable(vectors) else vectors
+    paths = {name: _unit(_components(drawn, vector)) for name, vector in named.items()}
 
     def paint(axes: Any) -> Update:
         points = np.concatenate([members.reshape(-1, 3) for members in paths.values()])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -49,8 +49,9 @@ def phase_portrait(
     cyclic: float = 0.0,
     equal: bool = False,
     title: str = "phase portrait",
+    curves: Callable[[int], Sequence[str]] | None = None,
 ) -> Paint:
-    """Show a coordinate or function of the state over another one, with one colour per member.
+    """Show a coordinate or function of the state over another one, with one colour per member, or per curve.
 
     Parameters
     ----------
@@ -64,14 +65,21 @@ def phase_portrait(
         Whether both axes have the same scale.
     title : str
         Title of the picture.
+    curves : callable, optional
+        Function of the dimension that returns the names of several curves; `across` and `up` return (..., curves).
     """
     saved, drawn = drawn, drawn.refined
     values = [_evaluate(drawn, chosen) for chosen in (across, up)]
+    shown = (None,) if curves is None else tuple(curves(drawn.n))
+    if not shown:
+        raise CannotShow(f"the state of {drawn.unforced.name} has no second body or part for this picture")
     names = labels or tuple("" if callable(chosen) else drawn.label(drawn.index_of(chosen)) for chosen in (across, up))
 
     def paint(axes: Any) -> Update:
-        shades, update = MemberColours(saved), PathUpdate(saved, axes, title)
-        for m, (x, y) in enumerate(zip(*values, strict=True)):
+        shades, update, several = MemberColours(saved), PathUpdate(saved, axes, title), len(shown) > 1
+        # (members, k, curves)
+        series = (array if curves is not None else array[..., None] for array in values)
+        for (m, i), (x, y) in zip(np.ndindex(len(drawn.x), len(shown)), _paths(*series), strict=True):
             times, shown_x, shown_y = drawn.t[drawn.curve_indices], x, y
             if cyclic > 0.0:
                 x = _wrap(x, cyclic)
@@ -79,15 +87,19 @@ def phase_portrait(
                 jumps = np.flatnonzero(np.abs(np.diff(x)) > 0.5 * cyclic) + 1
                 shown_x, shown_y = np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)
                 times = np.insert(times, jumps, times[jumps])
-            lines = axes.plot(shown_x, shown_y, color=shades[m], **path_style(len(x), drawn.joined, 0.9))
-            axes.plot(x[:1], y[:1], "o", markersize=4, color=shades[m])
+            shade, label = (colour(i), shown[i] if m == 0 else None) if several else (shades[m], None)
+            lines = axes.plot(shown_x, shown_y, color=shade, label=label, **path_style(len(x), drawn.joined, 0.9))
+            axes.plot(x[:1], y[:1], "o", markersize=4, color=shade)
             update.add(lines, times, np.stack([shown_x, shown_y], axis=-1))
         axes.set(xlabel=names[0], ylabel=names[1])
         set_title(axes, f"{title} (dot: start)")
         if cyclic > 0.0:
             axes.set_xlim(-0.5 * cyclic, 0.5 * cyclic)
         plain_axes(axes)
-        shades.add_bar(axes)
+        if several:
+            legend(axes, beside=True)
+        else:
+            shades.add_bar(axes)
         if equal:
             axes.set_aspect("equal", adjustable="datalim")
         return update
@@ -99,6 +111,12 @@ def _evaluate(drawn: PlottedRun, chosen: Any) -> Floats:
     x = drawn.x[:, drawn.curve_indices]
     with np.errstate(all="ignore"):  # nonfinite values are not drawn
         return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.index_of(chosen)]
+
+
+def _paths(across: Floats, up: Floats) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the points (k,) of the curves of each member, from arrays (members, k, curves)."""
+    for x, y in zip(across, up, strict=True):
+        yield from zip(x.T, y.T, strict=True)
 
 
 def _wrap(values: Floats, cyclic: float) -> Floats:

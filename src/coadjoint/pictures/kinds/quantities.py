@@ -62,6 +62,8 @@ def components(
     n, saved, drawn = drawn.n, drawn, drawn.refined
     chosen = chosen(n) if callable(chosen) else chosen
     functions = functions(n) if callable(functions) else functions
+    if functions is not None and not functions:  # functions of several parts, of which there is one
+        functions = quantity = None
     indices = [drawn.index_of(i) for i in chosen or ()]
     if chosen is None and functions is None:
         indices = spread(n, MAX_LINES).tolist()

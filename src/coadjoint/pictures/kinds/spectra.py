@@ -110,7 +110,8 @@ def eigenvalues(drawn: PlottedRun, at: float = 1.0) -> Paint:
     """Show the eigenvalues of a matrix of the first member at the start and at another time, and their displacement.
 
     For a skew-Hermitian W, the eigenvalues of -i W are drawn in ascending order, otherwise those of W in the complex
-    plane. For a fluid they are the distribution of vorticity over area. For two fields, the matrix is the carried one.
+    plane. For a fluid they are the distribution of absolute vorticity over area. For two fields, the matrix is the
+    carried one.
 
     Parameters
     ----------

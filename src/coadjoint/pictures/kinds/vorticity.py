@@ -53,7 +53,7 @@ def vorticity(
     centre: tuple[float, float] = (0.0, 0.0),
     limit: float | None = None,
 ) -> Paint:
-    """Show the vorticity of a quantized fluid at one time, for the first member.
+    """Show the vorticity of a quantized fluid, relative to its frame, at one time, for the first member.
 
     Parameters
     ----------
@@ -102,14 +102,14 @@ def part_on_grid(fluid: FluidSystem, state: Any, part: str, shape: tuple[int, in
     """Evaluate a part of the vorticity, the stream function or the carried field of a state on a grid."""
     if part == "carried":
         # Of constant spectrum: the first of two fields.
-        return fluid.to_grid(np.asarray(state)[0], shape)
+        return fluid.to_grid(np.asarray(state)[0], shape, absolute=True)
     W = vorticity_of(state)
     shown = fluid.relative(W)
     if part != "all":
         P = fluid.stream_of(W)
         large = large_scales(P, shown)
         shown = {"stream": P, "large": large, "small": shown - large}[part]
-    return fluid.to_grid(shown, shape)
+    return fluid.to_grid(shown, shape, absolute=True)
 
 
 def _shape(N: int, surface: str) -> tuple[int, int]:

@@ -137,6 +137,7 @@ class Trajectory:
         self.members, self.n = self.start.momenta.shape
         self.side = self.start.groups.shape[1]
         self._integrate(run, given, moments)
+        prepared.check_first_step(self.solution)
 
     def _integrate(self, run: DifferentiableRun, given: Arguments, moments: OutputTimes | None) -> None:
         """Take all steps, and store the solution and the outputs."""

@@ -29,12 +29,12 @@ Floats = NDArray[np.float64]
 
 
 class FlowEntry(NamedTuple):
-    """Systems in which an entry of parameter `name` is moved, and the positions of the forces that it changes."""
+    """Systems in which an entry of parameter `name` is moved, and the numbers of the flows that it changes."""
 
     name: str
     entry: int
     nearby: NearbySystems
-    forces: tuple[int, ...]
+    flows: tuple[int, ...]
     field: str = ""  # the parameter of the force, if it is one
     energy: EnergyDerivative | None = None  # the derivative of the energy, if known
 
@@ -107,42 +107,42 @@ class HalfFlows:
     def _pull_orbit_steps(
         self, member: Member, j: int, steps: Sequence[Any], of_x: Floats, by_entries: Floats
     ) -> Floats:
-        of_x, found = pull_through(steps, member[0].forces[j].scalings(), of_x, *_parameters(member, j))
+        of_x, found = pull_through(steps, member[0].flows[j][1].scalings(), of_x, *_parameters(member, j))
         for number, entry in enumerate(member[1]):
-            if j in entry.forces:
+            if j in entry.flows:
                 by_entries[number] += found[entry.name][entry.entry]
         return of_x
 
     def _flow(self, system: System, j: int, x: Floats) -> Floats:
-        """Return the flow of force j of a system."""
-        end = system.forces[j].flow_of_order(system.unforced, x, self._t, self._h, self._scheme_order)
+        """Return the flow j of a system."""
+        end = system.flows[j][1].flow_of_order(system.unforced, x, self._t, self._h, self._scheme_order)
         return np.asarray(end, dtype=np.float64)
 
     def _flow_with_derivative(self, system: System, j: int, x: Floats) -> LinearizedStep:
-        return flow_of_force(system.forces[j], system.unforced, x, self._t, self._h, self._scheme_order)
+        return flow_of_force(system.flows[j][1], system.unforced, x, self._t, self._h, self._scheme_order)
 
     def _orbit_steps(self, member: Member, j: int, x: Floats) -> Sequence[Any]:
-        """Return the flow of force j by sparse products, if there is a formula for it and for all parameters."""
-        force = member[0].forces[j]
+        """Return the flow j by sparse products, if there is a formula for it and for all parameters."""
+        force = member[0].flows[j][1]
         known = force.scalings()
         if not all(field in known for field in _parameters(member, j)[0].values()):
             return ()
         return force.orbit_steps(member[0].unforced, x, self._t, self._h)
 
     def _changes(self, member: Member, wanted: NDArray[np.bool_], j: int, x: Floats) -> list[tuple[int, Floats]]:
-        """Return the derivatives of the flow of force j by the wanted entries, with their numbers."""
+        """Return the derivatives of the flow j by the wanted entries, with their numbers."""
         entries = member[1]
 
         def after(system: System) -> Floats:
             return self._flow(system, j, x)
 
-        numbers = [n for n, entry in enumerate(entries) if wanted[n] and j in entry.forces]
+        numbers = [n for n, entry in enumerate(entries) if wanted[n] and j in entry.flows]
         return list(zip(numbers, differences([entries[n].nearby for n in numbers], after), strict=True))
 
 
 def _parameters(member: Member, j: int) -> tuple[dict[str, str], dict[str, EnergyDerivative]]:
-    """Return the fields and the derivatives of the energy on which the flow of force j depends."""
-    entries = [entry for entry in member[1] if j in entry.forces]
+    """Return the fields and the derivatives of the energy on which the flow j depends."""
+    entries = [entry for entry in member[1] if j in entry.flows]
     energies = {entry.name: entry.energy for entry in entries if entry.energy is not None}
     return {entry.name: entry.field for entry in entries if entry.energy is None}, energies
 
@@ -242,7 +242,7 @@ class ForcedSteps:
 
     def _halves(self, members: Sequence[Member], t: float, h: float) -> tuple[HalfFlows, HalfFlows]:
         """Return the flows of forces before and after a step from t, of length h: these in reverse order."""
-        forward = range(len(self._system.forces))
+        forward = range(len(self._system.flows))
         halves = (t, 0.5 * h, forward), (t + 0.5 * h, 0.5 * h, forward[::-1])
         before, after = (HalfFlows(members, *half, self._scheme.order) for half in halves)
         return before, after

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import unknown_name
+from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.program.generators import group_side
 from coadjoint.runs.derivatives.backward import gradient_of, read_cotangents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
@@ -17,9 +17,13 @@ from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.systems.parameters import parameters_at, with_parameters
+from coadjoint.systems.user_functions import is_called_in_python
 
 Floats = NDArray[np.float64]
 Shape = tuple[int, ...]
+
+# Largest number of members, and of steps if these call Python, of the run in which the step of a first run is checked.
+CHECKED_MEMBERS, CHECKED_CALLS = 64, 100
 
 
 class ParametrizedRun:
@@ -89,6 +93,11 @@ class ParametrizedRun:
             if name not in known:
                 raise unknown_name(f"parameter of {self._prepared.system.name}", name, known)
             if shape not in known[name] or 0 in shape:
+                if name == "x0" and system.is_batch and shape == (n,):
+                    raise ValueError(
+                        f"x0 has the shape {shape}; the {members} members of {system.name} are one run: call the "
+                        f"function with ({members}, {n}), also in place of jax.vmap over the members"
+                    )
                 single = "" if system.is_batch else f"({n},) or "
                 expected = {"x0": f"{single}({members}, {n})", "attitude0": f"({d}, {d}) or ({members}, {d}, {d})"}
                 must_be = expected.get(name, known[name][0])
@@ -98,6 +107,38 @@ class ParametrizedRun:
         """Return the shapes of the outputs for that of x0."""
         leading = (self._points, *x0[:-1])
         return [(*leading, x0[-1]), *([(*leading, self._side, self._side)] if self._side else [])]
+
+    def check_first_step(self, given: Mapping[str, Floats]) -> None:
+        """Warn if the step of a first run elsewhere is too large, by a run of the compiled loops of some members."""
+        prepared, times = self._prepared, self.times
+        if not prepared.cache.checks_step:
+            return
+        prepared.cache.checks_step = False
+        system = prepared.system
+        if system.has_noise:
+            return
+        run: PreparedRun = prepared if prepared.takes_inputs else self._run_at(given).prepared
+        x0, attitude = given["x0"], given.get("attitude0")
+        if x0.ndim > 1 and len(x0) > CHECKED_MEMBERS:
+            run, x0 = run.among(0, CHECKED_MEMBERS), x0[:CHECKED_MEMBERS]
+            attitude = attitude if attitude is None or attitude.ndim < 3 else attitude[:CHECKED_MEMBERS]
+        arguments: dict[str, Any] = dict(zip(("t_span", "save_every", "t_eval"), self._times, strict=True))
+        if prepared.takes_inputs:
+            arguments |= {name: given[name] for name in given if name in self._shapes}
+        terms = (term for one in system.distinct for term in one.hamiltonian.terms() if term.called)
+        if times.steps > CHECKED_CALLS and any(is_called_in_python(term.gradient) for term in terms):
+            arguments |= {"t_span": (times.t0, times.t0 + CHECKED_CALLS * times.h), "save_every": 1, "t_eval": None}
+        try:
+            solution = run.run(x0, attitude=attitude, **arguments)
+        except IntegrationError:
+            return
+        run.cache.checks_step = True
+        run.check_first_step(solution)
+
+    @property
+    def has_batch(self) -> bool:
+        """Whether members have systems of their own, so that ensembles cannot be joined."""
+        return bool(self._prepared.system.is_batch)
 
     def is_parameter(self, name: str) -> bool:
         """Return whether this is the name of a parameter, which all members share."""

@@ -134,7 +134,7 @@ def _flow_entries(run: DifferentiableRun, names: Sequence[str]) -> list[FlowEntr
         parameter = run.parameters[name]
         if parameter.field:
             check_may_change(run.system, name)
-        moving = by_energy if parameter.position is None else (parameter.position,)
+        moving = by_energy if parameter.position is None else _flows_of_force(run, parameter.position)
         if not moving:
             continue
         nearby = nearby_parameters(run.system, {name: parameter})
@@ -150,14 +150,20 @@ def _flow_entries_of_inputs(run: DifferentiableRun, inputs: Inputs, values: Floa
     found, by_energy = [], _using_energy(run)
     for index, nearby in zip(inputs.changing.tolist(), changed_inputs(inputs, run.system, values, h), strict=True):
         torque = inputs.force_of(index)
-        moving = by_energy if torque is None else (torque,)
+        moving = by_energy if torque is None else _flows_of_force(run, torque)
         if moving:
             found.append(FlowEntry(INPUTS, index, nearby, moving))
     return found
 
 
 def _using_energy(run: DifferentiableRun) -> tuple[int, ...]:
-    return tuple(j for j, force in enumerate(run.system.forces) if force.uses_energy)
+    return tuple(j for j, (_, flow) in enumerate(run.system.flows) if flow.uses_energy)
+
+
+def _flows_of_force(run: DifferentiableRun, position: int) -> tuple[int, ...]:
+    """Return the flows that a force at this position changes: its own, and that which evaluates its law."""
+    sampled = run.system.forces[position].sampled
+    return tuple(j for j, (k, _) in enumerate(run.system.flows) if k == position or (sampled and not j))
 
 
 def _of_scheme(

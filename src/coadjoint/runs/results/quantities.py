@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -54,6 +56,8 @@ def observed_quantities(system: System, observe: Mapping[str, Any], x0: Floats) 
         _check_matrix_functions(matrices, observe)
     start: Any = x0 if matrices is None else matrices.states_of(x0)
     for name, quantity in observe.items():
+        if matrices is None:
+            check_names(quantity, coordinate_names(system), f"observe[{short(name)}]")
         value = _value_at(quantity, name, start.copy())
         if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iuf":
             raise TypeError(
@@ -131,7 +135,8 @@ def check_observe(observe: Any) -> dict[str, Any]:
 def _value_at(quantity: Any, name: str, x0: Floats) -> Any:
     """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
     try:
-        return 0.0 if is_formula(quantity) or takes_time(quantity, name) else quantity(x0)
+        function = quantity.value if isinstance(quantity, Invariant) else quantity
+        return 0.0 if is_formula(quantity) or takes_time(function, name) else quantity(x0)
     except (ArithmeticError, ValueError, OSError):
         return float("nan")
     except (IndexError, KeyError, TypeError, AttributeError) as reason:

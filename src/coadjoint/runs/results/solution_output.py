@@ -203,7 +203,8 @@ class SolutionOutput(SolutionAttributes):
             Variables over ``time`` (and ``member``), to be written as NetCDF or Zarr. Runs of fluids have also
             ``vorticity`` over ``latitude`` and ``longitude`` in degrees, or ``eastward`` and ``northward``, relative to
             the rotating sphere; runs of two fields ``carried`` as well. Runs of bodies in memory have their
-            ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also ``body``.
+            ``angular_velocity`` and ``angular_momentum`` in the body frame over ``axis``, of several also ``body``, the
+            ``quaternion`` (x, y, z, w) of a known attitude, ``wheel_speed`` and ``gimbal_angle``.
 
         Raises
         ------

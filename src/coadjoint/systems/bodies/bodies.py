@@ -9,7 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.systems.bodies.body import axis_products, bodies_algebra, central_coordinate, momentum_in_space
+from coadjoint.systems.bodies.body import (
+    axis_products,
+    bodies_algebra,
+    central_coordinate,
+    momenta_of_bodies,
+    momentum_in_space,
+)
 from coadjoint.systems.bodies.body_systems import (
     Bodies,
     joined,
@@ -170,7 +176,7 @@ def _tumbling() -> Floats:
         pictures=(
             Picture(
                 "directions",
-                vectors={"first body": (0, 1, 2), "second body": (12, 13, 14)},
+                vectors=momenta_of_bodies,
                 title="angular momenta in the body frames",
             ),
         ),

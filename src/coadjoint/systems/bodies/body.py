@@ -32,6 +32,8 @@ from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_bool, read_integer
 
 AXES = ("X", "Y", "Z")
+MAX_DRAWN_BODIES = 8  # as many as there are colours
+SECOND_AXIS = ("Y1", "Y2", "Y3")
 MAX_RECORDED_BODIES = 64
 """Largest number of bodies whose axes are recorded as Casimirs in every run."""
 
@@ -80,6 +82,23 @@ def bodies_algebra(count: int) -> LieAlgebra:
     )
     name = f"{count} so(3) ⋉ R^(3 x 3) + heisenberg({3 * count})"
     return LieAlgebra._from_valid(g.triples, g.dim, basis, name, None, {})
+
+
+def drawn_bodies(dim: int, first: int = 1) -> range:
+    """Return the numbers from `first` on, counted from 1, of the bodies that default pictures show."""
+    return range(first, min(dim // (PER_BODY + 6), MAX_DRAWN_BODIES) + 1)
+
+
+def momenta_of_bodies(dim: int) -> dict[str, list[str]]:
+    """Return the coordinates of the angular momentum of each drawn body, by name."""
+    return {f"body {k}": [f"L{i}[{k}]" for i in (1, 2, 3)] for k in drawn_bodies(dim)}
+
+
+def relative_positions(x: Any) -> Any:
+    """Return the positions of the other drawn bodies relative to the first, (..., bodies - 1, 3)."""
+    count = x.shape[-1] // (PER_BODY + 6)
+    r = x[..., (PER_BODY + 3) * count : (PER_BODY + 6) * count].reshape(*x.shape[:-1], count, 3)
+    return r[..., 1:MAX_DRAWN_BODIES, :] - r[..., :1, :]
 
 
 def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadratic]:
@@ -170,8 +189,8 @@ def _in_state(M: npt.NDArray[Any], dim: int) -> npt.NDArray[Any]:
         step=0.05,
         caption="A body that spins about its middle axis, with its attitude in the state: the axis flips periodically "
         "in space. Left, the vertical as seen from the body, which its attitude turns.",
-        pictures=(Picture("body axis", axis=1, up=(6, 7, 8), vertical="second axis of space"),),
-        components=Picture("components", chosen=(6, 7, 8), quantity="second axis of space, seen from the body"),
+        pictures=(Picture("body axis", axis=1, up=SECOND_AXIS, vertical="second axis of space"),),
+        components=Picture("components", chosen=SECOND_AXIS, quantity="second axis of space, seen from the body"),
         quantity="state",
     ),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from coadjoint.systems.bodies.bodies import (
     read_masses,
     system_of_bodies,
 )
-from coadjoint.systems.bodies.body import momentum_in_space
+from coadjoint.systems.bodies.body import drawn_bodies, momentum_in_space, relative_positions
 from coadjoint.systems.bodies.inertia import anisotropic_part, read_in_range, read_inertias
+from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.hamiltonians.mutual_gravity import mutual_gravity
@@ -50,17 +52,22 @@ def _binary() -> Floats:
     )
 
 
-def _libration(x: Any) -> Any:
-    """Return the angle of the first axis of the second body to the line of the centres, in the plane of the orbit."""
-    apart = x[..., 33:36] - x[..., 30:33]
-    along = x[..., 15] * apart[..., 0] + x[..., 18] * apart[..., 1]
-    across = x[..., 15] * apart[..., 1] - x[..., 18] * apart[..., 0]
+def _libration(x: Any, k: int) -> Any:
+    """Return the angle of the first axis of body k to the line from the first body, in the plane of the first orbit."""
+    apart, X = relative_positions(x)[..., k - 2, :], x[..., PER_BODY * (k - 1) + 3 :]
+    along = X[..., 0] * apart[..., 0] + X[..., 3] * apart[..., 1]
+    across = X[..., 0] * apart[..., 1] - X[..., 3] * apart[..., 0]
     return -np.degrees(np.arctan2(across, along))
 
 
+def _librations(dim: int) -> dict[str, Any]:
+    names = {k: f"libration[{k}]" if drawn_bodies(dim)[-1] > 2 else "libration" for k in drawn_bodies(dim, 2)}
+    return {name: partial(_libration, k=k) for k, name in names.items()}
+
+
 def _relative(component: int) -> Any:
-    """Return the function of states for a component of the relative position of two bodies."""
-    return lambda x: x[..., 33 + component] - x[..., 30 + component]
+    """Return the function of states for a component of the positions relative to the first body."""
+    return lambda x: relative_positions(x)[..., component]
 
 
 def _energy(
@@ -95,10 +102,11 @@ def _potential(
                 up=_relative(1),
                 labels=("$r_1$", "$r_2$"),
                 equal=True,
-                title="relative orbit",
+                curves=lambda dim: [f"body {k}" for k in drawn_bodies(dim, 2)],
+                title="orbits relative to the first body",
             ),
         ),
-        components=Picture("components", functions={"libration": _libration}, quantity="angle of the moon [degrees]"),
+        components=Picture("components", functions=_librations, quantity="angle of the moon [degrees]"),
         quantity="state",
     ),
 )

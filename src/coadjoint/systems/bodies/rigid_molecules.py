@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import momentum_in_space
+from coadjoint.systems.bodies.body import drawn_bodies, momentum_in_space, relative_positions
 from coadjoint.systems.bodies.inertia import BodyInertia, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -83,9 +84,19 @@ def _dimer() -> Floats:
     )
 
 
-def _distance(x: Any) -> Any:
-    """Return the distance of the centres of two molecules."""
-    return np.sqrt(sum((x[..., 33 + i] - x[..., 30 + i]) ** 2 for i in range(3)))
+def _distance(x: Any, k: int) -> Any:
+    """Return the distance of the centres of molecule k and the first one."""
+    return np.linalg.norm(relative_positions(x)[..., k - 2, :], axis=-1)
+
+
+def _distances(dim: int) -> dict[str, Any]:
+    names = {k: f"from 1 to {k}" if drawn_bodies(dim)[-1] > 2 else "distance" for k in drawn_bodies(dim, 2)}
+    return {name: partial(_distance, k=k) for k, name in names.items()}
+
+
+def _dipoles(dim: int) -> dict[str, list[str]]:
+    """Return the third axis of each molecule in space, by its components."""
+    return {f"molecule {k}": [f"{axis}3[{k}]" for axis in "XYZ"] for k in drawn_bodies(dim)}
 
 
 @ready_made(
@@ -99,12 +110,12 @@ def _distance(x: Any) -> Any:
         pictures=(
             Picture(
                 "directions",
-                vectors={"first molecule": (5, 8, 11), "second molecule": (17, 20, 23)},
+                vectors=_dipoles,
                 title="directions of the dipoles in space",
             ),
             Picture("bodies"),
         ),
-        components=Picture("components", functions={"distance": _distance}, quantity="distance of the centres [nm]"),
+        components=Picture("components", functions=_distances, quantity="distance of the centres [nm]"),
         quantity="state",
     ),
 )

@@ -20,7 +20,7 @@ from coadjoint.systems.matrices.matrix_invariants import MatrixEnergy, traces_of
 from coadjoint.systems.matrices.matrix_system import POWERS, MatrixSystem
 from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.registry import ready_made
-from coadjoint.validation import read_choice, to_array
+from coadjoint.validation import read_choice, set_fields, to_array
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -95,9 +95,9 @@ class TwoLayerSystem(MatrixSystem):
                 raise TypeError(f"{what} is a function; two layers need a Stream, such as Weights(w)")
         if self.second_stream is not None:
             self._check_stream(self.second_stream)
-        self.shape = self.matrix_shape = (2, *algebra.shape)
-        self.dim = 2 * self.dim
-        self.hamiltonian = MatrixEnergy(self)
+        shape = (2, *algebra.shape)
+        set_fields(self, shape=shape, matrix_shape=shape, dim=2 * self.dim)
+        set_fields(self, hamiltonian=MatrixEnergy(self))
 
     _fluid: Any = None
 
@@ -170,7 +170,8 @@ class TwoLayerSystem(MatrixSystem):
 
     def matrices(self, x: Any) -> Matrix:
         """Return states (..., 2, N, N) unchanged, and vectors as the nearest states."""
-        if np.shape(x)[-1:] == (self.dim,):
+        x = to_array(self.states_by_label(x, "a state"), "a state", "iufc")
+        if x.shape[-1:] == (self.dim,):
             return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
         X = np.asarray(x, dtype=np.complex128 if self.complex else np.float64)
         if X.shape[-3:] != self.matrix_shape:
@@ -178,7 +179,7 @@ class TwoLayerSystem(MatrixSystem):
         return X
 
     def read_matrices(self, given: Any, what: str) -> Matrix:
-        state = to_array(given, what, "iufc")
+        state = to_array(self.states_by_label(given, what), what, "iufc")
         if state.shape[-3:] != self.shape or state.ndim > 4:
             raise ValueError(
                 f"{what} has the shape {state.shape}; it must be {self.shape}, the carried field and the vorticity, or "

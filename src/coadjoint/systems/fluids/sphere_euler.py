@@ -11,8 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
+from coadjoint.labels import is_xarray
 from coadjoint.systems.matrices import sphere_states, spherical_modes
-from coadjoint.systems.matrices.fluid_system import FluidSystem, entry_of_fluid, read_shape, read_values
+from coadjoint.systems.matrices.fluid_system import (
+    FluidSystem,
+    RelativeVorticity,
+    entry_of_fluid,
+    read_shape,
+    read_values,
+)
 from coadjoint.systems.matrices.spherical_modes import (
     as_mapping,
     generators,
@@ -42,7 +49,7 @@ class SphereEuler(FluidSystem):
     ----------
     rotation : float
         Angular velocity of the frame about the axis z. A state is the *absolute* vorticity, which exceeds the relative
-        vorticity in the frame by 2 rotation sin(latitude).
+        vorticity in the frame by 2 rotation sin(latitude); modes, grids and spectra are of the relative one.
     planetary : (N, N) array
         The matrix of 2 rotation sin(latitude), -2 rotation S_3.
     scale : float
@@ -71,18 +78,21 @@ class SphereEuler(FluidSystem):
     rossby_haurwitz = sphere_states.rossby_haurwitz
     zonal_jet = sphere_states.zonal_jet
 
-    def mode_array(self, W: Any) -> Matrix:
-        """Return the coefficients of matrices (..., N, N) as an array, ``[..., l, m]`` with m >= 0."""
-        return harmonics_of_matrix(self.matrices(W))
+    def mode_array(self, W: Any, *, absolute: bool | None = None) -> Matrix:
+        """Return the coefficients of states (..., N, N) as an array, ``[..., l, m]`` with m >= 0; see `modes`."""
+        return harmonics_of_matrix(self._shown(W, absolute, "mode_array"))
 
-    def from_modes(self, modes: Any) -> Matrix:
-        """Return W from coefficients of orthonormal spherical harmonics in the Condon-Shortley phase convention.
+    def from_modes(self, modes: Any, *, absolute: bool | None = None) -> Matrix:
+        """Return the state W of coefficients of orthonormal spherical harmonics in the phase of Condon and Shortley.
 
         Parameters
         ----------
         modes : mapping or (..., N, N) array
             ``(l, m) -> c``, 0 < l < N; missing ones of -m are ``(-1)^m conj(c)``. Or an array in the form of
             `mode_array`.
+        absolute : bool, optional
+            Whether the modes are of the absolute vorticity, or of a field that is no vorticity; by default they are of
+            the vorticity relative to the frame.
 
         Returns
         -------
@@ -95,14 +105,17 @@ class SphereEuler(FluidSystem):
         >>> list(modes), bool(abs(modes[3, -2] - (0.5 + 1j)) < 1e-14)
         ([(3, -2), (3, 2)], True)
         """
-        return matrix_of_harmonics(read_harmonics(modes, self.algebra.N))
+        return self._state(matrix_of_harmonics(read_harmonics(modes, self.algebra.N)), absolute, "from_modes")
 
-    def modes(self, W: Any) -> dict[tuple[int, int], complex]:
-        """Return the coefficients of one matrix by (l, m) that are nonzero beyond round-off."""
-        return as_mapping(harmonics_of_matrix(self._single_matrix(W)))
+    def modes(self, W: Any, *, absolute: bool | None = None) -> dict[tuple[int, int], complex]:
+        """Return the coefficients of one state by (l, m) that are nonzero beyond round-off.
 
-    def _single_matrix(self, W: Any) -> Matrix:
-        matrix = self.matrices(W)
+        They are of the vorticity relative to the frame; with ``absolute=True`` of the absolute one, or of the field
+        that a matrix is.
+        """
+        return as_mapping(harmonics_of_matrix(self._single_matrix(self._shown(W, absolute, "modes"))))
+
+    def _single_matrix(self, matrix: Matrix) -> Matrix:
         if matrix.shape != self.algebra.shape:
             raise ValueError(
                 f"W has the shape {matrix.shape}; give one matrix, {self.algebra.shape}, or use mode_array"
@@ -135,15 +148,20 @@ class SphereEuler(FluidSystem):
     def _shape(self, shape: Any) -> tuple[int, int]:
         return read_shape(shape, (2, 1), spherical_modes.default_shape(self.algebra.N))
 
-    def to_grid(self, W: Any, shape: Any = None, points: str = "clenshaw-curtis") -> Floats:
-        """Return the values of the field of matrices at the points of a grid of any shape, exactly.
+    def to_grid(
+        self, W: Any, shape: Any = None, points: str = "clenshaw-curtis", *, absolute: bool | None = None
+    ) -> Floats:
+        """Return the values of the vorticity at the points of a grid of any shape, exactly.
 
         Parameters
         ----------
         W : (..., N, N) array
-            Matrices, such as states, whose field is the absolute vorticity; for the relative one give ``relative(W)``.
+            States, or other matrices with ``absolute=True``.
         shape, points
             As for `grid`.
+        absolute : bool, optional
+            Whether to return the absolute vorticity, or the field of other matrices such as a stream function; by
+            default the vorticity is relative to the frame.
 
         Returns
         -------
@@ -160,33 +178,52 @@ class SphereEuler(FluidSystem):
         >>> s.to_grid(-2 * generators(4)[2], (3, 1))[:, 0].round(12) + 0.0
         array([ 2.,  0., -2.])
         """
-        return spherical_modes.values_of(self.mode_array(W), self._shape(shape), points)
+        modes = harmonics_of_matrix(self._shown(W, absolute, "to_grid"))
+        return spherical_modes.values_of(modes, self._shape(shape), points)
 
-    def from_grid(self, values: Any, points: str = "clenshaw-curtis", longitude: float = 0.0) -> Matrix:
-        """Return the matrix of a field given at the points of a grid; the mean is removed.
+    def from_grid(
+        self,
+        values: Any,
+        points: str = "clenshaw-curtis",
+        longitude: float = 0.0,
+        *,
+        absolute: bool | None = None,
+    ) -> Matrix:
+        """Return the state of a vorticity given at the points of a grid; the mean is removed.
 
         Parameters
         ----------
         values : (..., rows, columns) array
             Values on a grid of any shape: degrees that it does not resolve are zero, those from N on are dropped. Exact
             for fields of degrees up to ``rows - 2`` (without poles ``rows - 1``) and orders up to
-            ``(columns - 1)/2``.
+            ``(columns - 1)/2``. An `xarray.DataArray` is read by its coordinates, latitude and longitude (by name,
+            standard name or units) in any order and direction, of any of the kinds of `points`, once around: in
+            degrees or radians by their units; without units in degrees if they span more than 2 pi.
         points : str
             As for `grid`.
         longitude : float
             Longitude of the first column, in radians.
+        absolute : bool, optional
+            Whether the values are of the absolute vorticity, or of a field that is no vorticity; by default they are
+            relative to the frame.
 
         Returns
         -------
         (..., N, N) array
         """
         first = read_number(longitude, "longitude")
-        return matrix_of_harmonics(spherical_modes.coefficients_of(read_values(values), self.algebra.N, points, first))
+        if is_xarray(values):
+            if points != "clenshaw-curtis" or first:
+                raise ValueError("values have coordinates, which determine points and longitude; omit these")
+            return self._state(self._of_labelled(values), absolute, "from_grid")
+        return self._state(self._from_values(read_values(values), points, first), absolute, "from_grid")
+
+    def _from_values(self, field: Floats, points: str, longitude: float) -> Matrix:
+        return matrix_of_harmonics(spherical_modes.coefficients_of(field, self.algebra.N, points, longitude))
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
         north, points, east = spherical_modes.grid_orientation(first, second)
-        field = np.asarray(values)[..., ::north, ::east]
-        return self.from_grid(field, points, float(second[::east][0]))
+        return self._from_values(values[..., ::north, ::east], points, float(second[::east][0]))
 
     def energy(self, x: Any, t: float = 0.0) -> Any:
         """Return the kinetic energy of the relative motion, of matrices (..., N, N) or of vectors."""
@@ -231,10 +268,13 @@ class SphereEuler(FluidSystem):
         return spherical_modes.read_places(places, what)
 
     def relative(self, W: Any) -> Matrix:
-        return np.asarray(self.matrices(W) - self.planetary)
+        if isinstance(W, RelativeVorticity):
+            return W
+        relative = np.asarray(self.matrices(W) - self.planetary)
+        return relative.view(RelativeVorticity) if self.rotation else relative
 
     def absolute(self, W: Any) -> Matrix:
-        return np.asarray(self.matrices(W) + self.planetary)
+        return np.asarray(self.matrices(np.asarray(W)) + self.planetary)
 
     def exact(self, x0: Any, t: Any, attitude: Any = False) -> Matrix:
         """Return the exact motion (N, N) or (k, N, N) of a state at one time or several (k,).
@@ -300,7 +340,8 @@ def sphere_euler(N: int = 32, rotation: float = 0.0) -> SphereEuler:
         Size of the matrices, from 2 to 4096: spherical harmonics of degrees l < N are resolved.
     rotation : float
         Angular velocity of the frame about the axis through the poles. Then W is the absolute vorticity, and
-        ``L P = -(W - F)`` with F the matrix of 2 rotation sin(latitude).
+        ``L P = -(W - F)`` with F the matrix of 2 rotation sin(latitude). Initial states, modes, grids and spectra are
+        of the relative vorticity, of W - F.
 
     Returns
     -------

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra
+from coadjoint.labels import is_xarray
 from coadjoint.systems.matrices import torus_modes
 from coadjoint.systems.matrices.fluid_system import FluidSystem, entry_of_fluid, read_shape, read_values
 from coadjoint.systems.matrices.streams import Circulants
@@ -81,13 +82,13 @@ class TorusEuler(FluidSystem):
                     # the vorticity of the speed u along x is -du/dy
                     field += sign * max_speed / thickness * 2 * np.tanh(distance) * bell
                     field += fraction * max_speed / thickness * np.cos(along * x)[:, None] * bell
-        return self.absolute(self.from_grid(field))
+        return self.from_grid(field)
 
-    def mode_array(self, W: Any) -> Matrix:
+    def mode_array(self, W: Any, *, absolute: bool | None = None) -> Matrix:
         """Return the modes of matrices (..., N, N) as an array, ``[..., n1 mod N, n2 mod N]``."""
-        return modes_of_matrix(self.matrices(W))
+        return modes_of_matrix(self._shown(W, absolute, "mode_array"))
 
-    def from_modes(self, modes: Any) -> Matrix:
+    def from_modes(self, modes: Any, *, absolute: bool | None = None) -> Matrix:
         """Return the matrix W from Fourier modes.
 
         Parameters
@@ -95,6 +96,8 @@ class TorusEuler(FluidSystem):
         modes : mapping or (..., N, N) array
             ``(n1, n2) -> w``, from -(N - 1)/2 to (N - 1)/2; missing ones are conjugates, or zero. Or an array in the
             form of `mode_array`.
+        absolute : bool, optional
+            Unused: the torus does not rotate. So in the other conversions.
 
         Returns
         -------
@@ -106,12 +109,13 @@ class TorusEuler(FluidSystem):
         >>> bool(abs(s.modes(s.from_modes({(1, 2): 0.5 - 1j}))[-1, -2] - (0.5 + 1j)) < 1e-15)
         True
         """
-        return self.algebra.projected(matrix_of_modes(read_modes(modes, self.algebra.N)))
+        W = self.algebra.projected(matrix_of_modes(read_modes(modes, self.algebra.N)))
+        return self._state(W, absolute, "from_modes")
 
-    def modes(self, W: Any) -> dict[tuple[int, int], complex]:
+    def modes(self, W: Any, *, absolute: bool | None = None) -> dict[tuple[int, int], complex]:
         """Return the modes of a matrix W that are nonzero beyond round-off."""
         N = self.algebra.N
-        w = modes_of_matrix(self.matrices(W))
+        w = modes_of_matrix(self._shown(W, absolute, "modes"))
         n, size = representatives(N), np.abs(w).max(initial=0.0)
         return {
             (int(n[i]), int(n[j])): complex(round_off(w[i, j], size)) for i, j in np.argwhere(np.abs(w) > 1e-14 * size)
@@ -138,7 +142,7 @@ class TorusEuler(FluidSystem):
         nx, ny = read_shape(shape, (1, 1), self.algebra.shape)
         return torus_modes.coordinates(nx), torus_modes.coordinates(ny)
 
-    def to_grid(self, W: Any, shape: Any = None) -> Floats:
+    def to_grid(self, W: Any, shape: Any = None, *, absolute: bool | None = None) -> Floats:
         """Return the values of the field of matrices at the points of a grid of any shape, exactly.
 
         Parameters
@@ -147,6 +151,8 @@ class TorusEuler(FluidSystem):
             Matrices, such as states.
         shape : (int, int), optional
             As for `grid`.
+        absolute : bool, optional
+            Unused, as for `from_modes`.
 
         Returns
         -------
@@ -159,27 +165,35 @@ class TorusEuler(FluidSystem):
         >>> s.to_grid(W, (1, 4)).round(12) + 0.0
         array([[ 0.,  1.,  0., -1.]])
         """
-        return torus_modes.values_of(self.mode_array(W), read_shape(shape, (1, 1), self.algebra.shape))
+        w = modes_of_matrix(self._shown(W, absolute, "to_grid"))
+        return torus_modes.values_of(w, read_shape(shape, (1, 1), self.algebra.shape))
 
-    def from_grid(self, values: Any) -> Matrix:
+    def from_grid(self, values: Any, *, absolute: bool | None = None) -> Matrix:
         """Return the matrix of a field given at the points of a grid; the mean is removed.
 
         Parameters
         ----------
         values : (..., nx, ny) array
             Values on a grid of any shape: modes that it does not resolve are zero, those that N does not resolve are
-            dropped. Exact for fields with |n1| < nx/2 and |n2| < ny/2.
+            dropped. Exact for fields with |n1| < nx/2 and |n2| < ny/2. An `xarray.DataArray` is read by its
+            coordinates, x and y, or eastward and northward as in datasets, in any order and direction, once around: in
+            degrees or radians by their units; without units in degrees if they span more than 2 pi.
+        absolute : bool, optional
+            Unused, as for `from_modes`.
 
         Returns
         -------
         (..., N, N) array
         """
+        if is_xarray(values):
+            return self._state(self._of_labelled(values), absolute, "from_grid")
         # the mean is a multiple of the unit matrix, which is not in the algebra
-        return self.algebra.projected(matrix_of_modes(torus_modes.modes_of(read_values(values), self.algebra.N)))
+        W = self.algebra.projected(matrix_of_modes(torus_modes.modes_of(read_values(values), self.algebra.N)))
+        return self._state(W, absolute, "from_grid")
 
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Matrix:
         x, y = torus_modes.grid_orientation(first, "x"), torus_modes.grid_orientation(second, "y")
-        w = self.mode_array(self.from_grid(np.asarray(values)[..., ::x, ::y]))
+        w = self.mode_array(self.from_grid(values[..., ::x, ::y]))
         n = representatives(self.algebra.N)
         # shift, since the first point is not at 0
         w *= np.exp(-1j * n * first[::x][0])[:, None] * np.exp(1j * n * second[::y][0])

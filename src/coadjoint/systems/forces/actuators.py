@@ -66,6 +66,7 @@ class ReactionWheels(Sampled):
 
     max_momentum: Any = None
 
+    command_name: ClassVar[str] = "torque of the motors"
     _limits = dict.fromkeys(("max_torque", "max_momentum"), partial(read_limits, shape=()))
 
     def _count(self, system: Any) -> int:
@@ -169,6 +170,7 @@ class ControlMomentGyros(Sampled):
     max_rate: Any = None
     regularization: float = 1e-3
 
+    command_name: ClassVar[str] = "rate of the gimbals"
     selectors: ClassVar[tuple[str, ...]] = ("period", "first")
 
     def __post_init__(self) -> None:
@@ -288,6 +290,10 @@ class Thrusters(Sampled):
             if getattr(self, name) is None:
                 raise TypeError(f"{name} of Thrusters was not given; give the {what}")
         self._read(min_impulse=partial(read_limits, zero=True))
+
+    def held_at(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the mean torques of the pairs over the period."""
+        return super().held_at(system, x) * np.asarray(self.max_torque) / self.period
 
     def _command(self, system: Any) -> Callable[..., Any]:
         full, least = (np.array(np.broadcast_to(value, 3)) for value in (self.max_torque, self.min_impulse))

@@ -74,6 +74,9 @@ class Force(metaclass=ExplainedCalls):
     uses_energy: ClassVar[bool] = True
     """Whether its flow may depend on the Hamiltonian or another parameter of the system."""
 
+    sampled: ClassVar[bool] = False
+    """Whether it holds numbers in the state, evaluated by a law at the start of a step, before all flows."""
+
     selectors: ClassVar[tuple[str, ...]] = ()
     """Parameters that select among cases, by which runs are not differentiated although they are numbers."""
 
@@ -267,6 +270,8 @@ MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer li
 def forces_on(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
     """Return a system with space in its state for the numbers that forces hold, and the forces, which can act on it."""
     for force in forces:
+        if isinstance(force, Sequence) and any(isinstance(one, Force) for one in force):
+            raise TypeError(f"with_forces was given {short(force)}, a list; give the forces: with_forces(*forces)")
         if not isinstance(force, Force):
             raise TypeError(f"a force is {short(force)}; it must be one of co.forces, such as LinearDamping(0.1)")
     counts = [force.held_numbers(system) for force in forces]
@@ -320,6 +325,8 @@ def read_state(argument: Any, what: str, number: bool = False) -> Any:
     if isinstance(argument, Mapping) and argument.keys() == {"real", "imaginary"}:  # the form used in records
         argument = read_finite(argument["real"], what) + 1j * read_finite(argument["imaginary"], what)
     matrix = to_array(argument, what, "iufc")
+    if matrix.ndim == 2 and matrix.shape[1] == 3 != matrix.shape[0] and matrix.size:  # one row for each body
+        return as_tuples(read_finite(argument, what))
     if matrix.ndim not in (2, 3):
         return read_matrix(argument, what, (0, 1) if number else (1,))
     if matrix.shape[-2] != matrix.shape[-1] or not matrix.size or not np.isfinite(matrix).all():

@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_systems import read_attitudes
 from coadjoint.systems.forces.base import read_matrix
@@ -108,15 +109,14 @@ def body_products() -> tuple[Callable[..., Any], Callable[..., Any]]:
     return callable_from_compiled(to_body), callable_from_compiled(cross)
 
 
-def read_prescribed(value: Any, what: str, arguments: str = "t", shape: tuple[int, ...] = (3,)) -> Any:
-    """Validate a constant vector of space, or a function of the time (and of the position) that returns one."""
+def read_prescribed(value: Any, what: str, shape: tuple[int, ...] = (3,)) -> Any:
+    """Validate a constant vector of space, or a function of the time that returns one."""
     if callable(value):
-        check_arguments(value, what, arguments)
-        if arguments == "t":
-            _check_value(value(SAMPLE_TIME), what, shape)
+        check_arguments(value, what, "t")
+        check_value(value, what, shape, SAMPLE_TIME)
         return value
     array = read_finite(value, what)
-    _check_value(array, what, shape)
+    _check_shape(array, what, shape)
     return as_tuples(array)
 
 
@@ -151,7 +151,18 @@ def read_limits(value: Any, what: str, shape: tuple[int, ...] = (3,), *, zero: b
     return as_tuples(array)
 
 
-def _check_value(value: Any, what: str, shape: tuple[int, ...]) -> None:
+def check_value(function: Callable[..., Any], what: str, shape: tuple[int, ...], *arguments: Any) -> Any:
+    """Return the value of a function at a sample; raise ValueError if it fails, or for other than finite numbers."""
+    try:
+        value = function(*arguments)
+    except Exception as reason:
+        failure = f"{type(reason).__name__}: {in_one_line(str(reason), 200)}"
+        raise ValueError(f"{what} fails at t = {SAMPLE_TIME} ({failure}); correct the function") from None
+    _check_shape(value, what, shape)
+    return value
+
+
+def _check_shape(value: Any, what: str, shape: tuple[int, ...]) -> None:
     found = np.shape(value)
     if found != shape or not np.isfinite(np.asarray(value, dtype=np.float64)).all():
         raise ValueError(f"{what} is {short(np.asarray(value).tolist())}; give finite numbers of the shape {shape}")
@@ -253,7 +264,10 @@ def _read_wanted(value: Any, what: str) -> Any:
         return None
     if not callable(value) or hasattr(value, "as_matrix"):
         value = read_attitudes(value, what, (), False)
-    return read_prescribed(value, what, shape=(3, 3))
+    read = read_prescribed(value, what, shape=(3, 3))
+    if callable(read):
+        read_attitudes(read(SAMPLE_TIME), f"the value of {what} at t = {SAMPLE_TIME}", (), False)
+    return read
 
 
 def limited_by(limits: Any) -> Callable[..., Any]:

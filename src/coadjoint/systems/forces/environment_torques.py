@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,12 +11,13 @@ import numpy as np
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
     body_products,
+    check_value,
     prescribed,
     read_prescribed,
     read_tensor,
     tensor,
 )
-from coadjoint.systems.user_functions import callable_from_compiled
+from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 
@@ -66,7 +66,7 @@ class GravityGradient(BodyTorque):
 
     def __post_init__(self) -> None:
         self._read(mu=read_number, position=read_prescribed, quadrupole=read_tensor)
-        if not callable(self.position) and not any(self.position):
+        if not np.any(self.position(SAMPLE_TIME) if callable(self.position) else self.position):
             raise ValueError("position of GravityGradient is zero; give that of the body from the centre")
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
@@ -142,7 +142,12 @@ class MagneticDipole(BodyTorque):
         self._read(moment=read_prescribed)
         if self.position is not None:
             self._read(position=read_prescribed)
-        self._read(B=partial(read_prescribed, arguments="t" if self.position is None else "t, r"))
+        if self.position is None or not callable(self.B):
+            self._read(B=read_prescribed)
+        else:
+            check_arguments(self.B, "B of MagneticDipole", "t, r")
+            place = prescribed(self.position)(SAMPLE_TIME)
+            check_value(self.B, "B of MagneticDipole", (3,), SAMPLE_TIME, np.asarray(place, dtype=np.float64))
         if callable(self.moment):
             raise TypeError("moment of MagneticDipole is a function; give three numbers, or a co.forces.Torque")
         if self.position is not None and not callable(self.B):

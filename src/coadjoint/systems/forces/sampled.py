@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from typing import Any, ClassVar
@@ -25,10 +25,10 @@ ON_GRID = 1e-9  # part of a step by which a time may miss a whole number of step
 class Sampled(Force):
     """A torque that is sampled at a rate and held constant in the body frame between samples (zero-order hold).
 
-    Samples are at the multiples of the period, before the step that begins there, and the held torque acts exactly. It
-    is in the state, whose last numbers are those that forces hold: ``with_forces`` makes room for them, and
-    ``system.state(...)`` of its result makes states, where nothing is held. So runs continue, are stored, and are
-    differentiated as others.
+    Samples are at the multiples of the period: the law is evaluated on the state at the start of the step that begins
+    there, before any force acts, and the held torque acts exactly. It is in the state, whose last numbers are those
+    that forces hold: ``with_forces`` makes room for them, and ``system.state(...)`` of its result makes states, where
+    nothing is held. So runs continue, are stored, and are differentiated as others.
 
     Parameters
     ----------
@@ -64,6 +64,9 @@ class Sampled(Force):
     first: int = field(default=0, kw_only=True)
 
     reversible: ClassVar[bool] = False
+    uses_energy: ClassVar[bool] = False
+    sampled: ClassVar[bool] = True
+    command_name: ClassVar[str] = "torque"
     selectors: ClassVar[tuple[str, ...]] = ("period", "first")
     _limits: ClassVar[Mapping[str, Callable[..., Any]]] = {"max_torque": read_limits}
 
@@ -88,6 +91,11 @@ class Sampled(Force):
     def _count(self, system: Any) -> int:
         """Return how many numbers are held."""
         return 3
+
+    def held_at(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
+        """Return the command that is held at states (..., dim), (..., count)."""
+        begin = system.dim - system.held + self.first
+        return x[..., begin : begin + self._count(system)]
 
     def _command(self, system: Any) -> Callable[..., Any]:
         """Return what is held, as a function of the torque (3,) of the law and of the state."""
@@ -131,37 +139,111 @@ class Sampled(Force):
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         """Return the derivative while the command is held."""
-        act, (whole, half) = _flow_of(self, system)[1], (np.array(x, dtype=np.float64) for _ in range(2))
+        act, (whole, half) = _action(self, system), (np.array(x, dtype=np.float64) for _ in range(2))
         act(whole, t, DIFFERENCE_TIME)
         act(half, t, 0.5 * DIFFERENCE_TIME)
         return np.asarray((4.0 * half - whole - 3.0 * np.asarray(x)) / DIFFERENCE_TIME)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
-        return np.asarray(_flow_of(self, system)[0](x, t, tau))
+        """Return the flow while the command is held."""
+        return np.asarray(_flow_of((), self, system)(x, t, tau))
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
-        return reader.flow(_flow_of(self, system)[0])
+        return reader.flow(_flow_of((), self, system))
+
+
+class _FirstFlow(Force):
+    """The flow of a sampled force that comes first in a step, and evaluates the laws of all on one state."""
+
+    reversible = False
+
+    def __init__(self, forces: tuple[Any, ...]) -> None:
+        self._forces = forces
+
+    @property
+    def label(self) -> str:
+        """That of the force."""
+        return self._forces[0].label
+
+    def check(self, system: Any) -> None:
+        self._forces[0].check(system)
+
+    def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        return self._forces[0].field(system, x, t)
+
+    def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
+        return np.asarray(_flow_of(self._forces, self._forces[0], system)(x, t, tau))
+
+    def describe_to(self, reader: ForceReader, system: Any) -> Any:
+        return reader.flow(_flow_of(self._forces, self._forces[0], system))
+
+
+def flows_of(forces: Sequence[Force]) -> tuple[tuple[int, Force], ...]:
+    """Return the flows of forces with their positions: that of the first sampled one evaluates the laws of all."""
+    numbered = tuple(enumerate(forces))
+    sampled = [k for k, force in numbered if force.sampled]
+    first = _FirstFlow(tuple(forces[k] for k in sampled))
+    return ((sampled[0], first), *(pair for pair in numbered if pair[0] != sampled[0]))
 
 
 # Systems are immutable, and forces too. Derivatives by differences return to some hundred systems in each step.
 @lru_cache(maxsize=1024)
-def _flow_of(force: Sampled, system: Any) -> tuple[Callable[..., Any], Callable[..., None]]:
-    """Return the flow, and its part while the command is held."""
-    begin, count, period = system.dim - system.held + force.first, force._count(system), force.period
-    law, command = _law_of(force.law, system), callable_from_compiled(force._command(system))
-    act = callable_from_compiled(force._act(system, begin))
+def _action(force: Sampled, system: Any) -> Callable[..., None]:
+    """Return the function (y, t, tau) by which a held command moves a state in place."""
+    return callable_from_compiled(force._act(system, _begin(force, system)))
+
+
+@lru_cache(maxsize=1024)
+def _flow_of(evaluated: tuple[Sampled, ...], force: Sampled, system: Any) -> Callable[..., Any]:
+    """Return the flow of a force, at a sample after the evaluation of some laws, all on the state before it."""
+    act = _action(force, system)
+    if not evaluated:
+
+        def held(x: Any, t: Any, tau: Any) -> Any:
+            y = x.copy()
+            act(y, t, tau)
+            return y
+
+        return held
+    sample = _sample_of(evaluated[0], system)
+    for other in evaluated[1:]:
+        sample = _both(sample, _sample_of(other, system))
 
     def flow(x: Any, t: Any, tau: Any) -> Any:
         y = x.copy()
+        sample(x, y, t, tau)
+        act(y, t, tau)
+        return y
+
+    return flow
+
+
+def _sample_of(force: Sampled, system: Any) -> Callable[..., None]:
+    """Return the function that writes into y what a force holds after a sample of x."""
+    begin, count, period = _begin(force, system), force._count(system), force.period
+    law, command = _law_of(force.law, system), callable_from_compiled(force._command(system))
+
+    def sample(x: Any, y: Any, t: Any, tau: Any) -> None:
         # The halves of a step begin at the multiples of tau, and whole steps at even ones.
         if np.abs(t - period * np.floor(t / period + 0.5)) < 0.25 * tau:
             values = command(law(x, t), x)
             for i in range(count):
                 y[begin + i] = values[i]
-        act(y, t, tau)
-        return y
 
-    return flow, act
+    return callable_from_compiled(sample)
+
+
+def _both(one: Callable[..., None], other: Callable[..., None]) -> Callable[..., None]:
+    def both(x: Any, y: Any, t: Any, tau: Any) -> None:
+        one(x, y, t, tau)
+        other(x, y, t, tau)
+
+    return callable_from_compiled(both)
+
+
+def _begin(force: Sampled, system: Any) -> int:
+    """Return the index of the first number that a force holds in the state."""
+    return int(system.dim - system.held + force.first)
 
 
 def _law_of(law: StateTorque, system: Any) -> Callable[..., Any]:

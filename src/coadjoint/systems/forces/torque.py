@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import inspect
 from abc import abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar
@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
-from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, takes_time
+from coadjoint.systems.user_functions import (
+    SAMPLE_TIME,
+    attitude_arguments,
+    callable_from_compiled,
+    check_arguments,
+    kind_of_name,
+    names_of,
+    parameters_of_function,
+    takes_time,
+)
 from coadjoint.validation import read_numbers, set_fields
 
 PER_BODY = 12  # L, and the three space axes seen from the body
@@ -112,16 +121,37 @@ def torque_shape(system: Any) -> tuple[int, ...]:
     return (*system.bodies, 3)
 
 
+def places_of_torques(system: Any) -> NDArray[np.int64]:
+    """Return the coordinates that torques on all bodies change, of the shape of these."""
+    return np.asarray(PER_BODY * np.arange(system.bodies[0])[:, None] + np.arange(3) if system.bodies else np.arange(3))
+
+
+def is_on_bodies(shape: tuple[int, ...], system: Any) -> bool:
+    """Return whether values of this shape are torques on bodies, in their frames, and not derivatives of the state."""
+    return hasattr(system, "bodies") and shape == torque_shape(system) != (system.dim,)
+
+
+def torque_vector(torque: Any, system: Any) -> NDArray[np.float64]:
+    """Return the contribution to x' of a constant torque, (n,), also of one on bodies."""
+    if not is_on_bodies(np.shape(torque), system):
+        return state_vector(torque, system)
+    result = np.zeros(system.dim)
+    result[places_of_torques(system)] = torque
+    return result
+
+
 def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[Callable[..., Any], str]:
-    """Return the contribution to x' of a torque of (x, A) or (x, A, t) as a function of (x) or (x, t), and which."""
-    return _torque_on_state(torque, arguments, system.bodies)
+    """Return the contribution to x' of a torque on bodies as a function of (t), (x) or (x, t), and which."""
+    return _torque_on_state(torque, arguments, system.bodies, system.dim)
 
 
 @lru_cache(maxsize=64)
 def _torque_on_state(
-    torque: Callable[..., Any], arguments: str, bodies: tuple[int, ...]
+    torque: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int
 ) -> tuple[Callable[..., Any], str]:
     function = callable_from_compiled(torque)
+    if "A" not in arguments:
+        return _placed(function, arguments, bodies, dim), arguments
     if not bodies:
 
         def of_body(x: Any) -> Any:
@@ -157,6 +187,25 @@ def _torque_on_state(
     return (of_bodies_in_time, "x, t") if arguments == "x, A, t" else (of_bodies, "x")
 
 
+def _placed(function: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int) -> Callable[..., Any]:
+    """Return the contribution to x' of a torque of (t), (x) or (x, t) on bodies."""
+    count = bodies[0] if bodies else 1
+
+    def place(torque: Any, result: Any) -> Any:
+        torques = np.ascontiguousarray(torque).reshape(count, 3)
+        for k in range(count):
+            for i in range(3):
+                result[PER_BODY * k + i] = torques[k, i]
+        return result
+
+    placed = callable_from_compiled(place)
+    if arguments == "t":
+        return lambda t: placed(function(t), np.zeros(dim))
+    if arguments == "x":
+        return lambda x: placed(function(x), 0.0 * x)
+    return lambda x, t: placed(function(x, t), 0.0 * x)
+
+
 def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
     """Return a sample point with rotations as attitudes."""
     y = x.copy()
@@ -182,11 +231,12 @@ class Torque(StateTorque):
     Parameters
     ----------
     torque : (n,) or (N, N) array_like, or callable
-        The torque, or a function of ``t``, of ``x``, or of ``(x, t)`` that returns it, shape (n,). A function of one
-        argument is a function of time if that argument is named ``t``. For a `MatrixSystem` the torque and x are
-        matrices (N, N), and the torque lies in the algebra. For systems with attitudes in their states, such as
-        ``co.systems.body``, also a function of ``(x, A)`` or ``(x, A, t)``: x is the state and A the attitude from the
-        body to space, (3, 3), of k bodies (k, 3, 3); it returns the torque in the frame of the body, (3,) or (k, 3).
+        The torque, or a function of ``t``, of ``x``, or of ``(x, t)`` that returns it, shape (n,). The argument of a
+        function of one is the time if it is named t or time, and the state if it is named x, y, state, momentum or, of
+        a matrix, W. For a `MatrixSystem` the torque and x are matrices (N, N), and the torque lies in the algebra. For
+        bodies and tops, such as ``co.systems.body``, also the torque in the frame of the body, (3,), or of k bodies
+        (k, 3). If their attitudes are in the state, a function of ``(x, A)`` or ``(x, A, t)`` returns it: x is the
+        state and A the attitude from the body to space, (3, 3) or (k, 3, 3).
 
     Raises
     ------
@@ -227,15 +277,25 @@ class Torque(StateTorque):
         """Return the arguments of the function: "t", "x", "x, t", "x, A" or "x, A, t"."""
         if (of_attitude := attitude_arguments(self.torque)) is not None:
             return of_attitude
-        parameters = _parameters(self.torque)
-        if takes_time(self.torque, "the torque"):
-            if len(parameters) > 1 and parameters[1].name.lower() in ATTITUDES:
-                raise TypeError(
-                    f"the torque is a function of {_names(parameters)}; its second argument is the time t, unless it "
-                    "is named A: name the attitude A, of systems such as co.systems.body, and the time t"
-                )
-            return "x, t"
-        return "t" if parameters and parameters[0].name == "t" else "x"
+        parameters = parameters_of_function(self.torque)
+        if len(parameters) > 1 and parameters[1].name.lower() in ATTITUDES:
+            raise TypeError(
+                f"the torque is a function of {names_of(parameters)}; its second argument is the time t, unless it is "
+                "named A: name the attitude A, of systems such as co.systems.body, and the time t"
+            )
+        if sum(one.default is one.empty for one in parameters) > 1 or not parameters:
+            return "x, t" if takes_time(self.torque, "the torque") else "x"
+        kind = kind_of_name(parameters[0].name)
+        if kind == "t":
+            check_arguments(self.torque, "the torque", "t")
+            return "t"
+        timed = takes_time(self.torque, "the torque")
+        if kind != "x" and not timed:
+            raise TypeError(
+                f"the torque is a function of {names_of(parameters[:1])}; name this argument t if it is the time, or x "
+                "if it is the state"
+            )
+        return "x, t" if timed else "x"
 
     @property
     def is_constant_torque(self) -> bool:
@@ -244,15 +304,18 @@ class Torque(StateTorque):
 
     def check(self, system: Any) -> None:
         if self.is_constant_torque:
-            check_state(self.torque, "the torque", system)
+            shape = np.shape(self.torque)
+            if hasattr(system, "bodies") and shape not in ((system.dim,), torque_shape(system)):
+                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {_shapes_on(system)}")
+            if not is_on_bodies(shape, system):
+                check_state(self.torque, "the torque", system)
             return
         arguments, failure = self._arguments(), ""
-        shape: tuple[int, ...] = (system.dim,)
-        samples = sample_states(system)
         if "A" in arguments:
             check_attitude(system)
-            shape, samples = torque_shape(system), [sample_state(x, system) for x in samples]
-        for x in samples:
+        shape = torque_shape(system) if "A" in arguments else (system.dim,)
+        for sample in sample_states(system):
+            x = sample_state(sample, system) if system.has_attitude else sample
             try:
                 with np.errstate(all="ignore"):
                     value = self.torque(*_call_arguments(arguments, x, SAMPLE_TIME, system))
@@ -263,12 +326,10 @@ class Torque(StateTorque):
                 system.read(value, "the value of the torque")
                 return
             torque = read_numbers(value, "the value of the torque")
-            if torque.shape != shape:
-                has_attitude = "A" not in arguments and system.has_attitude
-                hint = f", or {torque_shape(system)} of a function of (x, A)" if has_attitude else ""
+            if torque.shape != shape and not is_on_bodies(torque.shape, system):
                 raise ValueError(
                     f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
-                    f"{shape}{hint}"
+                    f"{_shapes_on(system) if 'A' not in arguments else shape}"
                 )
             return
         raise ValueError(
@@ -277,7 +338,7 @@ class Torque(StateTorque):
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         if self.is_constant_torque:
-            return state_vector(self.torque, system)
+            return torque_vector(self.torque, system)
         if system.has_matrices:
             torque = self.torque(*_call_arguments(self._arguments(), system.from_vector(x), t))
             return np.asarray(system.to_vector(torque))
@@ -291,23 +352,44 @@ class Torque(StateTorque):
     def law_on_state(self, system: Any) -> tuple[Any, str]:
         if self.is_constant_torque:
             return constant_in_time(np.array(self.torque)), "t"
-        return self.on_state(system)
+        return self.on_state(system) if self.sees_attitude else (self.torque, self._arguments())
 
     def on_state(self, system: Any) -> tuple[Any, str]:
         if self.is_constant_torque:
-            return constant_in_time(state_vector(self.torque, system)), "t"
+            return constant_in_time(torque_vector(self.torque, system)), "t"
         arguments = self._arguments()
-        return torque_on_state(self.torque, arguments, system) if "A" in arguments else (self.torque, arguments)
+        if "A" in arguments or is_on_bodies(self._shape_on(system), system):
+            return torque_on_state(self.torque, arguments, system)
+        return self.torque, arguments
+
+    def _shape_on(self, system: Any) -> tuple[int, ...]:
+        """Return the shape of a value of the function on a system; () if there is none at sample points."""
+        if not hasattr(system, "bodies"):
+            return ()
+        return _shape_of_values(self.torque, self._arguments(), system)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if self.is_constant_torque:
-            return np.asarray(x + tau * state_vector(self.torque, system))
+            return np.asarray(x + tau * torque_vector(self.torque, system))
         return super().flow(system, x, t, tau)
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         if self.is_constant_torque:
-            return reader.constant(state_vector(self.torque, system))
+            return reader.constant(torque_vector(self.torque, system))
         return super().describe_to(reader, system)
+
+
+def _shapes_on(system: Any) -> str:
+    return f"({system.dim},)" + (f", or {torque_shape(system)} in body frames" if hasattr(system, "bodies") else "")
+
+
+@lru_cache(maxsize=64)
+def _shape_of_values(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[int, ...]:
+    for x in sample_states(system):
+        point = sample_state(x, system) if system.has_attitude else x
+        with suppress(ArithmeticError, ValueError, TypeError, IndexError), np.errstate(all="ignore"):
+            return np.shape(torque(*_call_arguments(arguments, point, SAMPLE_TIME, system)))
+    return ()
 
 
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
@@ -315,28 +397,3 @@ def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple
         A = system.attitudes(x)
         return (x, A, t) if "t" in arguments else (x, A)
     return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]
-
-
-def attitude_arguments(torque: Callable[..., Any]) -> str | None:
-    """Return "x, A" or "x, A, t" for a function whose second parameter is named A; None for any other."""
-    parameters = _parameters(torque)
-    if len(parameters) < 2 or parameters[1].name != "A":
-        if any(one.name == "A" and one.default is one.empty for one in parameters):
-            raise TypeError(f"the torque is a function of {_names(parameters)}; give one of (x, A) or (x, A, t)")
-        return None
-    more = [one for one in parameters[2:] if one.default is one.empty or one.name == "t"]
-    if [one.name for one in more] not in ([], ["t"]) or any(one.kind is one.VAR_POSITIONAL for one in parameters):
-        raise TypeError(f"the torque is a function of {_names(parameters)}; give one of (x, A) or (x, A, t)")
-    return "x, A, t" if more else "x, A"
-
-
-def _parameters(torque: Callable[..., Any]) -> list[inspect.Parameter]:
-    """Return the parameters of a function; none of a built-in one without a signature."""
-    try:
-        return list(inspect.signature(getattr(torque, "py_func", torque)).parameters.values())
-    except (TypeError, ValueError):
-        return []
-
-
-def _names(parameters: list[inspect.Parameter]) -> str:
-    return f"({', '.join(one.name for one in parameters)})"

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.formula_tree import names_in, read_dimension
 from coadjoint.algebra.polynomials.formulas import NotPolynomial, parse_polynomial
-from coadjoint.algebra.polynomials.monomials import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient, check_names, coordinate_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
@@ -242,6 +242,12 @@ class Hamiltonian(Summable):
         coordinates, gradient = np.arange(self.dim, dtype=np.int64), cast("Callable[..., Any]", self._gradient)
         return (FunctionTerm(coordinates, self._loop_value, gradient, self._hessian, timed=self.timed),)
 
+    @property
+    def _written_names(self) -> tuple[str, ...] | None:
+        """Names of the coordinates in the text of a formula; None for other functions."""
+        found = formula_of(self)
+        return None if found is None else found[0].names
+
     def __repr__(self) -> str:
         functions = (self._value,) if self._derived_by else (self._value, self._gradient, self._hessian)
         names = [getattr(f, "__name__", short(f)) for f in functions if f is not None]
@@ -327,16 +333,22 @@ def formula(
     if not isinstance(text, str):
         raise TypeError(f"the formula is {short(text)}; give a text such as 'x1^2/2 + cos(x2)'")
     count = read_dimension(text, dim, basis)
-    return _of_formula(text, count, None if basis is None else tuple(basis), parameters)
-
-
-def _of_formula(
-    text: str, dim: int, names: Sequence[str] | None, parameters: Mapping[str, Any] | None
-) -> Polynomial | Hamiltonian:
+    names = coordinate_names(count) if basis is None else tuple(basis)
     try:
-        return parse_polynomial(text, dim, names, parameters)
+        return Polynomial(text, dim, basis, parameters)
     except NotPolynomial:
-        return Hamiltonian(ParsedFunction(text, dim, names, parameters)).bind(dim)
+        return Hamiltonian(ParsedFunction(text, count, names, parameters)).bind(count)
+
+
+def formula_in(
+    text: str, dim: int, names: Sequence[str] | None, parameters: Mapping[str, Any] | None = None
+) -> Polynomial | Hamiltonian:
+    """Return the function of a formula in the coordinates of these names, or x1, x2, ... where these are no others."""
+    written = names_in(text, dim, names)
+    try:
+        return parse_polynomial(text, dim, written, parameters)
+    except NotPolynomial:
+        return Hamiltonian(ParsedFunction(text, dim, written, parameters)).bind(dim)
 
 
 def formula_of(H: Any) -> tuple[ParsedFunction, tuple[Coefficient, ...]] | None:
@@ -349,9 +361,11 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[st
     """Convert `H` of any accepted type to a Hamiltonian bound to dimension `n`; `owner` names its owner in messages."""
     if isinstance(H, str):
         try:
-            H = _of_formula(H, n, names_in(H, n, names), None)
+            H = formula_in(H, n, names)
         except ValueError as reason:
             raise ValueError(f"the Hamiltonian {reason}") from None
+    elif names is not None:
+        check_names(H, names, "the Hamiltonian")
     if isinstance(H, Polynomial):
         check_variables(H, n, owner)
         if H.degree > 2:

@@ -15,7 +15,6 @@ from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, PolynomialTerm, Term
 from coadjoint.systems.hamiltonians.traced_function import Graph, TracingError, traced
-from coadjoint.systems.user_functions import check_derivative
 
 Pair = tuple[int, int]
 Monomials = dict[tuple[int, ...], Any]
@@ -227,26 +226,7 @@ def separated(
         value, gradient, hessian, timed = _alone(recorded, local, members)
         where = np.array([places[k] for k in local], dtype=np.int64)
         terms.append(FunctionTerm(where, value, gradient, hessian, timed=timed))
-    _check_sum(term, terms, n)
     return tuple(terms)
-
-
-def _check_sum(term: FunctionTerm, terms: list[Term], n: int) -> None:
-    """Raise TracingError if terms do not add up to a function, which may treat recorded numbers differently."""
-
-    def gradient(y: Any, t: float = 0.0) -> Any:
-        x, total = np.zeros(n), np.zeros(n)
-        x[term.coordinates] = y
-        for part in terms:
-            part.add_gradients(total[None, None], x[None, None], [t])
-        return total[term.coordinates]
-
-    m = len(term.coordinates)
-    try:
-        names = ("a function in it", "its recorded operations")
-        check_derivative(term.value, gradient, names=names, shapes=((), (m,)), n=m, timed=term.timed)
-    except ValueError:
-        raise TracingError("it is another function where its operations are recorded") from None
 
 
 def _joined(functions: Summands) -> Summands:

@@ -190,8 +190,8 @@ class SplitHamiltonian(Summable):
     Parameters
     ----------
     pieces : sequence of (coordinates, Hamiltonian)
-        The coordinates of the piece (0-based), and a Hamiltonian of any type in these coordinates, in their order.
-        Different pieces may share coordinates.
+        The coordinates of the piece (0-based), and a Hamiltonian of any type in these coordinates, in their order: x1
+        of a text is the first coordinate of its piece. Different pieces may share coordinates.
 
     Attributes
     ----------

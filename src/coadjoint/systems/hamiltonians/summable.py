@@ -175,6 +175,11 @@ class PolynomialHamiltonian(Summable):
         """Return that of the polynomial."""
         return self.polynomial.gradient_and_size(x)
 
+    @property
+    def _written_names(self) -> tuple[str, ...] | None:
+        """Those of the polynomial."""
+        return self.polynomial._written_names
+
     def named(self, names: Sequence[str]) -> PolynomialHamiltonian:
         """Return it with these names of the coordinates in its text."""
         polynomial = self.polynomial.named(names)

@@ -13,7 +13,14 @@ import numpy as np
 
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
-from coadjoint.systems.user_functions import with_multiples, without_multiples
+from coadjoint.systems.user_functions import (
+    SAMPLE_TIME,
+    evaluate,
+    first_difference,
+    sample_points,
+    with_multiples,
+    without_multiples,
+)
 from coadjoint.validation import is_real
 
 DERIVED_MODULE = "derived_by_coadjoint"
@@ -326,4 +333,18 @@ def traced(function: Callable[..., Any], n: int, timed: bool) -> Graph:
     if isinstance(result, np.ndarray) and result.size == 1:
         result = result.item()
     graph.result = _operand(result)
+    _compare(graph.value(), function, n, timed)
     return graph
+
+
+def _compare(recorded: Callable[..., Any], function: Callable[..., Any], n: int, timed: bool) -> None:
+    """Raise TracingError if the recorded operations have other values than the function, as where it tests types."""
+
+    def value_of(one: Callable[..., Any], x: Any) -> Any:
+        value = evaluate(one, x.copy(), timed)
+        return math.nan if value is None or np.size(value) != 1 else np.reshape(value, ())
+
+    for x in sample_points(n):
+        difference = first_difference(lambda x, t: value_of(function, x), value_of(recorded, x), x, SAMPLE_TIME)
+        if difference is not None:
+            raise TracingError(f"it is another function where its operations are recorded, with {difference}")

@@ -18,7 +18,7 @@ from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.repeated_rows import MIN_ROWS, RepeatedRows, shapes_of, starts_of_rows
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.lattices.geometry import CELLS, OPEN_LATTICES, lattice_positions, sizes_of
-from coadjoint.systems.user_functions import callable_from_compiled, takes_time
+from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -134,8 +134,7 @@ def _entry(matrices: Floats, a: int, b: int, number: Integers) -> Floats | float
 def driving_field(force: Callable[..., Any], sites: int) -> tuple[SplitHamiltonian, bool]:
     """Return ``-sum over sites s of f_s(t) . S_s``, f a function of the time, and whether f is equal at all sites."""
     # Numba compiles `force`, which returns (3,), or (sites, 3). Components along one axis commute.
-    if takes_time(force, "field"):
-        raise TypeError(f"field is {short(force)}; give a function of the time t alone")
+    check_arguments(force, "field", "t")
     try:
         values = np.asarray(force(0.0), dtype=np.float64)
     except Exception as reason:

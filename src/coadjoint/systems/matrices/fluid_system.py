@@ -4,21 +4,44 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.long_operations import warn_caller
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import initial_states
+from coadjoint.systems.matrices.labelled_fields import labelled_field
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
-from coadjoint.validation import check_finite, read_integer, read_numbers, to_array
+from coadjoint.validation import check_finite, read_bool, read_integer, read_numbers, to_array
 
 Floats = npt.NDArray[np.float64]
 Complexes = npt.NDArray[np.complex128]
 
 MAX_GRID_SIZE = 2**16  # rows or columns; a larger grid exceeds any memory
+
+
+class RelativeVorticity(np.ndarray):
+    """Matrices of the vorticity relative to a rotating frame, marked so that the frame is not subtracted again."""
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        # Multiples, sums and differences of relative vorticities are relative; what is computed with others is not.
+        operands = () if context is None else context[1][: context[0].nin]
+        kept = all(isinstance(one, RelativeVorticity) or np.ndim(one) == 0 for one in operands)
+        return array[()] if return_scalar else np.asarray(array).view(RelativeVorticity if kept else np.ndarray)
+
+
+@cache
+def _warn_of_frame(name: str) -> None:
+    """Warn, once for each name, that the default of `absolute` has changed."""
+    warn_caller(
+        f"the default of absolute= has changed: {name} of a rotating sphere means the vorticity relative to the frame; "
+        "give absolute=False, or absolute=True for the absolute vorticity and for other fields",
+        FutureWarning,
+    )
 
 
 class FluidSystem(MatrixSystem):
@@ -28,12 +51,16 @@ class FluidSystem(MatrixSystem):
     right and y up. A state W is a vorticity in physical units: lengths are those of the unit sphere, or of a torus of
     side 2 pi, and the time of ``W' = [P, W]`` is the time of ``d omega/dt + u . grad omega = 0``.
 
-    The conversions are linear and apply to every scalar field. The initial states (`random`, `blobs`, `patches`,
-    `zonal_jet`, ...) describe the vorticity relative to a rotating sphere and return ``absolute(W)``.
+    On a rotating sphere a state is the absolute vorticity. Fields, modes, files, spectra and the initial states
+    (`random`, `blobs`, `patches`, `zonal_jet`, ...) are of the vorticity relative to the frame: what makes a state adds
+    the vorticity of the frame, what shows one subtracts it, unless it is of a matrix returned by `relative`. With
+    ``absolute=True`` conversions are linear, and apply to the absolute vorticity and to every other scalar field.
     """
 
     surface: str
     """"sphere" or "torus"."""
+    rotation: float = 0.0
+    """Angular velocity of the frame."""
 
     states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_file")
     """Methods that return a state, available by name in configuration files."""
@@ -48,29 +75,71 @@ class FluidSystem(MatrixSystem):
         return self
 
     @abstractmethod
-    def mode_array(self, W: Any) -> Complexes:
-        """Return the modes of matrices (..., N, N) as an array (..., N, N), which `from_modes` accepts."""
+    def mode_array(self, W: Any, *, absolute: bool | None = None) -> Complexes:
+        """Return the modes of states (..., N, N) as an array (..., N, N), which `from_modes` accepts."""
         # On the sphere [l, m], m >= 0, is the coefficient of Y_lm; on the torus [n1, n2] is w_n, both indices mod N.
 
     @abstractmethod
-    def from_modes(self, modes: Any) -> Complexes:
-        """Return the matrix W of modes, given as a mapping or as an array in the form of `mode_array`."""
+    def from_modes(self, modes: Any, *, absolute: bool | None = None) -> Complexes:
+        """Return the state W of modes, given as a mapping or as an array in the form of `mode_array`."""
 
     @abstractmethod
-    def modes(self, W: Any) -> dict[tuple[int, int], complex]:
-        """Return the modes of one matrix W that are nonzero beyond round-off."""
+    def modes(self, W: Any, *, absolute: bool | None = None) -> dict[tuple[int, int], complex]:
+        """Return the modes of one state W that are nonzero beyond round-off."""
 
     @abstractmethod
     def grid(self, shape: Any = None) -> tuple[Floats, Floats]:
         """Return the two coordinates of the points of a grid, in radians."""
 
     @abstractmethod
-    def to_grid(self, W: Any, shape: Any = None) -> Floats:
-        """Return the values of the field of matrices (..., N, N) at the points of a grid."""
+    def to_grid(self, W: Any, shape: Any = None, *, absolute: bool | None = None) -> Floats:
+        """Return the values of the field of states (..., N, N) at the points of a grid."""
 
     @abstractmethod
-    def from_grid(self, values: Any) -> Complexes:
-        """Return the matrix W of the values of a field at the points of a grid; the mean is removed."""
+    def from_grid(self, values: Any, *, absolute: bool | None = None) -> Complexes:
+        """Return the state W of the values of a field at the points of a grid; the mean is removed."""
+
+    def read_matrices(self, given: Any, what: str) -> Complexes:
+        return super().read_matrices(self._checked(given, what), what)
+
+    def matrices(self, x: Any) -> Complexes:
+        return super().matrices(self._checked(x, "a state"))
+
+    def _checked(self, given: Any, what: str) -> Any:
+        """Raise ValueError for relative vorticities in place of states; return anything else."""
+        if self.rotation and isinstance(given, RelativeVorticity):
+            raise ValueError(
+                f"{what} is a vorticity relative to the frame of {self.name}; give the state, by absolute, or the "
+                "matrix alone by np.asarray"
+            )
+        return given
+
+    def _shown(self, W: Any, absolute: Any, name: str) -> Complexes:
+        """Return the matrices that a conversion of states shows: of the relative vorticity by default."""
+        relative = isinstance(W, RelativeVorticity)
+        if not self._is_absolute(absolute, name, relative):
+            return self.relative(W)
+        return self.matrices(np.asarray(W) if relative else W)
+
+    def _state(self, W: Complexes, absolute: Any, name: str) -> Complexes:
+        """Return the states of matrices that a conversion has made: of a relative vorticity by default."""
+        return W if self._is_absolute(absolute, name) else self.absolute(W)
+
+    def _is_absolute(self, absolute: Any, name: str, clear: bool = False) -> bool:
+        """Validate `absolute`, by default False; warn of this default unless it is clear that it is meant."""
+        if absolute is not None:
+            return read_bool(absolute, "absolute")
+        if self.rotation and not clear:
+            _warn_of_frame(name)
+        return not self.rotation
+
+    def _of_labelled(self, values: Any) -> Complexes:
+        """Return the matrix of an array of xarray, by its coordinates."""
+        field = labelled_field(values, self.surface, str(values.name or "values"))
+        try:
+            return self.from_coordinates(*field[:3])
+        except ValueError as reason:
+            raise ValueError(f"{reason}{field.assumed}") from None
 
     @property
     @abstractmethod
@@ -115,23 +184,25 @@ class FluidSystem(MatrixSystem):
 
     @abstractmethod
     def from_coordinates(self, values: Any, first: Floats, second: Floats) -> Complexes:
-        """Return W of values at the points of a grid given by its coordinates, in radians."""
+        """Return the matrix of values at the points of a grid given by its coordinates, in radians."""
 
     def relative(self, W: Any) -> Complexes:
-        """Return the matrix of the vorticity relative to the rotating frame, from the absolute one, W."""
+        """Return the matrix of the vorticity relative to the rotating frame, from a state W or from such a matrix."""
         return np.array(self.matrices(W))
 
     def absolute(self, W: Any) -> Complexes:
         """Return the state W of a vorticity relative to the rotating frame; inverse of `relative`."""
         return np.array(self.matrices(W))
 
-    def energy_spectrum(self, W: Any) -> tuple[npt.NDArray[np.int64], Floats]:
+    def energy_spectrum(self, W: Any, *, absolute: bool = False) -> tuple[npt.NDArray[np.int64], Floats]:
         """Return the kinetic energy of the flow by degree, the integral of |u|^2/2 over the surface.
 
         Parameters
         ----------
         W : (..., N, N) array
-            States; on the rotating sphere the energy is that of the relative motion.
+            States, or relative vorticities from `relative`.
+        absolute : bool
+            Whether the motion is that of the matrices themselves; by default that relative to the rotating frame.
 
         Returns
         -------
@@ -139,11 +210,14 @@ class FluidSystem(MatrixSystem):
             Degrees l on the sphere; wave numbers k on the torus, each with the modes of |n| from k - 1/2 to k + 1/2.
         energy : (..., k) array
         """
-        return self.spectrum_of_modes(self.mode_array(self.relative(W)), self.energy_weights)
+        return self.spectrum_of_modes(self.mode_array(W, absolute=absolute), self.energy_weights)
 
-    def enstrophy_spectrum(self, W: Any) -> tuple[npt.NDArray[np.int64], Floats]:
-        """Return the enstrophy by degree, the integral of omega^2/2 over the surface, as `energy_spectrum`."""
-        return self.spectrum_of_modes(self.mode_array(self.relative(W)), 0.5 * self.squares)
+    def enstrophy_spectrum(self, W: Any, *, absolute: bool = False) -> tuple[npt.NDArray[np.int64], Floats]:
+        """Return the enstrophy by degree, the integral of omega^2/2 over the surface, as `energy_spectrum`.
+
+        The default is that of the relative vorticity; with ``absolute=True`` its sum is constant.
+        """
+        return self.spectrum_of_modes(self.mode_array(W, absolute=absolute), 0.5 * self.squares)
 
     @property
     def energy_weights(self) -> Floats:

@@ -11,20 +11,11 @@ import numpy.typing as npt
 
 from coadjoint.errors import in_one_line
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
-from coadjoint.validation import (
-    read_array_file,
-    read_finite,
-    read_integer,
-    read_number,
-    read_path,
-    read_positive,
-)
+from coadjoint.systems.matrices.labelled_fields import read_field
+from coadjoint.validation import read_finite, read_integer, read_number, read_positive
 
 if TYPE_CHECKING:
-    import xarray
-
     from coadjoint.systems.matrices.fluid_system import FluidSystem
 
 Floats = npt.NDArray[np.float64]
@@ -32,8 +23,6 @@ Complexes = npt.NDArray[np.complex128]
 
 MAX_WIDTH = 1e100
 """Upper limit of widths, whose squares would overflow; the smoothing is already complete."""
-FIRST = ("lat", "latitude", "x")
-SECOND = ("lon", "longitude", "y")
 DEFAULT_DEGREES = (2, 10)
 """First and last degree of a random field by default."""
 
@@ -48,7 +37,7 @@ def random(
     energy: float | None = None,
     enstrophy: float | None = None,
 ) -> Complexes:
-    """Return the state of a random smooth vorticity with a given spectrum.
+    """Return the state of a random smooth vorticity with a given spectrum, relative to a rotating frame.
 
     The vector of the modes of each degree has a uniformly distributed random direction and a prescribed length. Numbers
     are drawn degree by degree, so a seed determines the same field for every N that resolves it.
@@ -64,7 +53,8 @@ def random(
         The energy of each degree: ``spectrum(l)`` of an array of degrees, or ``spectrum[l]``. By default every mode has
         the same share of the enstrophy.
     energy, enstrophy : float, optional
-        The field is scaled so that the integral of |u|^2/2, or of omega^2/2, over the surface has this value.
+        The field is scaled so that the integral of |u|^2/2, or of omega^2/2, over the surface has this value, in the
+        frame.
         With neither, and without a spectrum, the vorticity has a root mean square of 1.
 
     Returns
@@ -98,12 +88,14 @@ def random(
         target = _read_spectrum(spectrum, first, last)
     factors = np.zeros(int(self.degrees.max()) + 1)
     factors[first : last + 1] = np.sqrt(target / self.spectrum_of_modes(modes, weights)[1][first - 1 : last])
-    return self.absolute(self.from_modes(_scaled(self, modes * factors[self.degrees], energy, enstrophy)))
+    return self.absolute(
+        self.from_modes(_scaled(self, modes * factors[self.degrees], energy, enstrophy), absolute=True)
+    )
 
 
 @suggest_keywords
 def blobs(self: FluidSystem, places: Any, strengths: Any, widths: Any) -> Complexes:
-    """Return the state of round blobs of vorticity, diffused point vortices.
+    """Return the state of round blobs of vorticity, diffused point vortices, relative to a rotating frame.
 
     On the torus, and approximately on the sphere, each is a Gaussian. The vorticity of a flow on a closed surface has
     zero mean: strength over area is subtracted everywhere.
@@ -136,12 +128,12 @@ def blobs(self: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comple
     (33, 33)
     """
     modes = _sum_about_points(self, ("blobs", "strengths", "widths"), places, strengths, widths, lambda width: 1.0)
-    return self.absolute(self.from_modes(modes))
+    return self.absolute(self.from_modes(modes, absolute=True))
 
 
 @suggest_keywords
 def patches(self: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edge: float | None = None) -> Complexes:
-    """Return the state of round patches of constant vorticity.
+    """Return the state of round patches of constant vorticity, relative to a rotating frame.
 
     The mean of the vorticity is subtracted, so that the total is zero.
 
@@ -180,25 +172,31 @@ def patches(self: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edg
         raise ValueError(f"edge is {sigma:g}; give a width of at least 0")
     names = "patches", "vorticities", "radii"
     modes = _sum_about_points(self, names, places, vorticities, radii, self.disc_profile, sigma)
-    return self.absolute(self.from_modes(modes))
+    return self.absolute(self.from_modes(modes, absolute=True))
 
 
 @suggest_keywords
 def from_file(
-    self: FluidSystem, path: str | Path, *, variable: str | None = None, select: Mapping[str, int] | None = None
+    self: FluidSystem,
+    path: str | Path,
+    *,
+    variable: str | None = None,
+    select: Mapping[str, int] | None = None,
+    absolute: bool = False,
 ) -> Complexes:
-    """Return the state read from a file.
+    """Return the state read from a file, such as a dataset of a run.
 
     Parameters
     ----------
     path : str or Path
         ``.npy``: a complex (N, N) array is a state W; a real array contains values of the vorticity at the points of a
-        grid, as for `from_grid`. ``.nc``: NetCDF with two coordinates, latitude and longitude in degrees or radians in
-        any order and direction, on the torus x and y.
+        grid, as for `from_grid`. ``.nc``: NetCDF with two coordinates, as for `from_grid` of an `xarray.DataArray`.
     variable : str, optional
-        Variable of the NetCDF file, if it has several.
+        Variable of the NetCDF file, if it has several over these coordinates.
     select : mapping of str to int, optional
         Index along each further axis of the NetCDF variable, such as ``{"time": -1}``.
+    absolute : bool
+        Whether values on a grid are of the absolute vorticity; by default they are relative to the rotating frame.
 
     Returns
     -------
@@ -211,12 +209,10 @@ def from_file(
     MissingPackageError
         xarray or h5netcdf is needed for NetCDF and is not installed.
     """
-    values, coordinates = read_field(path, variable, select)
+    values = read_field(path, self.surface, variable, select)
     if np.iscomplexobj(values):
         return self.algebra.read(values, short(str(path)))
-    if coordinates is None:
-        return self.absolute(self.from_grid(values))
-    return self.absolute(self.from_coordinates(values, *coordinates))
+    return self.from_grid(values, absolute=absolute)
 
 
 def _sum_about_points(
@@ -297,68 +293,3 @@ def _scaled(system: FluidSystem, modes: Complexes, energy: Any, enstrophy: Any) 
     target = read_positive(energy, "energy") if enstrophy is None else read_positive(enstrophy, "enstrophy")
     weights = system.energy_weights if enstrophy is None else 0.5 * system.squares
     return modes * np.sqrt(target / system.spectrum_of_modes(modes, weights)[1].sum())
-
-
-def read_field(
-    path: str | Path, variable: str | None = None, select: Mapping[str, int] | None = None
-) -> tuple[npt.NDArray[Any], tuple[Floats, Floats] | None]:
-    """Return the array of a .npy or .nc file and, for NetCDF, the coordinates of its last two axes in radians."""
-    file = read_path(path, "path")
-    if file.suffix == ".npy":
-        if variable is not None or select is not None:
-            raise ValueError(f"{short(file.name)} contains one array; variable= and select= are for NetCDF")
-        return read_array_file(file, file.name), None
-    if file.suffix != ".nc":
-        raise ValueError(
-            f"{short(file.name)} ends with {short(file.suffix) if file.suffix else 'nothing'}; give a file .npy or .nc"
-        )
-    require_packages(f"{short(file.name)}: NetCDF", "xarray", "h5netcdf")
-    import xarray
-
-    with xarray.open_dataset(file) as dataset:
-        return _read_dataset(dataset, short(file.name), variable, select)
-
-
-def _read_dataset(
-    dataset: xarray.Dataset, name: str, variable: str | None, select: Mapping[str, int] | None
-) -> tuple[npt.NDArray[Any], tuple[Floats, Floats]]:
-    names = [str(key) for key, array in dataset.data_vars.items() if array.ndim >= 2]
-    if variable is None and len(names) != 1:
-        raise ValueError(f"{name} has the variables {short(names)}; choose one by variable=")
-    chosen = names[0] if variable is None else variable
-    if chosen not in dataset.data_vars:
-        raise ValueError(f"{name} has no variable {short(chosen)}; choose one of {short(names)}")
-    field = dataset[chosen]
-    for axis, index in dict(select or {}).items():
-        if axis not in field.dims:
-            raise ValueError(f"{chosen} of {name} has no axis {short(axis)}; choose from {short(list(field.dims))}")
-        size = field.sizes[axis]
-        field = field.isel({axis: read_integer(index, f"select[{axis!r}]", -size, size - 1)})
-    axes = [_find_axis(field, known, name) for known in (FIRST, SECOND)]
-    rest = [axis for axis in field.dims if axis not in axes]
-    long = [axis for axis in rest if field.sizes[axis] > 1]
-    if long:
-        raise ValueError(f"{chosen} of {name} has the axis {short(long[0])} too; give the index along it by select=")
-    values = field.squeeze(rest).transpose(*axes).values
-    first, second = (_read_radians(field[axis], name) for axis in axes)
-    return read_finite(values, f"{chosen} of {name}"), (first, second)
-
-
-def _find_axis(field: xarray.DataArray, known: tuple[str, ...], name: str) -> Any:
-    for axis in field.dims:
-        kind = field[axis].attrs.get("standard_name", axis) if axis in field.coords else axis
-        if str(kind).lower() in known or str(axis).lower() in known:
-            if axis in field.coords:
-                return axis
-            raise ValueError(f"the axis {short(axis)} of {name} has no coordinate")
-    raise ValueError(f"{name} has the axes {short(list(field.dims))}; one must be called {' or '.join(known)}")
-
-
-def _read_radians(coordinate: xarray.DataArray, name: str) -> Floats:
-    values = read_finite(coordinate.values, f"{coordinate.name} of {name}")
-    units = str(coordinate.attrs.get("units", "radians"))
-    if units.startswith("degree"):
-        return np.radians(values)
-    if units.startswith("rad") or units in ("1", ""):
-        return values
-    raise ValueError(f"{coordinate.name} of {name} has the units {short(units)}; they must be degrees or radians")

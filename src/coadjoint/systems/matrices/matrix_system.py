@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
+from coadjoint.errors import Immutable
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
@@ -27,7 +28,15 @@ from coadjoint.systems.matrices.matrix_invariants import (
 from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import read_closed_form, read_parameters, read_sign
-from coadjoint.validation import check_finite, not_numbers_error, read_integer, read_numbers, read_title, to_array
+from coadjoint.validation import (
+    check_finite,
+    not_numbers_error,
+    read_integer,
+    read_numbers,
+    read_title,
+    set_fields,
+    to_array,
+)
 
 Matrix = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -40,7 +49,7 @@ DEGENERACY_TOLERANCE = 1e-9
 
 
 @suggest_keywords
-class MatrixSystem(System):
+class MatrixSystem(Immutable, System):
     """A system whose state is a matrix W in a Lie algebra of matrices, ``W' = [P, W]`` with P = stream(W) + linear.
 
     Choose it for algebras too large for structure constants: the quantized sphere and torus, bodies of many dimensions.
@@ -180,7 +189,7 @@ class MatrixSystem(System):
         A vector represents the nearest matrix of the algebra.
         """
         view = copy.copy(self)
-        view.shape = (self.dim,)
+        set_fields(view, shape=(self.dim,))
         view._unforced = self.unforced.in_numbers if self.forces else None
         view.__dict__["in_numbers"] = view
         return view
@@ -310,7 +319,7 @@ class MatrixSystem(System):
 
     def is_in_numbers(self, x: Any) -> bool:
         """Return whether states are vectors rather than matrices."""
-        shape = to_array(x, "a state", "iufc").shape
+        shape = to_array(self.states_by_label(x, "a state"), "a state", "iufc").shape
         return len(shape) > 0 and shape[-1] == self.dim
 
     def matrices(self, x: Any) -> Matrix:
@@ -321,6 +330,7 @@ class MatrixSystem(System):
         TypeError, ValueError
             Not numbers, or the wrong shape.
         """
+        x = self.states_by_label(x, "a state")
         if self.is_in_numbers(x):
             return self.algebra.projected(self.from_vector(x), spared=TRACE_TOLERANCE)
         W = to_array(x, "a state", "iufc")
@@ -337,7 +347,7 @@ class MatrixSystem(System):
         """Validate initial states, and return them as vectors: one for a state, several for members."""
         if self.shape == self.matrix_shape:
             return self.to_vector(self.read_matrices(given, what))
-        rows = read_numbers(given, what)
+        rows = read_numbers(self.states_by_label(given, what), what)
         if rows.ndim not in (1, 2) or rows.shape[-1] != self.dim:
             raise ValueError(f"{what} has the shape {rows.shape}; it must be ({self.dim},) or (members, {self.dim})")
         check_finite(rows, what)
@@ -345,7 +355,7 @@ class MatrixSystem(System):
 
     def read_matrices(self, given: Any, what: str) -> Matrix:
         """Validate initial states that are matrices, and return them."""
-        return self.algebra.read(given, what)
+        return self.algebra.read(self.states_by_label(given, what), what)
 
     def states_of(self, rows: Floats) -> Matrix:
         """Return rows of numbers as states, which are matrices unless the system is `in_numbers`."""

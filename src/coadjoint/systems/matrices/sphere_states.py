@@ -46,7 +46,7 @@ def rossby_haurwitz(
     zonal : float
         Angular velocity of the solid rotation, relative to the frame.
     wave : float
-        Root mean square of the vorticity of the wave.
+        Root mean square of the vorticity of the wave, which is relative to the frame.
     longitude : float
         Longitude of a maximum of the wave, in radians; unused for order 0.
 
@@ -69,7 +69,7 @@ def rossby_haurwitz(
     c[1, 0] = 2 * read_number(zonal, "zonal") * sqrt(4 * pi / 3)
     size = read_number(wave, "wave") * sqrt(2 * pi if m else 4 * pi)
     c[l, m] = size * (-1) ** m * np.exp(-1j * m * read_number(longitude, "longitude")) if m else size
-    return system.absolute(system.from_modes(c))
+    return system.absolute(system.from_modes(c, absolute=True))
 
 
 def zonal_jet(
@@ -88,7 +88,7 @@ def zonal_jet(
     Parameters
     ----------
     speed : float
-        Largest speed, in radii of the sphere per unit of time.
+        Largest speed relative to the frame, in radii of the sphere per unit of time.
     band : (float, float)
         Southern and northern edge, in radians.
     perturbation : float
@@ -128,7 +128,7 @@ def zonal_jet(
         along = np.exp(-((distance / BUMP[0]) ** 2))
         across = np.cos(latitude) / np.cos(middle) * np.exp(-(((latitude - middle) / BUMP[1]) ** 2))
     field = zonal[:, None] + fraction * max_speed / half * across[:, None] * along
-    return system.absolute(system.from_grid(field))
+    return system.absolute(system.from_grid(field, absolute=True))
 
 
 def _read_band(band: Any) -> tuple[float, float]:

@@ -1,0 +1,154 @@
+"""Causes of failed runs: the function of the user, the force or the pair of bodies that gave no finite numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coadjoint.errors import in_one_line
+from coadjoint.methods.forced import Forced, substeps_of
+from coadjoint.methods.spherical_midpoint import spins_of
+from coadjoint.runs.partial_steps import PartialSteps, noises_of
+from coadjoint.short_repr import short
+
+if TYPE_CHECKING:
+    from coadjoint.runs.run import Run
+
+MOST_REPEATED = 4096
+"""Steps that are repeated from the last saved state to find the cause of a failure, in less than a second."""
+UNIT = 1e-6  # deviation of the length of a spin from 1 that is taken for rounding
+BLOWN_UP = 1e100  # size of a state beyond which cubes of its numbers overflow: no function is the cause
+MOST_TEXT = 200  # characters of the message of an exception
+CORRECT = "correct the function, or end t_span before"
+
+
+Cause = tuple[str, str]
+"""What gave what at which time, and what to do; empty if all is finite."""
+NONE: Cause = ("", "")
+
+
+def cause_of_failure(run: Run, member: int, step: int) -> Cause:
+    """Return the cause of a failed step."""
+    system, times = run.start.system.of_member(member), run.times
+    try:
+        with np.errstate(all="ignore"):
+            x = _state_before(run, member, step)
+            return cause_in_step(system, run.plan.method, x, float(times.t0 + (step - 1) * times.h), float(times.h))
+    except Exception:  # a search for a cause does not hide the failure itself
+        return NONE
+
+
+def _state_before(run: Run, member: int, step: int) -> NDArray[np.float64]:
+    """Return the state before a step, from the last saved one, or the latest known state if that is too far."""
+    # Behind the coordinates are the works of forces.
+    times, saved, n = run.times, run.saved["x"][:, member], run.start.momenta.shape[1]
+    numbers = times.saved[: len(saved)]
+    known = np.flatnonzero(np.isfinite(saved).all(axis=1) & (numbers < step))
+    x, number = np.zeros(saved.shape[1]), 0
+    x[:n] = run.start.momenta[member]
+    if len(known):
+        x, number = saved[known[-1]], int(numbers[known[-1]])
+    if step - 1 - number > MOST_REPEATED or noises_of(run.start.system.of_member(member)):
+        return x[:n]
+    parts = PartialSteps(run.start.system, run.plan.method, run.loops)
+    rows, groups = x[None].copy(), run.start.groups[member : member + 1].reshape(1, -1)
+    for k in range(number, step - 1):
+        at, length = np.array([times.t0 + k * times.h]), np.array([times.h])
+        rows, groups, *_ = parts.attempt(rows, groups, at, length, np.array([member]))
+    return np.asarray(rows[0] if np.isfinite(rows).all() else x)[:n]
+
+
+def hint_of_spins(system: Any, x: NDArray[np.float64]) -> str:
+    """Return a hint for spins of a lattice that are not unit vectors; "" for all others."""
+    if "lattice" not in system.layout or system.has_matrices:
+        return ""
+    try:
+        lengths = np.sqrt((x[spins_of(system)] ** 2).sum(axis=1))
+    except ValueError:  # it is not made of spins
+        return ""
+    if np.abs(lengths - 1.0).max() <= UNIT:
+        return ""
+    least, most = lengths.min(), lengths.max()
+    return f"; spins are unit vectors, and those of x0 have lengths of {least:.3g} to {most:.3g}: divide them by these"
+
+
+def cause_in_step(system: Any, method: Any, x: NDArray[Any], t: float, h: float) -> Cause:
+    """Return the cause of a failure in a step from x at time t."""
+    plain, y = system.unforced, np.array(x, dtype=np.float64)
+    if not np.abs(y).max() < BLOWN_UP:
+        return NONE
+    if not system.forces:
+        cause = _of_energy(plain, y, t, h)
+        return cause if any(cause) else _of_step(method, plain, y, t, h)
+    scheme = method if isinstance(method, Forced) else Forced(method)
+    for begin, length in substeps_of(scheme.fractions, t, h):
+        half = 0.5 * length
+        for label, force in zip(system.labels, system.forces, strict=True):
+            failure = _attempt(force.law.field, plain, y, begin)[1] if force.sampled else ""
+            if failure:
+                return f"the law of {label} {failure} at t = {begin:g}", CORRECT
+        for flows, start in ((system.flows, begin), (system.flows[::-1], begin + half)):
+            for k, force in flows:
+                y, cause = _of_force(force, system.labels[k], plain, y, start, half, scheme.order)
+                if any(cause):
+                    return cause
+            if start == begin:
+                cause = _of_energy(plain, y, begin, length)
+                cause = cause if any(cause) else _of_step(scheme.inner, plain, y, begin, length)
+                if any(cause):
+                    return cause
+                y = np.asarray(scheme.inner.step(plain, y, begin, length))
+    return NONE
+
+
+def _of_force(
+    force: Any, label: str, plain: Any, y: NDArray[Any], t: float, tau: float, order: int
+) -> tuple[NDArray[Any], Cause]:
+    """Return the state after the flow of a force, and the cause if it fails."""
+    after, failure = _attempt(force.flow_of_order, plain, y, t, tau, order)
+    if not failure:
+        return after, NONE
+    for time in (t, t + 0.5 * tau, t + tau):
+        found = None if force.random else _attempt(force.field, plain, y, time)[1]
+        if found:
+            t, failure = time, found
+            break
+    else:
+        if after is not None and not np.isnan(after).any():  # it overflows
+            return after, NONE
+    return y, (f"{label} {failure} at t = {t:g}", CORRECT)
+
+
+def _of_step(method: Any, plain: Any, y: NDArray[Any], t: float, h: float) -> Cause:
+    """Return the cause if a step of a scheme of the user raises."""
+    if type(method).__module__.startswith("coadjoint."):
+        return NONE
+    after, failure = _attempt(method.step, plain, y, t, h)
+    return (f"the step of {type(method).__name__} {failure} at t = {t:g}", CORRECT) if after is None else NONE
+
+
+def _of_energy(plain: Any, y: NDArray[Any], t: float, h: float) -> Cause:
+    """Return the cause if the Hamiltonian part fails within a step."""
+    positions = getattr(plain, "positions", None)
+    if positions is not None and len(plain.bodies):
+        r = positions(y)
+        for i, j in zip(*np.triu_indices(len(r), 1), strict=True):
+            if np.array_equal(r[i], r[j]):
+                return f"the bodies {i} and {j} are at one place at t = {t:g}", "give them different positions"
+    for time in (t, t + 0.5 * h, t + h):
+        failure = _attempt(plain.hamiltonian.gradient, y, time)[1]
+        if failure:
+            return f"the gradient of the energy of {plain.name} {failure} at t = {time:g}", CORRECT
+    return NONE
+
+
+def _attempt(call: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:
+    """Return a value and "", or what a call raised or gave that is not finite."""
+    try:
+        value = np.asarray(call(*arguments))
+    except Exception as error:  # functions of users raise anything
+        return None, f"raises {type(error).__name__} ({in_one_line(str(error), MOST_TEXT)})"
+    return value, "" if np.isfinite(value).all() else f"gives {short(value.tolist())}"
