@@ -335,9 +335,8 @@ def rates_of(
 ) -> NDArray[np.float64]:
     """Return the largest rates of groups at states (members, n), by default relative to their sizes there."""
     fields = np.array([system.of_member(m).vector_field(x, t) for m, x in enumerate(states)])
-    # Squares of fields may overflow, and those of fields that are not finite must not be taken for numbers.
-    largest = np.abs(fields).max(axis=1, keepdims=True)
-    units = np.where((largest > 0.0) | np.isnan(largest), largest, 1.0)
+    units = np.abs(fields).max(axis=1, keepdims=True)  # squares of fields may overflow
+    units[units == 0.0] = 1.0
     return groups.ratios(fields / units, groups.sizes(states[None]) if sizes is None else sizes) * units[:, 0]
 
 
