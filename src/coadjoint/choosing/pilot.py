@@ -206,8 +206,7 @@ class Pilot:
             found = self._accepted_step(groups, halvings, float(np.max(rates)))
             if found is not None:
                 return found
-        name = self.system.name
-        raise ValueError(f"no step is small enough for {name} at x0: its trial run fails at the first step")
+        raise ValueError(f"no step is small enough for {self.system.name} at x0: a trial run fails at the first step")
 
     def _accepted_step(self, groups: CoordinateGroups | None, halvings: int, rate: float) -> float | None:
         """Return the largest accurate step, by groups or of the whole state, after at most so many halvings."""
