@@ -252,10 +252,7 @@ def export(file: str | None, free_body: bool, library: bool, path: str | None, n
     if file is not None:
         text = _exported_run(file, None if is_table else Path(path or file).stem if name is None else name, tangent)
     else:
-        try:
-            text = free_body_header() if target is None else free_body_header(target.name)
-        except ValueError as reason:
-            raise click.UsageError(f"--out: {reason}") from None
+        text = free_body_header()
     if target is None:
         return click.echo(text, nl=False)
     write_text(text, target, suffixes)

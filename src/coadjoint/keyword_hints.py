@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from coadjoint.errors import nearest, unknown_name
+from coadjoint.rounding import StandardMode, call_in_standard_mode, is_standard_mode
 from coadjoint.short_repr import compact, short
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -137,7 +138,8 @@ def unknown_constructor(name: str, known: list[str]) -> AttributeError:
 
 
 def suggest_keywords(function: Function) -> Function:
-    """Decorate a function, method or class so that calls with wrong arguments raise a TypeError that says what to give.
+    """Decorate a public function, method or class: it computes in the standard floating-point mode, and calls with
+    wrong arguments raise a TypeError that says what to give.
 
     Unknown keywords are answered with the corresponding or nearest known one. A class is decorated in its constructor
     and in its class methods; a class method below ``@classmethod``.
@@ -163,7 +165,9 @@ def suggest_keywords(function: Function) -> Function:
     @functools.wraps(function)
     def wrapped_function(*args: Any, **keywords: Any) -> Any:
         try:
-            return function(*args, **keywords)
+            if is_standard_mode():
+                return function(*args, **keywords)
+            return call_in_standard_mode(function, *args, **keywords)
         except TypeError:
             name = _called_name(function.__name__, args[0]) if is_method and args else function.__name__
             if (error := wrong_arguments(name, signature, args, keywords)) is not None:
@@ -189,7 +193,9 @@ def _decorate_class(kind: type, constructor: bool = True) -> None:
 
 
 class ExplainedCalls(ABCMeta):
-    """Metaclass of schemes and forces, those of users too: wrong arguments of their constructors are explained."""
+    """Metaclass of schemes and forces, those of users too: wrong arguments of their constructors are explained, which
+    compute in the standard floating-point mode.
+    """
 
     if not TYPE_CHECKING:
 
@@ -200,7 +206,10 @@ class ExplainedCalls(ABCMeta):
         def __call__(cls, *args, **keywords):
             """Construct an instance."""
             try:
-                return super().__call__(*args, **keywords)
+                if is_standard_mode():
+                    return super().__call__(*args, **keywords)
+                with StandardMode():
+                    return super().__call__(*args, **keywords)
             except TypeError as error:
                 # Errors of deeper frames are those of the class itself.
                 explained = error.__traceback__.tb_next is None and wrong_arguments(

@@ -7,6 +7,8 @@ from operator import attrgetter
 
 import lazy_loader
 
+from coadjoint.rounding import in_standard_mode
+
 TYPE_CHECKING = False
 
 if TYPE_CHECKING:
@@ -63,7 +65,8 @@ def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], An
 
             elsewhere = unknown_function(name) if package == "coadjoint" else None
             raise elsewhere or unknown_attribute(shown or package, name, names)
-        return resolve(name)
+        # Modules compute constants when they are imported, and their compiled files are kept.
+        return in_standard_mode(resolve)(name)
 
     def __dir__() -> list[str]:
         return sorted(names)

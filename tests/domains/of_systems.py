@@ -89,12 +89,14 @@ def spring_curvatures(r, A):
 PAIR = vector(((1.0, 2.0, 2.5), (1.0, 1.25, 1.5)), positive(), [FULL, (1, 1, 1)], [(2, 2, 0), np.eye(3)]).plus(
     [(1, 1, 1), (0, 0, 0)], outside=((FULL,), ((1, 2, 0), (1, 1, 1)), ((0, 0, 1), (1, 1, 1)), (SKEWED, FULL))
 )
-TWO_MASSES = vector((1.0, 0.5), positive(least=1e-30, most=1e30))
+# Physical numbers, of the range of float64.
+SIZE = positive().plus(1e-60, 1e60, outside=(1e-310, 1e308))
+TWO_MASSES = vector((1.0, 0.5), SIZE)
 
 # By the name of the parameter, where systems share it.
 SHARED = {
     "inertias": PAIR,
-    "G": positive(least=1e-30, most=1e30),
+    "G": SIZE,
     "N": whole(2, 4096, usual=5, tried=6),
     "surface": choice("sphere", "torus"),
     "inertia": INERTIA,
@@ -139,9 +141,9 @@ OWN = {
         "pair": POTENTIAL.plus((2.0, 0, 1, 0, 0.25), outside=(ODD, (0.0, 1.0), (0.0, 0.0, 0.5, 0.25))),
     },
     "double_spherical_pendulum": {
-        "masses": vector((1.0, 0.5), positive(least=1e-30, most=1e30), (1e-30, 1), (1, 1e30)),
-        "lengths": vector((1.0, 0.5), positive(least=1e-30, most=1e30), (0.001, 1), (1, 1000.0)),
-        "gravity": not_negative().plus(1e-30, 1e30, outside=(1.1e30, -0.5)),
+        "masses": vector((1.0, 0.5), SIZE, (1e-30, 1), (1, 1e30)),
+        "lengths": vector((1.0, 0.5), SIZE, (0.001, 1), (1, 1000.0)),
+        "gravity": not_negative().plus(1e-60, 1e60, outside=(1e308, -0.5)),
     },
     "fluid_triad": {
         "first": vector((1.0, 0.0), real(), (-1, 3)).plus(outside=(PARALLEL, (0.5, 1.5), (1e200, 0.0))),
@@ -176,21 +178,21 @@ OWN = {
         "lj": vector([[0.6, 0.3], [0.0, 0.0], [0.0, 0.0]], not_negative()),
         "masses": vector((16.0, 1.0, 1.0), not_negative(), (1, 1, 2)).plus(outside=((0, 0, 0), (0, 16, 0))),
         "count": whole(1, 10**5, usual=2, tried=3),
-        "box": optional(vector((1.5, 2.0, 1.0), positive(least=1e-30, most=1e30), 1.25, number=True)).first(
+        "box": optional(vector((1.5, 2.0, 1.0), SIZE, 1.25, number=True)).first(
             None, 1.25, (1.5, 2.0, 1.0)
         ).plus(outside=(0.9,)),
-        "cutoff": optional(positive(0.5, 1e-30, 1e30)),
-        "switch_from": optional(positive(0.4, 1e-30)).first(None, 0.4, 1e-30).plus(outside=(0.5, 0.75)),
+        "cutoff": optional(SIZE),
+        "switch_from": optional(positive(0.4)).first(None, 0.4, 1e-30).plus(outside=(0.5, 0.75)),
         "dielectric": positive(1.0, 1.0).plus(80.0),
         "mixing": choice("lorentz-berthelot", "geometric"),
-        "coulomb": positive(138.9, 1e-30, 1e30),
+        "coulomb": SIZE,
     },
     "satellite": {
         "inertia": INERTIA.plus((0.001,) * 3),
         "mass": positive(100.0),
     },
     "satellite_on_orbit": {
-        "mean_motion": positive(least=1e-30, most=1e30),
+        "mean_motion": SIZE,
         "eccentricity": not_negative(0.0).plus(0.5, outside=(1.0, 1.5)),
     },
     "separable_cosh": {

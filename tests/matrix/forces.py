@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import coadjoint as co
+from coadjoint.systems.coordinates import momenta_of
 
 from . import functions
 
@@ -47,6 +48,8 @@ def force_text(name: str, system: Any) -> str:
     parameters = inspect.signature(getattr(co.forces, name)).parameters.values()
     given = [p.name for p in parameters if p.default is p.empty or p.name in GIVEN_ANYWAY]
     values = VALUES | ({"torque": OF_MATRICES} if system.has_matrices else {})
+    if not system.has_matrices and (momenta := momenta_of(system)) is not None:
+        values["torque"] += f" * np.array({momenta.astype(int).tolist()})"
     return f"co.forces.{name}({', '.join(f'{key}={values[key].format(system)}' for key in given)})"
 
 

@@ -56,8 +56,11 @@ def free_body(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     -----
     Results have the precision of the arguments, float32 also without ``jax_enable_x64``. The motion is x' = x cross w
     and A' = A hat(w), with w = inertia^-1 x. A step is computed in pieces: the largest difference of inverse moments,
-    times the length of x and the time, over 0.15 (float32: 0.4). Beyond 65536 pieces, and for numbers that are not
-    finite, the results are NaN. Derivatives are computed forward; those at rest are exact up to the second.
+    times the length of x and the time, over 0.15 (float32: 0.4). If that is more than 64, these are pieces of one
+    period of the momentum and of the rest; of a thin body on other than principal axes up to 65536 pieces. Beyond 2^30
+    radians (float32: 2^20) of the motion of the momentum, and for numbers that are not finite, the results are NaN. An
+    attitude whose rows have lengths from 0.8 to 1.2 is made orthonormal. Derivatives are computed forward; those at
+    rest are exact up to the second.
 
     See Also
     --------

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import jax
@@ -26,8 +27,16 @@ from jax.custom_derivatives import SymbolicZero
 from coadjoint.jax.primitives import unrounded
 from coadjoint.jax.stage_steps import sparse
 
-# The largest number of pieces of a motion; a longer one would not resolve it.
-MOST_PIECES = 65536
+# The largest number of pieces of a motion that is not divided by its period; and of one of a thin body on other than
+# principal axes, whose E has lost more than `MOST_LOST`: the square of the spread of moments times |z|, over E.
+MOST_PIECES, MOST_OF_THIN = 64, 65536
+MOST_LOST = 2.0**10
+# The largest motion of the momentum, in radians, and the least separation of the two largest eigenvalues of E, over the
+# largest one, with which the period is resolved.
+LARGEST_ANGLE = {np.dtype(np.float64): 2.0**30, np.dtype(np.float32): 2.0**20}
+LEAST_GAP = 2.0**-60
+# Newton steps by which an attitude is made orthonormal: enough for lengths from 0.8 to 1.2.
+CORRECTIONS = 5
 Vector = tuple[Any, ...]
 """Vectors, quaternions, and symmetric tensors: the entries of `PAIRS`, or of a diagonal one the first three."""
 
@@ -81,12 +90,12 @@ def step(x: Any, A: Any, inertia: Any, h: Any) -> Any:
     if A is None:
         return x
     rows = [_plus(row, _turned(r, row)) for row in A]
-    # Make it orthonormal: A - (A A^T - 1) A/2.
-    wrong = [[0.5 * (dot(u, v) - (i == j)) for j, v in enumerate(rows)] for i, u in enumerate(rows)]
-    columns = list(zip(*rows, strict=True))
-    return x, jnp.array(
-        [[a - dot(w, c) for a, c in zip(u, columns, strict=True)] for u, w in zip(rows, wrong, strict=True)]
-    )
+    product = partial(jnp.matmul, precision="highest")
+
+    def corrected(_: Any, A: Any) -> Any:
+        return A - 0.5 * product(A, product(A.T, A) - jnp.eye(3, dtype=A.dtype))
+
+    return x, lax.fori_loop(0, CORRECTIONS, corrected, jnp.array(rows))
 
 
 _compiled_step = jax.jit(step)
@@ -137,25 +146,111 @@ def differentiated_forward(function: Callable[..., Any]) -> Callable[..., Any]:
 
 @differentiated_forward
 def _motion(momentum: Any, m: Any) -> Any:
-    """Return momentum and quaternion, (7,); NaN for more than `MOST_PIECES` pieces."""
+    """Return momentum and quaternion, (7,); NaN beyond `LARGEST_ANGLE`."""
     z, M = tuple(momentum), tuple(m)
     mean = (M[0] + M[1] + M[2]) / 3
     N = (*(entry - mean for entry in M[:3]), *M[3:])
     # At least the spread of the moments, and at most 1.2 times that.
     spread = jnp.sqrt(2 * (dot(N[:3], N[:3]) + 2 * dot(N[3:], N[3:])))
-    reach = lax.stop_gradient(spread * jnp.sqrt(dot(z, z))) / QUADRATURES[momentum.dtype][0]
-    count = jnp.clip(jnp.ceil(reach), 1.0, MOST_PIECES)
-    short = tuple(entry / count for entry in N), mean / count
-
-    def piece(state: Any) -> Any:
-        k, z, total = state
-        z, r = _piece(*short, z)
-        return k + 1.0, z, after(total, r)
-
+    if len(M) == 3:  # the part without trace would lose small differences and moments of thin bodies
+        N, mean = M, 0.0 * mean
+    piece, most = QUADRATURES[momentum.dtype][0], LARGEST_ANGLE[momentum.dtype]
+    reach = lax.stop_gradient(spread * jnp.sqrt(dot(z, z)))
+    E, *_ = _of_motion(N, z)
+    size = lax.stop_gradient(dot(E[:3], E[:3]) + 2 * dot(E[3:], E[3:]))
+    is_long = reach > MOST_PIECES * piece
+    if len(M) > 3:
+        is_long &= reach**2 <= MOST_LOST * jnp.sqrt(size)
+        most = jnp.where(is_long, most, MOST_OF_THIN * piece)
     one = jnp.ones_like(reach)
-    start = 0.0 * one, z, (one, 0.0 * one, 0.0 * one, 0.0 * one)
-    _, z, total = lax.while_loop(lambda state: state[0] < count, piece, start)
-    return jnp.where(reach <= MOST_PIECES, jnp.stack([*z, *total]), jnp.nan)
+    speed, period = _period(E, is_long)
+    turns = lax.stop_gradient(jnp.where(speed > MOST_PIECES * piece, jnp.floor(1 / period + 0.5), 0.0))
+    reach = jnp.where(is_long, speed, reach) / piece
+
+    rest = jnp.where(turns > 0.0, 1.0 - turns * period, 1.0)
+    needed = jnp.ceil(lax.stop_gradient(reach * jnp.stack([period, jnp.abs(rest)])))
+    counts = jnp.where(jnp.stack([turns, one]) > 0.0, jnp.maximum(1.0, needed), 0.0)
+
+    def pieces(_: Any, time_and_count: Any) -> Any:
+        time, count = time_and_count
+        *short, part = (entry * time / jnp.maximum(count, 1.0) for entry in (*N, mean))
+
+        def next_piece(state: Any) -> Any:
+            k, z, total = state
+            z, r = _piece(tuple(short), part, z)
+            return k + 1.0, z, after(total, r)
+
+        start = 0.0 * one, z, (one, 0.0 * one, 0.0 * one, 0.0 * one)
+        return None, lax.while_loop(lambda state: state[0] < count, next_piece, start)[1:]
+
+    # The period and the rest, both from the start, in one loop, which is compiled once.
+    _, (ends, totals) = lax.scan(pieces, None, (jnp.stack([period, rest]), counts))
+    whole, *vector = (entry[0] for entry in totals)
+    # Over whole periods the body rotates about its momentum: a power of a unit complex number, by squares.
+    length = jnp.sqrt(jnp.where(is_long, dot(z, z), one))
+    along = dot(vector, z) / length
+    size = jnp.sqrt(whole * whole + along * along)
+
+    def squared_number(state: Any) -> Any:
+        left, cosine, sine, whole, about = state
+        odd = left % 2.0 == 1.0
+        product = whole * cosine - about * sine, whole * sine + about * cosine
+        square, twice = cosine * cosine - sine * sine, 2 * cosine * sine
+        by = 1.5 - 0.5 * (square * square + twice * twice)
+        chosen = (jnp.where(odd, a, b) for a, b in zip(product, (whole, about), strict=True))
+        return jnp.floor(left / 2.0), square * by, twice * by, *chosen
+
+    power = turns, whole / size, along / size, one, 0.0 * one
+    *_, whole, about = lax.while_loop(lambda state: state[0] > 0.0, squared_number, power)
+    total = after((whole, *(about * entry / length for entry in z)), tuple(entry[1] for entry in totals))
+    return jnp.where(reach * piece <= most, jnp.stack([*(entry[1] for entry in ends), *total]), jnp.nan)
+
+
+def _of_motion(N: Vector, z: Vector) -> tuple[Vector, Any, Vector]:
+    """Return E, p and z cross N z, for a tensor without trace, or from the differences of principal moments."""
+    if len(N) == 3:
+        a = tuple(N[i - 1] - N[i - 2] for i in range(3))
+        own = tuple((a[i - 2] * z[i]) * (a[i - 1] * z[i]) for i in range(3))
+        p = (own[0] + own[1] + own[2]) / 3
+        return tuple(p - entry for entry in own), p, tuple(a[i] * (z[i - 2] * z[i - 1]) for i in range(3))
+    w, length2, NN = times(N, z), dot(z, z), squared(N)
+    energy, half = dot(w, z), 0.5 * (NN[0] + NN[1] + NN[2])
+    E = tuple(energy * n + length2 * nn for n, nn in zip(N, NN, strict=True))
+    E = (*(entry - 2 / 3 * half * length2 for entry in E[:3]), *E[3:])
+    return E, (length2 * half - 3 * dot(w, w)) / 3, cross(z, w)
+
+
+def _period(E: Vector, is_long: Any) -> tuple[Any, Any]:
+    """Return the largest rate of the momentum, and its period, for motions that are long; 1 for others."""
+    # e1 >= e2 >= e3 are the roots of x^3 - q x - d. The period, 2 pi over the arithmetic-geometric mean of the roots of
+    # e1 - e3 and e1 - e2, depends on e1 alone, which has derivatives where e2 = e3, for symmetric bodies.
+    q = (dot(E[:3], E[:3]) + 2 * dot(E[3:], E[3:])) / 2
+    d = dot(row(E, 0), cross(row(E, 1), row(E, 2)))
+    moving = is_long & (q > 0.0)
+    q, d = jnp.where(moving, q, 3.0), jnp.where(moving, d, 2.0)
+    radius = lax.stop_gradient(jnp.sqrt(q / 3))
+    angle = jnp.arccos(jnp.clip(lax.stop_gradient(d) / (2 * radius**3), -1.0, 1.0))
+    e = 2 * radius * jnp.cos(angle / 3) * (1 + 2.0**-20)  # from above
+
+    def newton(e: Any, q: Any, d: Any) -> Any:
+        slope = 3 * e * e - q
+        gap = LEAST_GAP * radius * radius
+        return e - jnp.where(slope > gap, (e * e * e - q * e - d) / jnp.where(slope > gap, slope, 1.0), 0.0)
+
+    e = lax.fori_loop(0, 40, lambda _, e: newton(e, lax.stop_gradient(q), lax.stop_gradient(d)), e)
+    e = lax.fori_loop(0, 3, lambda _, e: newton(e, q, d), e)  # for derivatives of up to seventh order
+    product = 3 * e * e - q
+    resolved = product > LEAST_GAP * radius * radius
+    root = jnp.sqrt(jnp.where(resolved, product, LEAST_GAP * radius * radius))
+    mean = 0.5 * jnp.sqrt(3 * e + 2 * root)
+    other = jnp.sqrt(root)
+    means = lax.fori_loop(0, 8, lambda _, two: (0.5 * (two[0] + two[1]), jnp.sqrt(two[0] * two[1])), (mean, other))
+    mean = means[0]
+    speed = jnp.sqrt(2 * jnp.sqrt(lax.stop_gradient(q)))  # at least the root of e1 - e3
+    period = 2 * np.pi / mean
+    # Beside the separatrix the period has no derivative that is resolved.
+    period = jnp.where(resolved, period, lax.stop_gradient(period) + 0.0 * jnp.sqrt(0.0 * q))
+    return jnp.where(moving, speed, 0.0), period
 
 
 def _piece(N: Vector, mean: Any, momentum: Vector) -> tuple[Vector, Vector]:
@@ -164,11 +259,8 @@ def _piece(N: Vector, mean: Any, momentum: Vector) -> tuple[Vector, Vector]:
     at_rest = (momentum[0] == 0.0) & (momentum[1] == 0.0) & (momentum[2] == 0.0)
     # The rotation divides by the momentum; at rest the series up to second order has the derivatives.
     z = tuple(jnp.where(at_rest, 1.0, entry) for entry in momentum)
-    w, length2, NN = times(N, z), dot(z, z), squared(N)
-    energy, v, half = dot(w, z), cross(z, w), 0.5 * (NN[0] + NN[1] + NN[2])
-    E = tuple(energy * n + length2 * nn for n, nn in zip(N, NN, strict=True))
-    E = (*(entry - 2 / 3 * half * length2 for entry in E[:3]), *E[3:])
-    p = (length2 * half - 3 * dot(w, w)) / 3
+    w, length2, (E, p, v) = times(N, z), dot(z, z), _of_motion(N, z)
+    energy = dot(w, z)
     c0 = (dot(E[:3], E[:3]) + 2 * dot(E[3:], E[3:])) / 10
     determinant = dot(row(E, 0), cross(row(E, 1), row(E, 2)))
     c1 = determinant / 7

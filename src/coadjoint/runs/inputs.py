@@ -22,7 +22,7 @@ from coadjoint.runs.loops.loops import Loops, loops_of_system
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.coefficients import check_linear, linear_of, with_linear
-from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.coordinates import check_moved, coordinate_names, momenta_of
 from coadjoint.systems.forces.torque import is_on_bodies, places_of_torques, torque_vector
 from coadjoint.systems.system import System
 from coadjoint.validation import are_finite, read_numbers, to_array
@@ -46,6 +46,7 @@ RESERVED_NAMES = frozenset(
         "progress",
         "directions",
         "reverse",
+        "fixed",
         "self",
     )
 )
@@ -75,7 +76,7 @@ class Inputs:
         named = specification if isinstance(specification, Mapping) else {"linear": specification}
         if not named:
             raise ValueError("inputs is empty; give True, coordinates, or a mapping from names to coordinates")
-        torques = {name for name, target in named.items() if isinstance(target, str)}
+        torques = self._named_torques = {name for name, target in named.items() if isinstance(target, str)}
         self._linear = np.zeros(0)
         if len(torques) < len(named):
             check_linear(self._unforced)
@@ -183,12 +184,16 @@ class Inputs:
         return values
 
     def _numbers(self, value: Any, name: str) -> Floats:
-        """Return the numbers of an input; those of coordinates may be labelled by their names."""
+        """Return the numbers of an input, of coordinates perhaps labelled by their names; torques act on momenta."""
         if labelled(value) is not None and self.indices[name].ndim == 1:
             names = coordinate_names(self.system)
             order = {"component": [names[k % self.system.dim] for k in self.indices[name].tolist()], **MEMBERS}
             value = by_labels(value, name, STATE_DIMENSIONS[0], order)
-        return read_numbers(value, name)
+        numbers, momenta = read_numbers(value, name), momenta_of(self._unforced)
+        if name in self._named_torques and momenta is not None and numbers.shape[-1:] == momenta.shape:
+            moved = (numbers != 0.0).reshape(-1, len(momenta)).any(axis=0)
+            check_moved(name, self._unforced, moved & ~momenta)
+        return numbers
 
     def _shape_error(self, name: str, shape: tuple[int, ...], members: int | None) -> ValueError:
         expected = self.indices[name].shape
@@ -272,7 +277,7 @@ class Inputs:
             return system
         for k, indices in self._torques.items():
             forces[k] = replace(forces[k], torque=values[indices])
-        return system.with_forces(*forces)
+        return system._with_acting(forces)
 
     def system_of(self, values: Floats) -> Any:
         """Return the system of a call, or a batch with one system for each member."""

@@ -16,6 +16,7 @@ from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.registry import default_scheme, read_method
+from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.crossings import WatchedEvents
 from coadjoint.runs.events import Event
 from coadjoint.runs.inputs import Inputs
@@ -96,6 +97,7 @@ class _Cache:
 class Preparation(Immutable):
     """A system, a scheme and a step with everything that does not depend on the initial state; immutable."""
 
+    @in_standard_mode
     def __init__(
         self,
         system: System | Batch,

@@ -158,9 +158,10 @@ class PreparedRun(Preparation):
         t_eval: Any = None,
         attitude: Any = None,
         events: Any = None,
+        fixed: str = "momentum",
         **inputs: Any,
     ) -> tuple[Solution, Tangents]:
-        """Integrate, with the derivatives of the run along directions (forward mode).
+        """Integrate, with the derivatives of the run along directions (forward mode), by parameters at fixed x0.
 
         Use it for few directions, for instance for the Jacobian of a fit with few parameters; for the gradient of one
         number by many parameters use `vjp`. The derivatives are those of the computed steps, exact to round-off.
@@ -173,6 +174,10 @@ class PreparedRun(Preparation):
             Directions by name: of the initial state ("x0"), of the initial attitude ("attitude0"), or of a name in
             `parameters`; and "inputs", a mapping from names of inputs to their directions. Each has the shape of what
             it changes, or all of them have one more axis of k directions.
+        fixed : {"momentum", "velocity"}
+            What a change of parameters such as masses leaves as it is in the initial state of bodies: its momenta, that
+            is x0, or the velocities, as of ``system.state(velocities)``. Then ``tangents.x[0]`` is the derivative of
+            that state.
         **inputs : array_like
             Inputs of this run, as in `run`.
 
@@ -217,7 +222,7 @@ class PreparedRun(Preparation):
         ((5, 3), (5, 3, 3), {'inertia': 'exact'})
         """
         given: dict[str, Any] = {"x0": x0, "t_span": t_span, "save_every": save_every, "t_eval": t_eval}
-        given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs}
+        given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs, "fixed": fixed}
         found: tuple[Solution, Tangents] = shortcut("jvp")(self, directions, **given)
         return found
 
@@ -232,9 +237,10 @@ class PreparedRun(Preparation):
         attitude: Any = None,
         reverse: str = "exact",
         events: Any = None,
+        fixed: str = "momentum",
         **inputs: Any,
     ) -> tuple[Solution, Pullback]:
-        """Integrate, and return a function for gradients by the initial state and all parameters (reverse mode).
+        """Integrate, and return a function for gradients by x0 and, at fixed x0, all parameters (reverse mode).
 
         The steps are differentiated backward, from checkpoints between which they are repeated. A gradient costs a few
         times as much as the run, for any number of parameters, and little memory for any number of steps.
@@ -247,6 +253,8 @@ class PreparedRun(Preparation):
             "exact": the steps are repeated from stored states, so that the derivatives are exact to round-off.
             "reversible": the steps are undone from the last state, in constant memory and less time. The states then
             differ by the round-off that has grown on the way back; for splittings and other schemes of exact flows.
+        fixed : {"momentum", "velocity"}
+            As in `jvp`: what a change of parameters leaves as it is in x0.
         **inputs : array_like
             Inputs of this run, as in `run`.
 
@@ -285,7 +293,7 @@ class PreparedRun(Preparation):
         ((3,), (3,))
         """
         given: dict[str, Any] = {"x0": x0, "t_span": t_span, "save_every": save_every, "t_eval": t_eval}
-        given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs}
+        given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs, "fixed": fixed}
         found: tuple[Solution, Pullback] = shortcut("vjp")(self, reverse, **given)
         return found
 

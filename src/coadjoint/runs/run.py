@@ -322,7 +322,7 @@ def first_point_not_finite(series: Any) -> int | None:
 
 @contextmanager
 def rounding(direction: int) -> Iterator[None]:
-    """Let this thread round up (1) or down (-1) in the block."""
+    """Let the loops that this thread calls round up (1) or down (-1)."""
     if kernels().set_rounding(ctypes.c_int64(direction)):
         raise RuntimeError("this processor rounds to nearest only")
     try:

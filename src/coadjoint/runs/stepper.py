@@ -15,6 +15,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
+from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun
 from coadjoint.runs.derivatives.run_tables import INPUTS, StepTangents, compiled_tangents, step_tangents
 from coadjoint.runs.prepared_run import PreparedRun
@@ -64,6 +65,7 @@ class Stepper(Immutable):
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
 
+    @in_standard_mode
     def _prepared_with(self, attitude: bool | str) -> PreparedRun:
         prepared = self._prepared.get(attitude)
         if prepared is None:
@@ -71,6 +73,7 @@ class Stepper(Immutable):
             prepared = self._prepared[attitude] = PreparedRun(self.system, self.method, abs(self.h), **options)
         return prepared
 
+    @in_standard_mode
     def _advance(self, x: Any, t: float, attitude: bool | str, initial: Any, inputs: Mapping[str, Any]) -> Solution:
         prepared = self._prepared_with(attitude)
         values = prepared.values_of(inputs, x)

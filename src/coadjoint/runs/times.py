@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.rounding import UNIT_ROUNDOFF, in_standard_mode
 from coadjoint.short_repr import distinct, short
 from coadjoint.validation import are_finite, read_integer, read_number, read_numbers
 
@@ -51,6 +51,7 @@ class Times(NamedTuple):
     max_points: int | None = None
 
     @property
+    @in_standard_mode
     def end(self) -> float:
         """Time after the last step."""
         return self.t0 + self.steps * self.h
@@ -110,6 +111,7 @@ class Times(NamedTuple):
         return self._replace(passed=passed)
 
     @property
+    @in_standard_mode
     def saved_times(self) -> NDArray[np.float64]:
         """Times of the saved points."""
         return self.at(self.saved) if self.between is None else self.between

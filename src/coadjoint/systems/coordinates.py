@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,6 +23,8 @@ from coadjoint.validation import read_choice, read_finite
 
 Function = TypeVar("Function")
 
+KINDS = ("momentum", "axis", "direction", "position", "angle", "constant", "memory", "carried field")
+"""Kinds of coordinates; forces act on momenta unless they say otherwise."""
 SPREAD = 256.0  # ratio of sizes of groups of coordinates from which each has its own unit
 
 
@@ -75,6 +78,79 @@ def in_coordinates_of(system: Any, function: Function) -> Function:
 def all_in_coordinates_of(system: Any, functions: Mapping[str, Any]) -> dict[str, Any]:
     """Return functions of the state by name, see `in_coordinates_of`."""
     return {name: in_coordinates_of(system, function) for name, function in functions.items()}
+
+
+@lru_cache(maxsize=64)
+def kinds_of(system: Any) -> NDArray[np.str_] | None:
+    """Return the kind of each coordinate, (dim,), by the layout of the system; None if all are momenta."""
+    system = system.unforced
+    if len(getattr(system, "matrix_shape", ())) == 3:
+        # Two fields: the one that the flow carries, and the vorticity.
+        return np.repeat(["carried field", "momentum"], system.dim // 2)
+    declared = system.layout.get("coordinates")
+    if not declared:
+        return None
+    names = coordinate_names(system)
+    return np.array([declared.get(one, declared.get(numberless(one), ("momentum",)))[0] for one in names])
+
+
+def momenta_of(system: Any) -> NDArray[np.bool_] | None:
+    """Return which coordinates are momenta, (dim,); None if all are."""
+    kinds = kinds_of(system)
+    return None if kinds is None else kinds == "momentum"
+
+
+def numberless(name: str) -> str:
+    """Return the name of a coordinate up to its first number: gamma of gamma3, L of L2[5]."""
+    return re.split(r"[\d\[]", name, maxsplit=1)[0]
+
+
+def rest_of(system: Any) -> NDArray[np.float64] | None:
+    """Return the state of matrices at rest in the frame; None if it is zero, and for states that are vectors."""
+    absolute = getattr(system, "absolute", None)
+    rest = None if absolute is None else np.asarray(absolute(np.zeros(system.algebra.shape)))
+    return None if rest is None or not rest.any() else np.asarray(system.to_vector(rest))
+
+
+def check_moved(what: str, system: Any, moved: NDArray[np.bool_]) -> None:
+    """Raise ValueError if any coordinate is moved that a force may not change."""
+    if not moved.any():
+        return
+    names, kinds = coordinate_names(system), kinds_of(system)
+    assert kinds is not None
+    momenta = [name for name, kind in zip(names, kinds, strict=True) if kind == "momentum"]
+    first = int(np.argmax(moved))
+    raise ValueError(
+        f"{what} changes {names[first]} of {system.name}, a coordinate of the kind {kinds[first]}; forces act on "
+        f"momenta ({', '.join(momenta[:3])}{', ...' if len(momenta) > 3 else ''}), so let it be zero for the others"
+    )
+
+
+@lru_cache(maxsize=16)
+def moving_others(system: Any) -> NDArray[np.bool_] | None:
+    """Return the coordinates whose brackets change others than momenta, (n,); None if all are momenta."""
+    momenta = momenta_of(system)
+    if momenta is None:
+        return None
+    moving, (i, j, _, _) = np.zeros(system.dim, dtype=bool), system.algebra.triples
+    moving[j[~momenta[i]]] = moving[i[~momenta[j]]] = True
+    for k, inertia in enumerate(getattr(system, "inertias", ())):
+        if not inertia.tensor.any():  # of points, which do not turn
+            moving[turned_by_bracket(system, k)] = True
+    return moving
+
+
+def turned_by_bracket(system: Any, body: int) -> slice:
+    """Return the coordinates with which the bracket turns a body: its axes, or without them its momentum."""
+    return slice(12 * body + 3, 12 * (body + 1)) if system.has_attitude else slice(0, 3)
+
+
+def moved_by(system: Any, used: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the coordinates other than momenta that brackets with these coordinates change."""
+    momenta: Any = momenta_of(system)
+    moved, (i, j, _, _) = np.zeros(system.dim, dtype=bool), system.algebra.triples
+    moved[i[used[j]]] = moved[j[used[i]]] = True
+    return np.asarray(moved & ~momenta)
 
 
 class CoordinateGroups:

@@ -8,8 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coefficients import EnergyCoefficients, Key, Monomials, decoded
+from coadjoint.systems.coordinates import momenta_of
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
 from coadjoint.systems.parameter_differences import sizes_of_entries
@@ -207,6 +209,55 @@ class EnergyDerivative(NamedTuple):
         for function in self.functions:
             total[function.entries] += np.array([function.value(y) for y in flat[:, function.coordinates]]).T
         return total.T.reshape(*x.shape[:-1], self.size)
+
+
+RANK = 2.0**-32  # of an eigenvalue of the scaled inverse mass, relative to the largest: below it there is no motion
+
+
+class FixedVelocity(NamedTuple):
+    """How momenta follow parameters at fixed velocities, the derivatives of the energy by momenta."""
+
+    momenta: Integers
+    inverse: Floats
+    state: Floats
+
+    @classmethod
+    def at(cls, system: Any, x: Floats, t: float) -> FixedVelocity:
+        """Return it at a state (n,); raise TypeError for a system whose coordinates are no momenta of bodies."""
+        system = system.unforced
+        mask = momenta_of(system)
+        if system.has_matrices or (mask is None and not hasattr(system, "angular_velocity")):
+            raise TypeError(
+                f'fixed is "velocity", and the coordinates of {system.name} are no momenta of bodies; take "momentum"'
+            )
+        momenta = np.flatnonzero(np.ones(len(x), dtype=bool) if mask is None else mask)
+        # The rate of a frame that turns is in the energy, and not in the angular velocity.
+        state = x if system.frame_rate is None or mask is None else np.where(mask, x, 0.0)
+        check_available_memory(16.0 * len(x) * len(momenta), "the velocities for unit momenta")
+        points = np.tile(state, (len(momenta) + 1, 1))
+        points[:, momenta] = 0.0
+        points[range(len(momenta)), momenta] = 1.0
+        velocities = gradients_at(system, points[None], np.array([t]))[0][:, momenta]
+        M = velocities[:-1] - velocities[-1]
+        sizes = np.sqrt(np.abs(np.diagonal(M)))
+        scale = np.where(sizes > 0.0, 1.0 / np.where(sizes > 0.0, sizes, 1.0), 0.0)
+        scaled = np.linalg.pinv(scale[:, None] * M * scale, rcond=RANK, hermitian=True)
+        return cls(momenta, scale[:, None] * scaled * scale, state)
+
+    def along(self, energy: EnergyDerivative, directions: Floats) -> Floats:
+        """Return the directions (k, n) of the state for those of a parameter, (k, size)."""
+        rows = np.zeros((len(self.momenta), len(self.state)))
+        rows[range(len(rows)), self.momenta] = 1.0
+        changes = np.array([energy.along(self.state, row) for row in rows]).reshape(len(rows), energy.size)
+        found = np.zeros((len(directions), len(self.state)))
+        found[:, self.momenta] = -directions @ changes.T @ self.inverse
+        return found
+
+    def pull(self, energy: EnergyDerivative, of_x: Floats) -> Floats:
+        """Return the cotangents of a parameter, (size,), for those of the state, (n,)."""
+        w = np.zeros(len(self.state))
+        w[self.momenta] = -self.inverse @ of_x[self.momenta]
+        return energy.along(self.state, w)
 
 
 # Binary exponents of the imaginary parts, relative to the entries, and the least one. Their squares are no rounding.

@@ -14,14 +14,17 @@ import numpy.typing as npt
 
 from coadjoint.algebra.exact.numbers import exact_number, exact_numbers
 from coadjoint.labels import labelled
+from coadjoint.rounding import in_standard_mode
 from coadjoint.validation import REAL_KINDS, read_numbers, to_array
 
 MethodT = TypeVar("MethodT", bound=Callable[..., Any])
 
 
 def ignore_overflow(method: MethodT) -> MethodT:
-    """Decorate a method to return infinity or NaN without a warning on overflow of float64."""
-    quiet = np.errstate(over="ignore", invalid="ignore", divide="ignore")(method)
+    """Decorate a method to compute in the standard floating-point mode, where the overflow of float64 gives infinity or
+    NaN without a warning.
+    """
+    quiet = in_standard_mode(np.errstate(over="ignore", invalid="ignore", divide="ignore")(method))
 
     @functools.wraps(method)
     def evaluated(*args: Any, **kwargs: Any) -> Any:

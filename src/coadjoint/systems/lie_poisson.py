@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -17,7 +17,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
-from coadjoint.systems.coordinates import all_in_coordinates_of, in_coordinates_of, names_for
+from coadjoint.systems.coordinates import all_in_coordinates_of, coordinate_names, in_coordinates_of, names_for
 from coadjoint.systems.evaluation import ProductSums, scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -107,7 +107,10 @@ class LiePoissonSystem(System):
         Further constants of motion for this Hamiltonian: name to `Polynomial`, `Quadratic`, `Invariant` or function
         of x. ``observe=system.integrals`` records them in a run.
     layout : mapping, optional
-        Arrangement of sites in pictures: ``"lattice"`` and ``"shape"``, as for `spin_lattice`. It does not affect runs.
+        Arrangement of sites in pictures, ``"lattice"`` and ``"shape"``, as for `spin_lattice`; and under
+        ``"coordinates"`` what coordinates are, by their names or these without numbers: ``{"r": "position"}``, or with
+        a unit ``{"r": ("position", "m")}``. Kinds are momentum (the default), axis, direction, position, angle,
+        constant and memory. Forces act on momenta only.
 
     Attributes
     ----------
@@ -188,7 +191,7 @@ class LiePoissonSystem(System):
             hamiltonian=in_coordinates_of(self, self.hamiltonian),
             _parameters=read_parameters(parameters),
             closed_form=read_closed_form(exact),
-            _layout=read_layout(layout),
+            _layout=read_layout(layout, partial(coordinate_names, self)),
         )
 
     @property
@@ -213,7 +216,7 @@ class LiePoissonSystem(System):
 
     @property
     def layout(self) -> dict[str, Any]:
-        """Lattice and shape of sites, for pictures (a copy); empty if not given."""
+        """Lattice and shape of sites, and kinds and units of coordinates (a copy); empty if not given."""
         return dict(self._layout)
 
     @cached_if_small

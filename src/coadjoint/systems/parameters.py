@@ -103,7 +103,7 @@ def with_force_values(system: System, plain: Any, values: Mapping[str, Floats]) 
     for name, value in values.items():
         position: Any = known[name].position
         forces[position] = with_value(forces[position], known[name].field, value)
-    return plain.with_forces(*forces)
+    return plain._with_acting(forces)
 
 
 def real_numbers(given: Any) -> Floats | None:

@@ -17,6 +17,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
+from coadjoint.validation import set_fields
 
 Builder = TypeVar("Builder", bound=Callable[..., Any])
 
@@ -56,6 +57,7 @@ def ready_made(
     potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
     unit: str = "",
+    coordinates: Mapping[str, tuple[str, str]] | None = None,
 ) -> Callable[[Builder], Builder]: ...
 
 
@@ -68,6 +70,7 @@ def ready_made(
     potential: Callable[..., FunctionOfConstants] | None = None,
     symmetric: tuple[str, ...] = (),
     unit: str = "",
+    coordinates: Mapping[str, tuple[str, str]] | None = None,
 ) -> Any:
     """Register a function that makes a system without forces, under its own name.
 
@@ -91,6 +94,9 @@ def ready_made(
     unit : str, optional
         A Casimir that is a coordinate and must be 1 in every initial state, such as the central one beside canonical
         pairs.
+    coordinates : mapping, optional
+        Kind and unit of coordinates, by their names without numbers, see ``layout`` of `LiePoissonSystem`; by default
+        all are momenta.
 
     Returns
     -------
@@ -116,6 +122,8 @@ def ready_made(
                     f"{builder.__name__} has forces, and its parameters would not make it again; return the "
                     "Hamiltonian part, to which users add forces by with_forces"
                 )
+            if coordinates:
+                set_fields(system, _layout=system.layout | {"coordinates": dict(coordinates)})
             return system
 
         wrapped = suggest_keywords(hamiltonian)

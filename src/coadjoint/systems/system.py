@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal, Self
@@ -11,6 +11,7 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.rounding import in_standard_mode
 from coadjoint.systems.closed_forms.closed_form import require_closed_form
 from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.evaluation import ignore_overflow, read_point, vectorized_over_states
@@ -47,11 +48,9 @@ class System:
         Function of x that returns J(x), (n, n), and one that returns ``d J_ij / d x_k``, (n, n, n), which exact
         tangents need. Compiled by Numba; None by default.
     layout : mapping
-        Lattice and shape of sites, for pictures; empty by default.
-    forces : tuple of Force
-        Damping, torques and noise, given by `with_forces`; mostly empty.
-    labels : tuple of str
-        Labels of the forces, numbered from the second of a type on.
+        Lattice and shape of sites, for pictures; under ``"coordinates"`` kinds and units, see `LiePoissonSystem`.
+    forces, labels : tuple
+        Damping, torques and noise, given by `with_forces`, and their labels, numbered from the second of a type on.
     reversible : bool
         Whether all forces can run backward in time.
 
@@ -80,13 +79,11 @@ class System:
     forces: tuple[Force, ...] = ()
     labels: tuple[str, ...] = ()
     reversible: bool = True
-    has_noise = False
-    """Whether a force is random, so that neither a field nor states between two steps exist."""
+    has_noise = False  # whether a force is random, so that neither a field nor states between two steps exist
     is_batch: Literal[False] = False
-    has_matrices = False
-    """Whether states are matrices, with streams, traces and spectra."""
-    has_attitude = False
-    """Whether attitudes of bodies are part of the state."""
+    has_matrices = False  # whether states are matrices, with streams, traces and spectra
+    has_attitude = False  # whether attitudes of bodies are part of the state
+    frame_rate: Callable[..., Any] | None = None  # rate at which the frame of the attitude turns, a function of time
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
     _checked_function: Callable[..., Any] | None = None
@@ -249,6 +246,7 @@ class System:
         bracket_part = self.product_derivative(y, self.hamiltonian.gradient(y, t))
         return self.sign * (bracket_part + self.structure_matrix(y) @ self.hamiltonian.hessian(y, t))
 
+    @in_standard_mode
     def exact(self, x0: npt.ArrayLike, t: npt.ArrayLike, attitude: Any = False) -> Any:
         """Return the closed-form solution, if known.
 
@@ -305,7 +303,11 @@ class System:
         """
         if not forces:
             raise TypeError("with_forces was given no force; give one or more, such as co.forces.LinearDamping(0.1)")
-        plain, acting = forces_on(self.unforced, (*self.forces, *forces))
+        return self._with_acting((*self.forces, *forces), len(forces))
+
+    def _with_acting(self, forces: Sequence[Force], new: int = 0) -> Self:
+        """Return the Hamiltonian part with forces, of which the last ones are `new`."""
+        plain, acting = forces_on(self.unforced, forces, new)
         forced = copy.copy(plain)
         vars(forced).pop("in_numbers", None)
         set_fields(forced, forces=acting, labels=labels_of(acting), _unforced=plain, _parameters=None, closed_form=None)
@@ -318,7 +320,7 @@ class System:
         """Return the system of the members `first` to `last` - 1, whose noise keeps their original numbers."""
         if not first or not self.has_noise:
             return self
-        return self.unforced.with_forces(*(force.of_members_from(first) for force in self.forces))
+        return self._with_acting([force.of_members_from(first) for force in self.forces])
 
     @property
     def flows(self) -> tuple[tuple[int, Force], ...]:
@@ -385,9 +387,8 @@ class System:
         return dict(zip(self.labels, powers, strict=True))
 
     def __repr__(self) -> str:
-        if not self.forces:
-            return self._text()
-        return f"<{self.unforced.name} with forces, dimension {self.dim}: {forces_text(self.forces)}>"
+        forced = f"<{self.unforced.name} with forces, dimension {self.dim}: {forces_text(self.forces)}>"
+        return forced if self.forces else self._text()
 
     def _text(self) -> str:
         return f"<{self.name}: {self.hamiltonian!r}>"

@@ -11,9 +11,10 @@ import numpy.typing as npt
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.errors import unknown_name
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.coordinates import KINDS, coordinate_names, numberless
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.user_functions import check_places, check_skew, evaluate, sample_points, takes_time
@@ -40,14 +41,38 @@ def read_parameters(parameters: Mapping[str, Any] | None) -> dict[str, Any] | No
     return None if parameters is None else dict(parameters)
 
 
-def read_layout(layout: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Validate the layout (lattice and shape of sites) and return a copy."""
+def _read_kinds(given: Any, names: Callable[[], tuple[str, ...]]) -> dict[str, tuple[str, str]]:
+    """Validate kinds and units of coordinates, by their names or these without numbers."""
+    if not isinstance(given, Mapping):
+        raise TypeError(f'coordinates of layout is {short(given)}; give a mapping such as {{"r": "position"}}')
+    known = {part for name in names() for part in (name, numberless(name))}
+    found: dict[str, tuple[str, str]] = {}
+    for name, value in given.items():
+        if name not in known:
+            raise unknown_name("coordinate", name, sorted(known))
+        pair = (value, "") if isinstance(value, str) else tuple(value) if isinstance(value, list | tuple) else ()
+        if len(pair) != 2 or pair[0] not in KINDS or not isinstance(pair[1], str):
+            raise ValueError(
+                f"{name} of layout is {short(value)}; give its kind, one of {', '.join(KINDS)}, or the kind and a unit"
+            )
+        found[name] = pair
+    return found
+
+
+def read_layout(layout: Mapping[str, Any] | None, names: Callable[[], tuple[str, ...]]) -> dict[str, Any]:
+    """Validate the layout (lattice and shape of sites, kinds and units of coordinates) and return a copy."""
     if layout is None:
         return {}
-    rule = 'give a mapping such as {"lattice": "square", "shape": (10, 10)}, or None'
-    if not isinstance(layout, Mapping) or not layout.keys() <= {"lattice", "shape"}:
+    rule = (
+        'give a mapping such as {"lattice": "square", "shape": (10, 10)} or {"coordinates": {"r": "position"}}, or None'
+    )
+    if not isinstance(layout, Mapping) or not layout.keys() <= {"lattice", "shape", "coordinates"}:
         raise TypeError(f"layout is {short(layout)}; {rule}")
     result = dict(layout)
+    if "coordinates" in layout:
+        result["coordinates"] = _read_kinds(layout["coordinates"], names)
+        if layout.keys() == {"coordinates"}:
+            return result
     if not isinstance(result.get("lattice"), str):
         raise TypeError(f"the lattice of layout is {short(result.get('lattice'))}; {rule}")
     if result.get("shape") is not None:

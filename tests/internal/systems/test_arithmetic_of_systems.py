@@ -10,8 +10,8 @@ from scipy.linalg import expm
 import coadjoint as co
 from coadjoint.systems.evaluation import MAX_BITS, ProductSums, lossless_coefficients, scatter
 from coadjoint.systems.forces import fluid_forces
-from coadjoint.systems.forces.base import apply_metric, metric_root, normal_deviates
-from coadjoint.systems.forces.orbit_flow import exponential
+from coadjoint.systems.forces.base import apply_metric, normal_deviates
+from coadjoint.systems.forces.orbit_flow import exponential, metric_root
 from metrics import SEMIDEFINITE
 
 U, N = 2.0**-53, 5

@@ -242,6 +242,19 @@ def test_waves_travel_along_q():
     assert np.all(np.abs(found - expected) < 0.6 * (S.omega[1] - S.omega[0]))
 
 
+def test_spin_waves_of_moments_have_the_published_sign():
+    """Tutorial 8 of Sunny.jl: omega = 2 |B| (1 - sin q D/B) of moments mu = -2 S in H = D z . S x S - B . mu."""
+    D, B = 0.2, 0.8
+    for sense in (-1, 1):
+        # Spins S = -m in the field -2 B, and, mirrored, spins along 2 B.
+        ring = co.systems.spin_lattice("ring", 16, exchange=0.0, dm=(0.0, 0.0, D), field=(0.0, 0.0, sense * 2 * B))
+        S = co.spectra.structure_factor(lattice_run(ring, sense * nearly_up(16)), path=(-0.5, 0.5))
+        q, positive = 2.0 * np.pi * S.q[:, 0], S.omega > 0.0
+        found = S.omega[positive][np.argmax(S.components[0][:, positive], axis=1)]
+        wanted = 2 * B * (1 + sense * np.sin(q) * D / B)
+        assert np.all(np.abs(found - wanted) < 0.6 * (S.omega[1] - S.omega[0]))
+
+
 def test_static_structure_factor_of_cold_spins_is_that_of_equipartition():
     """kT / omega(q) for each transverse component, of states at a temperature, at every time of the lattice_run."""
     kT, B, members = 0.002, 0.5, 150

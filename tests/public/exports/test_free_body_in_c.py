@@ -38,6 +38,7 @@ SHAPES = {
     "near the axis of symmetry": ((-1.43875547, 0.55939662, 0.58660169), (-3.83793, 0.28704, 0.74043)),
     "any": ((0.3, 1.7, 0.9), (0.3, 0.7, -0.5)),
     "of both signs": ((-1.0, 0.4, 2.0), (0.3, 0.7, -0.5)),
+    "thin rod": ((1.0, 1.0, 2.0**20), (0.3, 0.2, 2.0**-20)),
 }
 
 
@@ -95,7 +96,6 @@ def test_motion_in_60_digits(body, shape, turns, kind):
     m, x = SHAPES[shape]
     rate = np.linalg.norm(np.array(m) * x)
     limit = 3.0 if "separatrix" in shape or shape == "middle axis" else 100.0 if kind == "float" else 1000.0
-    limit = min(limit, 700.0) if shape == "of both signs" else limit  # 65536 pieces
     check_motion(body, KINDS[kind], m, math.copysign(min(abs(turns), limit), turns) * 2 * np.pi / rate, x)
 
 
@@ -195,7 +195,7 @@ def test_tiny_motions_keep_their_digits(body, kind):
         ((1, 2, 3), 1.0, (1, math.inf, 0)),
         ((1, math.inf, 3), 1.0, (1, 1, 1)),
         ((1, 2, 3), math.inf, (0, 0, 1)),
-        ((1, 2, 3), 1e5, (1, 1, 1)),
+        ((1, 2, 3), 1e10, (1, 1, 1)),
         ((1, 1, 1), 1e10, (1, 1, 1)),
         ((1, 2, 3), 1e30, (1, 1, 1e8)),
     ],
@@ -219,7 +219,8 @@ def test_extreme_numbers_are_refused_or_have_finite_results(body, kind):
         m, x, h = (rng.choice([*pool, math.inf, math.nan] if rng.random() < 0.1 else pool, n) for n in (3, 3, 1))
         found = body.call("jacobian", kind, m, h[0], x)
         result = np.concatenate([found.x, *found.others])
-        assert np.isnan(result).all() if found.pieces == 0 else not np.isnan(result).any()
+        # After many turns about the unstable axis only the derivatives are not resolved.
+        assert np.isnan(result if found.pieces == 0 else result[7:]).all() or not np.isnan(result).any()
         assert found.pieces == 0 or np.isfinite([*m, *x, *h]).all()
         refused += found.pieces == 0
     assert 100 < refused < 900
@@ -228,11 +229,13 @@ def test_extreme_numbers_are_refused_or_have_finite_results(body, kind):
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_longest_time(body, kind):
-    for m, h in (((1, 1, 2), 65536), ((1, 1, 1), 2**18 if kind == "float" else 2**28)):
-        longest = h * (0.5 if kind == "float" else 0.1875) if m[2] == 2 else h
-        assert body.call("rotation", KINDS[kind], m, longest * 0.999, (0, 0, 1)).pieces >= 1
-        beyond = longest * (1.001 if m[2] == 2 else 4.001)
-        assert body.call("rotation", KINDS[kind], m, beyond, (0, 0, 1)).pieces == 0
+    """2^30 radians (float: 2^20) about the momentum, or of the momentum."""
+    radians = 2**20 if kind == "float" else 2**30
+    for m, rate in (((1, 1, 2), 2), ((1, 1, 1), 1), ((-1, 0, 1), 1)):
+        for factor, refused in ((0.999, False), (1.001, True)):
+            x = (0, 0, 1) if m[0] > 0 else (1e-9, 1, 0)
+            found = body.call("rotation", KINDS[kind], m, radians / rate * factor, x)
+            assert (found.pieces == 0) == refused and found.pieces <= 1500
 
 
 @pytest.mark.thinned(1)
@@ -267,6 +270,21 @@ def test_attitudes_agree(body, kind):
         velocity = body.call("step_velocity", kind, 1 / m, h, m * x, q)
         assert np.abs(velocity.x - m * step.x).max() <= 200 * u
         assert np.abs(velocity.others[0] - step.others[0]).max() <= 200 * u
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_matrix_is_made_orthonormal_or_refused(body, kind):
+    """From lengths of 0.9 to 1.1, and as the same rotation; farther from a rotation it is NaN."""
+    kind, u = KINDS[kind], UNITS[KINDS[kind]]
+    m, x, h = drawn(4, kind)
+    wanted = body.call("step_matrix", kind, m, h, x, np.eye(3, dtype=kind)).others[0].reshape(3, 3)
+    for factor in (0.9, 0.999, 1.001, 1.1):
+        found = body.call("step_matrix", kind, m, h, x, factor * np.eye(3, dtype=kind)).others[0].reshape(3, 3)
+        assert np.abs(found.T @ found - np.eye(3)).max() <= 8 * u and np.abs(found - wanted).max() <= 16 * u
+    for matrix in (1.2 * np.eye(3), 0.5 * np.eye(3), np.eye(3) + [[0, 0.4, 0], [0, 0, 0], [0, 0, 0]]):
+        refused = body.call("step_matrix", kind, m, h, x, matrix.astype(kind))
+        assert refused.pieces == 0 and np.isnan(refused.others[0]).all()
 
 
 @pytest.mark.thinned(1)

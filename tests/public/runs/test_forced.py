@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from drawn_matrices import full
@@ -337,16 +338,32 @@ def test_failures_name_the_step(force, named):
         co.integrate(BODY.with_forces(force), (0.1, 0.2, 0.3), (0, 2), 0.125)
 
 
-def test_forces_may_move_the_central_coordinate():
-    """It is 1 at the beginning of a motion; its errors are estimated, and steps continue from where it is."""
+def test_a_damped_moment_is_a_spin_of_the_other_sign():
+    """R. F. L. Evans et al., J. Phys.: Condens. Matter 26 (2014) 103202: m = (sech cos, sech sin, tanh) in a field."""
+    a, B, t = 0.1, 2.0, 4.0
+    lattice = co.systems.spin_lattice([], 1, field=(0.0, 0.0, -B / (1 + a * a)))
+    damped = lattice.with_forces(co.forces.DoubleBracketDamping(a))
+    m = -co.integrate(damped, (-1.0, 0.0, 0.0), (0.0, t), 1 / 256).x[-1]
+    decay, angle = a * B * t / (1 + a * a), B * t / (1 + a * a)
+    wanted = np.array([np.cos(angle) / np.cosh(decay), np.sin(angle) / np.cosh(decay), np.tanh(decay)])
+    np.testing.assert_allclose(m, wanted, rtol=0, atol=1e-6)
+
+
+def test_damping_keeps_positions_and_the_central_coordinate():
+    """By DOP853; errors are estimated, and steps continue from where they are."""
     system = co.systems.satellite().with_forces(co.forces.LinearDamping(0.1))
     x0 = np.array([0.1, 0.2, 0.3, 0.0, 0.1, 0.0, 5.0, 0.0, 0.0, 1.0])
     sol = co.integrate(system, x0, (0.0, 1.0), 0.125)
-    assert sol.x[-1, -1] == pytest.approx(np.exp(-0.1)) and sol.step_error() < 0.01
+    momenta = np.arange(10) < 6
+    wanted = solve_ivp(
+        lambda t, x: system.unforced.vector_field(x) - 0.1 * momenta * x, (0, 1), x0, "DOP853", rtol=1e-12, atol=1e-14
+    ).y[:, -1]
+    assert np.abs(sol.x[-1] - wanted).max() < 1e-3 and sol.x[-1, -1] == 1.0 and sol.step_error() < 0.01
     assert np.isfinite(sol.error_estimate())
     step, x = co.stepper(system, co.Splitting(), 0.125), x0
     for k in range(8):
         x = step(x, 0.125 * k)
     np.testing.assert_array_equal(x, sol.x[-1])
+    x[-1] = np.exp(-0.1)
     with refused(ValueError, "satellite", "must be 1"):
         co.integrate(system, x, (0.0, 1.0), 0.125)

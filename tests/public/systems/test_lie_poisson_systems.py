@@ -220,7 +220,9 @@ SYSTEMS = {
     ),
     "functions of time": _driven,
     "a function J": _curved,
-    "forces": lambda: co.systems.heavy_top().with_forces(co.forces.LinearDamping(0.1), co.forces.Torque([0.1] * 6)),
+    "forces": lambda: co.systems.heavy_top().with_forces(
+        co.forces.LinearDamping(0.1), co.forces.Torque((0.1, 0.1, 0.1))
+    ),
     "tops": co.systems.kovalevskaya_top,
 }
 

@@ -143,8 +143,9 @@ CALLS = {
     "a stream is in the algebra": (
         lambda off: stream_off(lambda W: 8.0 * off * np.abs(W).max() * np.eye(4)), "", 1e-12,
     ),
-    "a mass is not large": (lambda size: S.satellite(mass=size), "mass", 1e30),
-    "a mass is not small": (lambda size: S.satellite(mass=1 / size), "mass", 1e30),
+    "a mass is not large": (lambda size: S.satellite(mass=size), "mass", 2.0**1022),
+    "a mass is not small": (lambda size: S.satellite(mass=1 / size), "mass", 2.0**1022),
+    "products are not large": (lambda size: S.satellite(mass=size, gravity=2.0**500), "products", 2.0**522),
     "a sphere turns slowly": (lambda turn: S.sphere_euler(4, turn), "", 1e100),
     "a sphere turns slowly westward": (lambda turn: S.sphere_euler(4, -turn), "", 1e100),
     "a weight is not large": (lambda size: S.decorated_particles(weights=(1.0, size)), "", 1e50),

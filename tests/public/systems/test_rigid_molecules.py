@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
+from long import long_beyond
 from refusals import refused
 
 S = co.systems
@@ -232,3 +233,44 @@ def test_the_cutoff_is_at_most_half_of_the_smallest_side(axis):
     assert S.rigid_molecules(box=box, cutoff=0.5).parameters["cutoff"] == 0.5
     with refused(ValueError, "cutoff is 0.6", "at most 0.5"):
         S.rigid_molecules(box=box, cutoff=0.6)
+
+
+LINE = np.array([(0.0, 0.0, -0.116), (0.0, 0.0, 0.0), (0.0, 0.0, 0.116)])
+CARBON_DIOXIDE = {
+    "charges": (-0.33, 0.66, -0.33, 0.0), "lj": ((0.66, 0.3), (0.23, 0.28), (0.66, 0.3), (0.0, 0.0)),
+    "masses": (15.999, 12.011, 15.999, 0.0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "beside", [0.0, 1e-160, 1e-16, 1e-10, 1e-8, *long_beyond(1, ("8 decimals", "5 decimals"))], ids=str
+)
+def test_sites_on_a_line_up_to_rounding_are_a_rod(beside):
+    """With a massless site; the motion of exact sites, to the rounding of the given ones."""
+    sites, axis, rounding = np.vstack([LINE, [(0.0, 0.0, 0.05)]]), np.array((0.0, 0.0, 1.0)), 1e-7
+    if isinstance(beside, str):
+        axis = np.array((2.0, -1.0, 2.0)) / 3
+        sites, rounding = np.round(sites[:, 2:] * axis, int(beside[0])), 10.0 ** (2 - int(beside[0]))
+    else:
+        sites[1, 0], sites[3, 1] = beside, beside
+    spins = np.cross(axis, [(1.0, 2.0, 3.0), (3.0, 0.0, 1.0)])
+    ends = []
+    for places in (sites, np.array([-0.116, 0.0, 0.116, 0.05])[:, None] * axis):
+        pair = S.rigid_molecules(sites=places, **CARBON_DIOXIDE)
+        x0 = pair.state([[0, 0, 0], [0.4, 0.05, 0]], angular_velocities=spins)
+        sol = co.integrate(pair, x0, (0.0, 0.1), 0.001, co.Splitting(parts="free_body"))
+        ends.append(pair.sites(sol.x[-1]))
+        assert sol.drift()["energy"] < 1e-3
+    assert np.abs(ends[0] - ends[1]).max() < 10 * rounding
+
+
+@pytest.mark.parametrize("beside", long_beyond(1, (1e-4, 1e-5)))
+def test_sites_beside_a_line_are_a_stiff_body(beside):
+    """A bent molecule turns about its axis in steps that resolve this motion."""
+    sites = LINE.copy()
+    sites[1, 0] = beside
+    bent = {name: values[:3] for name, values in CARBON_DIOXIDE.items()}
+    pair = S.rigid_molecules(sites=sites, **bent)
+    x0 = pair.state([[0, 0, 0], [0.4, 0.05, 0]], angular_velocities=[[1.0, 2.0, 3.0], [3.0, 0.0, 1.0]])
+    sol = co.integrate(pair, x0, (0.0, 0.01), 1e-4, co.Splitting(parts="free_body"))
+    assert sol.drift()["energy"] < 1e-5

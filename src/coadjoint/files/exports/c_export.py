@@ -42,6 +42,8 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.validation import read_bool, read_path
 
+PUBLIC = {"step", "run", "first", "next", "finish", "step_with_tangents", "run_with_attitude"}
+# Other functions have no underscore in their names, so that those of two headers are never equal.
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 """Names of C functions; longer ones are not distinguished by all linkers."""
 
@@ -109,10 +111,10 @@ def export_c(prepared: PreparedRun, path: str | Path, *, name: str | None = None
 
 def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
     """Return the text of the header of `export_c`."""
-    if type(name) is not str or not IDENTIFIER.fullmatch(name) or name.lower() == "coadjoint":
+    if type(name) is not str or not IDENTIFIER.fullmatch(name) or name.lower().startswith("coadjoint"):
         raise ValueError(
             f"the functions cannot begin with {short(name)}; give a name of at most 41 letters, digits and underscores "
-            "that begins with a letter, other than coadjoint"
+            "that begins with a letter, and not with coadjoint"
         )
     loop, numbers = loop_of_run(prepared)
     inputs = "" if prepared.inputs is None else ", const double *u"
@@ -132,8 +134,16 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
         defined.append(f"#define COADJOINT_WIDEST {exported.widest}")
     defined += [f"typedef {kind} coadjoint_index;"] if "coadjoint_index" in body else []
     code = "\n".join([INCLUDES, *defined, "", called, body, END])
-    code = code.replace("coadjoint_", f"{name}_").replace("COADJOINT_", f"{name.upper()}_")
+    code = re.compile(r"\bcoadjoint_(\w+)").sub(
+        lambda found: f"{name}_{found[1] if found[1] in PUBLIC else found[1].replace('_', '')}", code
+    )
+    code = code.replace("COADJOINT_", f"{_of_macros(name)}_")
     return _comment(prepared, name, tangent, exported) + "\n".join(map(_wrapped, code.split("\n")))
+
+
+def _of_macros(name: str) -> str:
+    """Return what the macros begin with: another text for each name, also of those that differ in case alone."""
+    return name.swapcase() if name in (name.lower(), name.upper()) else name
 
 
 def _wrapped(line: str) -> str:
@@ -172,6 +182,9 @@ double fma(double a, double b, double c);
 #endif
 #if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
 #error "-ffast-math changes the meaning of sums; compile without it"
+#endif
+#if defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
+#error "a part of -ffast-math changes sums, quotients or zeros; compile without -funsafe-math-optimizations"
 #endif
 #if defined(__clang__) /* a product and a sum are fused only where this is written */
 #pragma STDC FP_CONTRACT OFF
@@ -341,7 +354,7 @@ def _comment(prepared: PreparedRun, name: str, tangent: bool, exported: Exported
     """Return the license, what is exported, and how it is called."""
     license_text = FREE_BODY.read_text(encoding="utf-8").partition("\n")[2].partition("\nConventions.")[0]
     u = "" if prepared.inputs is None else f", const double u[{len(prepared.inputs.changing)}]"
-    n, upper = prepared.system.dim, name.upper()
+    n, upper = prepared.system.dim, _of_macros(name)
     functions = [
         (f"step(double x[{n}]{u}, double h)", "one step of the length h"),
         (f"run(double x[{n}]{u}, double h, unsigned long steps)", "several steps"),
@@ -378,10 +391,10 @@ def _comment(prepared: PreparedRun, name: str, tangent: bool, exported: Exported
 
 
 CONDITIONS = """C99 or C++11, compiled by GCC or Clang at any level, has the bits of the library. Numbers must be \
-rounded to nearest; -ffast-math is refused; do not give -ffp-contract=fast to Clang, and give other compilers an \
-option that does not fuse products. {upper}_FMA may name a function of three numbers, a b + c rounded once; if it is \
-not defined, it is an instruction of the processor, or else computed by integers. Names that are not in this list are \
-internal. */"""
+rounded to nearest. -ffast-math is refused, by GCC also parts of it. Do not give -ffp-contract=fast or \
+-funsafe-math-optimizations to Clang, and give other compilers an option that does not fuse products. {upper}_FMA may \
+name a function of three numbers, a b + c rounded once; if it is not defined, it is an instruction of the processor, \
+or else computed by integers. Names that are not in this list are internal. */"""
 
 
 def _safe(text: str) -> str:

@@ -150,7 +150,8 @@ def _sections() -> dict[str, str]:
     pieces = SECTION.split(text)
     found = dict(zip(pieces[1::2], pieces[2::2], strict=True))
     inside = FREE_BODY.read_text(encoding="utf-8").partition("#elif defined(COADJOINT_BITS)")[2]
-    body = inside.partition("\n")[2].rpartition("#endif")[0].replace("coadjoint_##", "coadjoint_free_##")
+    body = inside.partition("\n")[2].rpartition("#endif")[0].replace("coadjoint_##", "coadjoint_free##")
+    body = re.sub(r"coadjoint_\((\w+)\)", lambda found: f"coadjoint_({found[1].replace('_', '')})", body)
     body = body.replace("NAN", "coadjoint_nan()")
     found["free_body"] = f"#define COADJOINT_BITS 64\n{body}#define coadjoint_free_body\n"
     found["body_changes"] = found.pop("body_changes")
@@ -182,11 +183,13 @@ def runtime(body: str) -> str:
     return "\n".join(sections[name].strip() + "\n" for name in sections if name in needed)
 
 
-def free_body_header(name: str = FREE_BODY.name) -> str:
-    """Return the header of free bodies for a file of this name, which includes itself by its name."""
-    if not name.isprintable() or any(sign in name for sign in '"\\'):
-        raise ValueError(f"{name!r} cannot be included; give a name without quotes, backslashes and control characters")
-    return FREE_BODY.read_text(encoding="utf-8").replace(f'#include "{FREE_BODY.name}"', f'#include "{name}"')
+def free_body_header() -> str:
+    """Return the header of free bodies for a file of any name: what it includes of itself is written twice."""
+    beginning, _, rest = FREE_BODY.read_text(encoding="utf-8").partition("\n#elif defined(COADJOINT_BITS)")
+    body = rest.partition("\n")[2].rpartition("#endif")[0]
+    return beginning.replace(f'#include "{FREE_BODY.name}"\n', body).replace(f'#include "{FREE_BODY.name}"', body) + (
+        "#endif\n"
+    )
 
 
 FIELDS = ("offset", "coefficient")

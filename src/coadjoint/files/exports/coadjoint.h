@@ -22,22 +22,25 @@ matrix A[9] in rows with A' = A hat(w). The time h has either sign. Results repl
 of the caller, such as kg m^2/s, 1/(kg m^2) and s; angles are in radians. The names of float versions end in f.
 
     coadjoint_body_step(m, h, x, q)             momentum and quaternion, which is normalized
-    coadjoint_body_step_matrix(m, h, x, A)      momentum and matrix, whose columns are made orthonormal to rounding
+    coadjoint_body_step_matrix(m, h, x, A)      momentum and matrix, whose columns are made orthonormal to rounding; NaN
+                                                if they are far from that: an entry of A^T A - 1 is 0.3 or more
     coadjoint_body_step_velocity(I, h, w, q)    the same from moments I and angular velocity; I[i] = 0 sets w[i] = 0
     coadjoint_body_rotation(m, h, x, r)         momentum, and the rotation in the step: A(h) = A(0) R(r)
     coadjoint_body_jacobian(m, h, x, r, J, G)   also the derivatives by x(0): J[9] of x(h), and G[9] of the rotation, a
                                                 vector in body axes at the end: R(x + dx) = R(x) exp(hat(G dx)) + ...
 
-Each returns the number of pieces of time in the step: the largest |m[j] - m[k]| |x| |h| / 0.1875 (float: 0.5), rounded
-up. With u = 2^-53 (float: 2^-24), rounding in a piece is at most 3 u |x| in x and 10 u (1 + angle) in the matrix R.
-Beyond 65536 pieces or 2^30 radians (float: 2^20), and for numbers that are not finite, it returns 0, and all results
-are NaN. Nothing is allocated or shared between calls, the stack needs less than 4 kilobytes, and every loop is bounded:
-the time of a step is proportional to the number of pieces.
+Each returns the number of pieces of time that were computed: the largest |m[j] - m[k]| |x| |h| / 0.1875 (float: 0.5),
+rounded up. Where this is more than 64, it is for whole periods of the momentum, of which one is computed, and the rest:
+some hundred, and near the separatrix at most 1500. With u = 2^-53 (float: 2^-24), rounding in a piece is at most 3 u
+|x| in x and 10 u (1 + angle) in the matrix R. Beyond 2^30 radians (float: 2^20) of the rotation about the momentum, or
+of the motion of the momentum, and for numbers that are not finite, it returns 0, and all results are NaN. So are J and
+G, alone, after whole periods beside the separatrix, where they are not resolved. Nothing is allocated or shared between
+calls, the stack needs less than 4 kilobytes, and every loop is bounded: the time of a step is proportional to the
+number of pieces.
 
 Method: the addition theorem of Weierstrass's elliptic functions, and Lobatto's rule for the angle about the momentum.
 Sines and cosines are computed here: without fused products (-ffp-contract=off) all compilers give the same bits. Do not
-compile with -ffast-math. Names that do not begin with coadjoint_body_ are internal. A copy with another file name needs
-that name in the two includes below. */
+compile with -ffast-math. Names that do not begin with coadjoint_body_ are internal. */
 #ifndef COADJOINT_H
 #define COADJOINT_H
 #include <math.h>
@@ -54,7 +57,10 @@ that name in the two includes below. */
 #define coadjoint_sqrt sqrt
 #define COADJOINT_UNIT 18446744073709551616.0 /* of scaling: 2^64 */
 #define COADJOINT_TURN 1073741824.0           /* the largest angle */
+#define COADJOINT_MOST 1e100                  /* the largest |m_i| |x| |h|, whose squares are in range */
 #define COADJOINT_PIECE 0.1875                /* the longest piece, over the largest |m_j - m_k| |x| */
+#define COADJOINT_GAP 8.6736173798840355e-19  /* the least difference of the two largest roots that is resolved */
+#define COADJOINT_NEAR 7.450580596923828e-9   /* the error of a matrix whose square is rounding: 2^-27 */
 #define COADJOINT_POINTS 4                    /* of Lobatto's rule, besides the start of the piece */
 #define COADJOINT_NODES 0.17267316464601143, 0.5, 0.82732683535398857, 1.0
 #define COADJOINT_WEIGHTS 0.27222222222222222, 0.35555555555555556, 0.27222222222222222, 0.05
@@ -66,7 +72,10 @@ that name in the two includes below. */
 #define coadjoint_sqrt sqrtf
 #define COADJOINT_UNIT 65536.0f
 #define COADJOINT_TURN 1048576.0f
+#define COADJOINT_MOST 1e15f
 #define COADJOINT_PIECE 0.5f
+#define COADJOINT_GAP 9.3132257e-10f
+#define COADJOINT_NEAR 1.220703125e-4f
 #define COADJOINT_POINTS 3
 #define COADJOINT_NODES 0.276393202250021030f, 0.723606797749978970f, 1.0f
 #define COADJOINT_WEIGHTS 0.416666666666666667f, 0.416666666666666667f, 0.0833333333333333333f
@@ -266,37 +275,15 @@ static inline void coadjoint_(move)(const coadjoint_real *m, const coadjoint_rea
     for (int i = 0; i < 3; ++i) z[i] = x[i];
 }
 
-/* J and G may be 0 together: the next function needs neither. */
-static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoint_real h, coadjoint_real x[3],
-                                             coadjoint_real r[4], coadjoint_real *J, coadjoint_real *G) {
-    coadjoint_real n[3] = {m[0], m[1], m[2]}, a[3], z[3] = {x[0], x[1], x[2]}, length, reach = 0, angle = 0;
-    long kx = coadjoint_(scale)(z, 3), k = kx + coadjoint_(scale)(n, 3) + coadjoint_(scale)(&h, 1), less = 0, count;
-    if (z[0] == 0 && z[1] == 0 && z[2] == 0) { /* at rest: below any number */
-        z[0] = 1;
-        k -= 1000;
-        kx = -1000;
-    }
-    if (k < -5) { /* the motion is linear in the time to rounding; its squares would underflow */
-        less = k + 5;
-        k = -5;
-    }
-    length = coadjoint_sqrt(coadjoint_(dot)(z, z));
-    for (int i = 0; i < 3; ++i) a[i] = coadjoint_(power)((n[(i + 2) % 3] - n[(i + 1) % 3]) * h, k);
+/* The time t in pieces, whose number is returned: z is moved, and r, J and G are those of the time. */
+static inline long coadjoint_(pieces)(const coadjoint_real m[3], const coadjoint_real d[3], coadjoint_real t,
+                                      coadjoint_real reach, coadjoint_real *z, coadjoint_real r[4], coadjoint_real *J,
+                                      coadjoint_real *G) {
+    const long count = (long)(reach * (t < 0 ? -t : t)) + 1;
+    coadjoint_real n[3], a[3];
     for (int i = 0; i < 3; ++i) {
-        n[i] = coadjoint_(power)(n[i] * h, k);
-        reach += (a[i] < 0 ? -a[i] : a[i]) * length / (2 * COADJOINT_PIECE); /* sums to twice the largest */
-        angle += (n[i] < 0 ? -n[i] : n[i]) * length;
-    }
-    count = reach < 65536 && angle < COADJOINT_TURN ? (long)reach + 1 : 0;
-    if (!count) {
-        for (int i = 0; i < 3; ++i) x[i] = (coadjoint_real)NAN;
-        for (int i = 0; i < 4; ++i) r[i] = (coadjoint_real)NAN;
-        for (int i = 0; i < 9 && J; ++i) J[i] = G[i] = (coadjoint_real)NAN;
-        return 0;
-    }
-    for (int i = 0; i < 3; ++i) {
-        n[i] /= (coadjoint_real)count;
-        a[i] /= (coadjoint_real)count;
+        n[i] = m[i] * t / (coadjoint_real)count;
+        a[i] = d[i] * t / (coadjoint_real)count;
     }
     coadjoint_(move)(n, a, z, r, J, G);
     for (long piece = 1; piece < count; ++piece) {
@@ -313,6 +300,138 @@ static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoin
             coadjoint_(product)(Jp, 0, J, other);
             for (int i = 0; i < 9; ++i) J[i] = other[i];
         }
+    }
+    return count;
+}
+
+/* The time 1, if it is long: whole periods of the momentum, in which the body rotates about it, and the rest. A period
+   is 2 pi over the arithmetic-geometric mean of the roots of e_1 - e_3, which bounds all p_i on the way, and e_1 - e_2.
+   0 if it has too many. */
+static inline long coadjoint_(periods)(const coadjoint_real m[3], const coadjoint_real a[3], coadjoint_real *z,
+                                       coadjoint_real r[4], coadjoint_real *J, coadjoint_real *G) {
+    const coadjoint_real start[3] = {z[0], z[1], z[2]}, length2 = coadjoint_(dot)(z, z);
+    const coadjoint_real length = coadjoint_sqrt(length2), full = coadjoint_n(6.2831853071795865);
+    coadjoint_real p[3], f, g, df[3], dg[3], wide, reach, period, rest, turns, cosine, sine, size, whole = 1, about = 0;
+    coadjoint_real q[4], along[3], E[9], first[9];
+    int o[3] = {0, 1, 2};
+    long count;
+    for (int i = 0; i < 3; ++i) p[i] = (a[(i + 1) % 3] * z[i]) * (a[(i + 2) % 3] * z[i]);
+    for (int k = 0; k < 3; ++k)
+        if (p[o[(k & 1) + 1]] < p[o[k & 1]]) {
+            const int i = o[k & 1];
+            o[k & 1] = o[(k & 1) + 1];
+            o[(k & 1) + 1] = i;
+        }
+    wide = p[o[2]] - p[o[0]];
+    f = coadjoint_sqrt(wide);
+    if (!(f < COADJOINT_TURN)) return 0;
+    reach = f / COADJOINT_PIECE;
+    g = p[o[1]] - p[o[0]];
+    g = coadjoint_sqrt(g < wide * COADJOINT_GAP ? wide * COADJOINT_GAP : g);
+    for (int i = 0; i < 3; ++i) {
+        const coadjoint_real dp = a[(i + 1) % 3] * (a[(i + 2) % 3] * z[i]);
+        df[i] = i == o[2] ? dp / f : i == o[0] ? -dp / f : 0;
+        dg[i] = i == o[1] ? dp / g : i == o[0] ? -dp / g : 0;
+        if (p[o[1]] - p[o[0]] < wide * COADJOINT_GAP) dg[i] = (coadjoint_real)NAN; /* not resolved */
+    }
+    for (int k = 0; k < 9; ++k) {
+        const coadjoint_real mean = (f + g) / 2, root = coadjoint_sqrt(f * g);
+        for (int i = 0; i < 3; ++i) {
+            const coadjoint_real d = (df[i] * g + f * dg[i]) / (2 * root);
+            df[i] = (df[i] + dg[i]) / 2;
+            dg[i] = d;
+        }
+        f = mean;
+        g = root;
+    }
+    period = full / f;
+    turns = (coadjoint_real)(long)(1 / period + coadjoint_n(0.5));
+    if (reach <= 64 || turns == 0) return coadjoint_(pieces)(m, a, 1, reach, z, r, J, G);
+    rest = 1 - turns * period;
+    count = coadjoint_(pieces)(m, a, period, reach, z, q, J, G);
+    cosine = q[0];
+    sine = coadjoint_(dot)(q + 1, start) / length;
+    size = coadjoint_sqrt(cosine * cosine + sine * sine);
+    cosine /= size;
+    sine /= size;
+    for (long left = (long)turns; left > 0; left /= 2) { /* the power of a unit complex number, by squares */
+        coadjoint_real next, twice;
+        if (left % 2) {
+            next = whole * cosine - about * sine;
+            about = whole * sine + about * cosine;
+            whole = next;
+        }
+        next = cosine * cosine - sine * sine;
+        twice = 2 * cosine * sine;
+        size = coadjoint_n(1.5) - (next * next + twice * twice) / 2;
+        cosine = next * size;
+        sine = twice * size;
+    }
+    q[0] = whole;
+    for (int i = 0; i < 3; ++i) q[1 + i] = about * start[i] / length;
+    if (J) { /* of the angle, by the angular velocity along the momentum; the momentum returns, whatever it is */
+        coadjoint_real w[3];
+        for (int i = 0; i < 3; ++i) w[i] = m[i] * start[i];
+        coadjoint_(turn)(q, E);
+        for (int l = 0; l < 3; ++l) {
+            const coadjoint_real column[3] = {-E[3 * l], -E[3 * l + 1], -E[3 * l + 2]};
+            coadjoint_real across[3], sum = coadjoint_(dot)(w, start) * (-period * df[l] / f);
+            for (int i = 0; i < 3; ++i) sum += start[i] * G[3 * i + l];
+            along[l] = turns * period * df[l] / f; /* of the rest of the time */
+            coadjoint_(cross)(start, column, across);
+            for (int i = 0; i < 3; ++i) first[3 * i + l] = (start[i] * turns * sum - across[i]) / length2;
+        }
+    }
+    for (int i = 0; i < 3; ++i) z[i] = start[i];
+    count += coadjoint_(pieces)(m, a, rest, reach, z, r, J, G);
+    if (J) {
+        coadjoint_real w[3], v[3], one[9];
+        for (int i = 0; i < 3; ++i) w[i] = m[i] * z[i];
+        coadjoint_(cross)(z, w, v);
+        coadjoint_(turn)(r, E);
+        coadjoint_(product)(E, 1, first, one);
+        for (int i = 0; i < 9; ++i) {
+            J[i] += v[i / 3] * along[i % 3];
+            G[i] += first[i] + one[i] + w[i / 3] * along[i % 3];
+        }
+    }
+    for (int i = 0; i < 4; ++i) E[i] = r[i];
+    coadjoint_(cross)(q + 1, E + 1, r + 1);
+    r[0] = q[0] * E[0] - coadjoint_(dot)(q + 1, E + 1);
+    for (int i = 1; i < 4; ++i) r[i] += q[0] * E[i] + E[0] * q[i];
+    return count;
+}
+
+/* J and G may be 0 together: the next function needs neither. */
+static inline long coadjoint_(body_jacobian)(const coadjoint_real m[3], coadjoint_real h, coadjoint_real x[3],
+                                             coadjoint_real r[4], coadjoint_real *J, coadjoint_real *G) {
+    coadjoint_real n[3] = {m[0], m[1], m[2]}, a[3], z[3] = {x[0], x[1], x[2]}, length, reach = 0, angle = 0, most = 0;
+    long kx = coadjoint_(scale)(z, 3), k = kx + coadjoint_(scale)(n, 3) + coadjoint_(scale)(&h, 1), less = 0, count = 0;
+    if (z[0] == 0 && z[1] == 0 && z[2] == 0) { /* at rest: below any number */
+        z[0] = 1;
+        k -= 1000;
+        kx = -1000;
+    }
+    if (k < -5) { /* the motion is linear in the time to rounding; its squares would underflow */
+        less = k + 5;
+        k = -5;
+    }
+    length = coadjoint_sqrt(coadjoint_(dot)(z, z));
+    for (int i = 0; i < 3; ++i) a[i] = coadjoint_(power)((n[(i + 2) % 3] - n[(i + 1) % 3]) * h, k);
+    for (int i = 0; i < 3; ++i) {
+        n[i] = coadjoint_(power)(n[i] * h, k);
+        reach += (a[i] < 0 ? -a[i] : a[i]) * length / (2 * COADJOINT_PIECE); /* sums to twice the largest */
+        angle += n[i] * z[i] * (z[i] / length);
+        most += (n[i] < 0 ? -n[i] : n[i]) * length;
+    }
+    if ((angle < 0 ? -angle : angle) < COADJOINT_TURN && most < COADJOINT_MOST)
+        count = reach < 64 ? coadjoint_(pieces)(n, a, 1, reach, z, r, J, G)
+                           : coadjoint_(periods)(n, a, z, r, J, G);
+    if (!count) {
+        for (int i = 0; i < 3; ++i) x[i] = (coadjoint_real)NAN;
+        for (int i = 0; i < 4; ++i) r[i] = (coadjoint_real)NAN;
+        for (int i = 0; i < 9 && J; ++i) J[i] = G[i] = (coadjoint_real)NAN;
+        return 0;
     }
     for (int i = 0; i < 3; ++i) {
         x[i] = coadjoint_(power)(z[i], kx);
@@ -345,15 +464,23 @@ static inline long coadjoint_(body_step)(const coadjoint_real m[3], coadjoint_re
 
 static inline long coadjoint_(body_step_matrix)(const coadjoint_real m[3], coadjoint_real h, coadjoint_real x[3],
                                                 coadjoint_real A[9]) {
-    coadjoint_real r[4], E[9], B[9], C[9];
+    coadjoint_real r[4], E[9], B[9], C[9], wrong = 1;
     const long count = coadjoint_(body_rotation)(m, h, x, r);
     coadjoint_(turn)(r, E);
     coadjoint_(product)(A, 0, E, B);
     for (int i = 0; i < 9; ++i) A[i] += B[i];
-    coadjoint_(product)(A, 1, A, B); /* A - A (A^T A - 1)/2 */
-    for (int i = 0; i < 3; ++i) B[4 * i] -= 1;
-    coadjoint_(product)(A, 0, B, C);
-    for (int i = 0; i < 9; ++i) A[i] -= C[i] / 2;
+    for (int k = 0; k < 8 && wrong > COADJOINT_NEAR; ++k) { /* A - A (A^T A - 1)/2 squares the error */
+        coadjoint_(product)(A, 1, A, B);
+        for (int i = 0; i < 3; ++i) B[4 * i] -= 1;
+        wrong = 0;
+        for (int i = 0; i < 9; ++i) wrong = B[i] > wrong ? B[i] : -B[i] > wrong ? -B[i] : wrong;
+        if (k == 0 && !(wrong < coadjoint_n(0.3))) {
+            for (int i = 0; i < 9; ++i) A[i] = (coadjoint_real)NAN;
+            return 0;
+        }
+        coadjoint_(product)(A, 0, B, C);
+        for (int i = 0; i < 9; ++i) A[i] -= C[i] / 2;
+    }
     return count;
 }
 
@@ -376,7 +503,10 @@ static inline long coadjoint_(body_step_velocity)(const coadjoint_real inertia[3
 #undef coadjoint_sqrt
 #undef COADJOINT_UNIT
 #undef COADJOINT_TURN
+#undef COADJOINT_MOST
 #undef COADJOINT_PIECE
+#undef COADJOINT_GAP
+#undef COADJOINT_NEAR
 #undef COADJOINT_POINTS
 #undef COADJOINT_NODES
 #undef COADJOINT_WEIGHTS

@@ -709,7 +709,86 @@ static inline struct coadjoint_quaternion coadjoint_piece(const double *m, const
     return found;
 }
 
-/* The rotation of a free body in the time tau; NaN beyond 65536 pieces of time. */
+/* The rotation after `count` pieces of the time: z is moved. */
+static inline struct coadjoint_quaternion coadjoint_pieces(const double *moments, const double *d, double *z,
+                                                           double time, double count) {
+    const double each = time / count;
+    double m[3], a[3];
+    struct coadjoint_quaternion total;
+    for (int i = 0; i < 3; ++i) m[i] = moments[i] * each, a[i] = d[i] * each;
+    total = coadjoint_piece(m, a, z, 1);
+    for (double k = 1.0; k < count; k += 1.0) {
+        const struct coadjoint_quaternion next = coadjoint_piece(m, a, z, 1);
+        total = coadjoint_after(&next, &total);
+    }
+    return total;
+}
+
+/* The least whole number that is no smaller than a piece of time times the speed, at least 1. */
+static inline double coadjoint_count(double speed, double time) {
+    const double reach = speed * coadjoint_absolute(time), count = (double)(int64_t)reach;
+    return reach <= 1.0 ? 1.0 : count < reach ? count + 1.0 : count;
+}
+
+/* The rotation in a long time: whole periods of the momentum, a power of one rotation about it, and the rest. NaN
+   beyond 2^30 periods. `widest` is the largest of |d|. */
+static inline struct coadjoint_quaternion coadjoint_long_rotation(const double *moments, const double *d, double widest,
+                                                                  const double *z, double time) {
+    struct coadjoint_quaternion total = {1.0, {0.0, 0.0, 0.0}}, part;
+    double p[3], moved[3] = {z[0], z[1], z[2]}, wide, speed, gap, mean, other, period, periods;
+    for (int i = 0; i < 3; ++i)
+        p[i] = ((d[(i + 1) % 3] / widest) * (d[(i + 2) % 3] / widest)) * (z[i] * z[i]);
+    for (int k = 0; k < 3; ++k) {
+        const int i = k & 1;
+        if (p[i + 1] < p[i]) {
+            const double first = p[i];
+            p[i] = p[i + 1], p[i + 1] = first;
+        }
+    }
+    wide = p[2] - p[0], speed = widest * (sqrt(wide) * (1.0 / 0.125));
+    if (speed * coadjoint_absolute(time) <= 64.0)
+        return coadjoint_pieces(moments, d, moved, time, coadjoint_count(speed, time));
+    gap = p[1] - p[0], mean = sqrt(wide);
+    if (gap < wide * 8.6736173798840355e-19) gap = wide * 8.6736173798840355e-19;
+    other = sqrt(gap);
+    for (int k = 0; k < 9; ++k) {
+        const double next = 0.5 * (mean + other);
+        other = sqrt(mean * other), mean = next;
+    }
+    period = ((time < 0.0 ? -6.2831853071795865 : 6.2831853071795865) / widest) / mean;
+    periods = time / period + 0.5;
+    if (!(periods < 1073741825.0)) {
+        total.whole = total.vector[0] = total.vector[1] = total.vector[2] = coadjoint_nan();
+        return total;
+    }
+    periods = (double)(int64_t)periods;
+    if (periods > 0.0) {
+        const double length = sqrt(coadjoint_dot(z, z));
+        double along, size, cosine, sine, whole = 1.0, about = 0.0;
+        part = coadjoint_pieces(moments, d, moved, period, coadjoint_count(speed, period));
+        along = coadjoint_dot(part.vector, z) / length;
+        size = sqrt(coadjoint_fma(part.whole, part.whole, along * along));
+        cosine = part.whole / size, sine = along / size;
+        for (int64_t left = (int64_t)periods; left > 0; left /= 2) {
+            double next, twice, by;
+            if (left % 2) {
+                next = coadjoint_fma(whole, cosine, -(about * sine));
+                about = coadjoint_fma(whole, sine, about * cosine);
+                whole = next;
+            }
+            next = coadjoint_fma(cosine, cosine, -(sine * sine)), twice = 2.0 * (cosine * sine);
+            by = coadjoint_fma(-0.5, coadjoint_fma(next, next, twice * twice), 1.5);
+            cosine = next * by, sine = twice * by;
+        }
+        total.whole = whole;
+        for (int i = 0; i < 3; ++i) total.vector[i] = about * (z[i] / length), moved[i] = z[i];
+    }
+    time = coadjoint_fma(-periods, period, time);
+    part = coadjoint_pieces(moments, d, moved, time, coadjoint_count(speed, time));
+    return coadjoint_after(&part, &total);
+}
+
+/* The rotation of a free body in the time tau. */
 static inline struct coadjoint_quaternion coadjoint_body_rotation(const double *moments, const double *momentum,
                                                                   double tau) {
     double inverse, z[3], d[3], m[3], a[3];
@@ -721,13 +800,8 @@ static inline struct coadjoint_quaternion coadjoint_body_rotation(const double *
     widest = coadjoint_absolute(d[1]) < coadjoint_absolute(d[2]) ? coadjoint_absolute(d[2]) : coadjoint_absolute(d[1]);
     widest = coadjoint_absolute(d[0]) < widest ? widest : coadjoint_absolute(d[0]);
     reach = (widest * coadjoint_absolute(time)) * sqrt(coadjoint_dot(z, z)) * (1.0 / 0.125);
-    if (!(reach <= 65536.0)) {
-        total.whole = total.vector[0] = total.vector[1] = total.vector[2] = coadjoint_nan();
-        return total;
-    }
-    count = (double)(long)reach;
-    if (count < reach) count += 1.0;
-    if (count < 1.0) count = 1.0;
+    if (!(reach <= 64.0)) return coadjoint_long_rotation(moments, d, widest, z, time);
+    count = coadjoint_count(reach, 1.0);
     each = count == 1.0 ? time : time / count;
     for (int i = 0; i < 3; ++i) m[i] = moments[i] * each, a[i] = d[i] * each;
     total = coadjoint_piece(m, a, z, moving);

@@ -10,8 +10,7 @@ from typing import Any
 from coadjoint.errors import in_one_line
 from coadjoint.files.exports.c_export import loop_of_run
 from coadjoint.files.exports.c_statements import check_terms
-from coadjoint.files.output.atomic_output import PendingOutput
-from coadjoint.files.output.output_files import OutputError, write_text
+from coadjoint.files.output.output_files import OutputError, pending, write_text
 from coadjoint.kernels.library import SOURCE, SUFFIX, kernels
 from coadjoint.kernels.tables.derivatives import flow_cotangents
 from coadjoint.kernels.tables.flow import FlowTables
@@ -108,7 +107,6 @@ def write_interface(folder: str | Path) -> list[Path]:
         raise OutputError(f"{folder}: the folder does not exist; create it first")
     copies = {INTERFACE: target / INTERFACE.name, Path(kernels()._name): target / LIBRARY}
     for source, copy in copies.items():
-        with PendingOutput(copy) as unfinished:  # programs that have loaded the library keep the old one
+        with pending(copy) as unfinished:  # programs that have loaded the library keep the old one
             unfinished.path.write_bytes(source.read_bytes())
-            unfinished.finish()
     return list(copies.values())

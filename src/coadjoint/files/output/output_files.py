@@ -13,6 +13,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -123,15 +124,25 @@ def _try_target(target: Path) -> None:
             trial.path.touch()
 
 
+@contextmanager
+def pending(target: Path) -> Iterator[PendingOutput]:
+    """Write to a target atomically in the context; OutputError with its path if that fails, as on a full disk."""
+    try:
+        with PendingOutput(target) as unfinished:
+            yield unfinished
+            unfinished.finish()
+    except OSError as reason:
+        raise OutputError(f"{target}: cannot be written ({reason.strerror or reason}); give another folder") from None
+
+
 def write_dataset(dataset: xarray.Dataset, path: str | Path) -> None:
     """Write a dataset as NetCDF (``.nc``) or Zarr (``.zarr``) atomically, with a checksum of its content."""
     # A Zarr store is a folder: when one is replaced, there is a moment without either.
     target = check_target(path)
     dataset = with_checksum(dataset)
     write = write_netcdf if target.suffix == ".nc" else write_zarr
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         _run_in_thread(lambda: write(dataset, unfinished.path, unfinished.writing), unfinished.abandon)
-        unfinished.finish()
 
 
 def _run_in_thread(work: Callable[[], None], abandon: Callable[[], None]) -> None:
@@ -150,17 +161,15 @@ def write_figure(figure: Figure, path: str | Path) -> None:
     target = check_target(path, FIGURES)
     buffer = io.BytesIO()
     figure.savefig(buffer, format=target.suffix[1:])
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         unfinished.path.write_bytes(buffer.getbuffer())
-        unfinished.finish()
 
 
 def write_text(text: str, path: str | Path, suffixes: Iterable[str] = TEXTS) -> None:
     """Write text (JSON, a page or a header) to a file with one of the suffixes, atomically; see `check_target`."""
     target = check_target(path, suffixes)
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         unfinished.path.write_text(text, encoding="utf-8")
-        unfinished.finish()
 
 
 def check_movie(path: str | Path) -> Path:
@@ -185,9 +194,8 @@ def write_movie(frames: Any, target: Path, fps: float) -> None:
     `frames` are drawn lazily: they have a `count`, a `size` (width, height), and `samples()`, a few that have the
     colours of all. Iteration over both yields RGBA bytes, (height, width, 4).
     """
-    with PendingOutput(target) as unfinished:
+    with pending(target) as unfinished:
         (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.path, fps)
-        unfinished.finish()
 
 
 def _ffmpeg() -> str | None:

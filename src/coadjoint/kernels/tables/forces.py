@@ -271,7 +271,7 @@ def forced_loop(
 def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int) -> Sources:
     """Return the sources of a force of this number: a constant torque, or what its function contains."""
     energy = CoefficientNumbers.of(system.hamiltonian.terms())
-    if len(table.function) and force.uses_energy:
+    if len(table.function) and force._needs_energy(system):
         contained = energy.of_coordinates(np.array(linear_coefficients_in(force, system), dtype=np.int64))
         # Of other coefficients, a function may contain any.
         return Sources(computed={"function": np.concatenate([energy.others, contained])})
@@ -284,7 +284,7 @@ def _sources_of_force(system: Any, force: Force, table: ForceTable, number: int)
 
 def linear_coefficients_in(force: Force, system: Any) -> list[int]:
     """Return the coordinates of the linear term of H whose coefficients the compiled function of a force contains."""
-    if not force.uses_energy or not len(CoefficientNumbers.of(system.hamiltonian.terms()).number):
+    if not force._needs_energy(system) or not len(CoefficientNumbers.of(system.hamiltonian.terms()).number):
         return []
     n = system.dim
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.compiled import address, as_structure, filled, packer
 from coadjoint.program.term_table import Terms
+from coadjoint.rounding import in_standard_mode
 
 ROWS_PER_STEP, SPARE_ROWS = 4, 2**14
 """Rows that can be recorded: `ROWS_PER_STEP` per step and member, plus `SPARE_ROWS`."""
@@ -71,6 +72,7 @@ def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float
     return _packed_schedule(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, 1)
 
 
+@in_standard_mode
 def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     """Fill out (K, members, I) with invariants at the saved points (K, members, n) and K times."""
     x, t = np.ascontiguousarray(points, dtype=np.float64), np.ascontiguousarray(times, dtype=np.float64)

@@ -14,6 +14,7 @@ from coadjoint.errors import LargeStepWarning, unknown_name
 from coadjoint.long_operations import warn_caller
 from coadjoint.methods.protocol.derivative_tables import DerivativeTables
 from coadjoint.methods.protocol.step_derivatives import derivative_of
+from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.derivatives.differentiable_run import DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import overflow, read_like
 from coadjoint.runs.derivatives.located_trajectory import function_of_rows
@@ -122,6 +123,7 @@ class Pullback:
     def __repr__(self) -> str:
         return f"<pullback of {self.solution!r}>"
 
+    @in_standard_mode
     def __call__(
         self,
         x: Any = None,
@@ -211,6 +213,10 @@ def gradient_of(
             total += tables.factors[name].of_entries(of_factors, total.shape[1])
     through_steps, of_element, coefficients = _through_steps(run, trajectory, tables, of_x, of_groups)
     of_x0 += through_steps
+    for name, total in totals.items() if trajectory.fixed_velocities else ():
+        for some, energy in run.energies(name, members):
+            for m in range(members)[some]:
+                total[m] += trajectory.fixed_velocities[m].pull(energy, of_x0[m])
     states0 = run.system.states_of(of_x0)
     values: dict[str, Any] = {"x0": states0[0] if start.single else states0}
     for name, total in totals.items():

@@ -26,8 +26,9 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.short_repr import distinct
-from coadjoint.systems.energy_derivatives import EnergyDerivative
+from coadjoint.systems.energy_derivatives import EnergyDerivative, FixedVelocity
 from coadjoint.systems.parameters import Parameter, parameters_of
+from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
     from coadjoint.runs.derivatives.located_trajectory import CrossingDerivatives
@@ -41,6 +42,10 @@ STEPS_OF_STRETCH = 16  # steps of a stretch below which the allocations of a cal
 BYTES_OF_CHECKPOINTS = 2**25
 
 
+FIXED = ("momentum", "velocity")
+"""What a parameter leaves as it is in the initial state."""
+
+
 class Arguments(NamedTuple):
     """Arguments of a run to be differentiated, as of `PreparedRun.run`."""
 
@@ -51,11 +56,13 @@ class Arguments(NamedTuple):
     attitude: Any
     events: tuple[Event, ...] = ()
     inputs: Mapping[str, Any] = {}
+    fixed: str = FIXED[0]
 
     @property
     def keywords(self) -> dict[str, Any]:
         """Keywords of `PreparedRun.run`."""
-        return {name: value for name, value in self._asdict().items() if name != "inputs"} | dict(self.inputs)
+        own = {name: value for name, value in self._asdict().items() if name not in ("inputs", "fixed")}
+        return own | dict(self.inputs)
 
 
 class DifferentiableRun:
@@ -135,6 +142,10 @@ class Trajectory:
         by_member = {name for name, value in given.inputs.items() if np.ndim(value) > indices[name].ndim}
         self.inputs = {name: (one, name in by_member) for name, one in indices.items()}
         self.members, self.n = self.start.momenta.shape
+        self.fixed_velocities: list[FixedVelocity] = []
+        if read_choice(given.fixed, "fixed", FIXED) == "velocity":
+            t0, rows = float(self.times.t0), self.start.momenta
+            self.fixed_velocities = [FixedVelocity.at(self.system.of_member(m), x, t0) for m, x in enumerate(rows)]
         self.side = self.start.groups.shape[1]
         self._integrate(run, given, moments)
         prepared.check_first_step(self.solution)

@@ -111,6 +111,11 @@ class Directions:
             for name in run.parameters
             if name in arrays
         }
+        for name, directions in self.parameters.items() if trajectory.fixed_velocities else ():
+            for some, energy in run.energies(name, members):
+                for m in range(members)[some]:
+                    own = directions[m] if self.by_system else directions
+                    self.x0[m] += trajectory.fixed_velocities[m].along(energy, own)
         directed = {name: one for name, one in trajectory.inputs.items() if f"{INPUTS}.{name}" in arrays}
         self.inputs: Floats | None = None
         if directed and trajectory.values is not None:

@@ -157,7 +157,7 @@ def _flow_entries_of_inputs(run: DifferentiableRun, inputs: Inputs, values: Floa
 
 
 def _using_energy(run: DifferentiableRun) -> tuple[int, ...]:
-    return tuple(j for j, (_, flow) in enumerate(run.system.flows) if flow.uses_energy)
+    return tuple(j for j, (_, flow) in enumerate(run.system.flows) if flow._needs_energy(run.system.unforced))
 
 
 def _flows_of_force(run: DifferentiableRun, position: int) -> tuple[int, ...]:

@@ -318,8 +318,8 @@ def failure_text(status: str, method: Method, residual: float, with_forces: bool
         return f"the iteration of {method}{forces} did not converge (last correction {residual:.3g})"
     if status == "TOO_LONG":
         return (
-            f"a flow of a part is longer than {limit('MOST_SUBSTEPS')} (its angle times the norm of its generator), "
-            "and flows so long leave no digits of float64"
+            f"a flow of a part is longer than {limit('MOST_SUBSTEPS')} (its angle times the norm of its generator), or "
+            "than 2^30 periods of the momentum of a free body, and flows so long leave few digits of float64"
         )
     if status == "PARALLEL":
         return "a tangent vector lost half of its digits against the others"

@@ -21,6 +21,7 @@ from coadjoint.methods.protocol.method import Representation
 from coadjoint.program.generators import given_matrices
 from coadjoint.program.group_correction import UnshiftTables, unshift_tables
 from coadjoint.program.parts.casimir_shifts import quadratic_entries
+from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.start import Start, matrices_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System
@@ -47,6 +48,7 @@ def unshifting(tables: UnshiftTables) -> Callable[..., None]:
     address, packed, kernel = ctypes.byref(structure), packer("Unshifted", UNSHIFTED), kernels().unshift
     products = tables.size**3 + 30 * width**3
 
+    @in_standard_mode
     def fill(
         rate: float,
         out: NDArray[np.float64],

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import Layout, NamedArrays
 from coadjoint.keyword_hints import NamedValues
+from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.loops.loops import GroupCorrection
 from coadjoint.runs.results.quantities import Observed
 from coadjoint.runs.results.solution import Solution
@@ -124,6 +125,7 @@ class MemorySolution(Solution):
         return NamedValues()
 
     @cached_property
+    @in_standard_mode
     def attitude(self) -> Floats | None:
         start = self._start
         if start.representation is None:

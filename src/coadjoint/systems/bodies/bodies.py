@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.bodies.body import (
+    IN_SPACE,
     axis_products,
     bodies_algebra,
     central_coordinate,
@@ -166,6 +167,7 @@ def _tumbling() -> Floats:
 
 @ready_made(
     unit="z",
+    coordinates=IN_SPACE,
     energy=kinetic_matrix,
     gallery_entry=GalleryEntry(
         x0=_tumbling,

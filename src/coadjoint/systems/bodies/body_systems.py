@@ -26,8 +26,8 @@ from coadjoint.validation import read_bool, read_choice, read_finite, read_numbe
 
 Floats = npt.NDArray[np.float64]
 
-ROD_VELOCITY = 64 * UNIT_ROUNDOFF
-"""Largest angular velocity along a rod, relative to the whole, that is taken for rounding."""
+ROD_VELOCITY = 1e-4
+"""Largest angular velocity along a rod, relative to the whole, that is taken for the rounding of its axis."""
 FRAMES = ("body", "space")
 
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.bodies.inertia import read_in_range, read_vector
+from coadjoint.systems.bodies.inertia import check_products, read_in_range, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -26,6 +26,7 @@ def _swinging() -> npt.NDArray[np.float64]:
 
 @ready_made(
     unit="z",
+    coordinates={"q": ("direction", "1"), "p": ("momentum", "mass length^2/time"), "z": ("constant", "1")},
     gallery_entry=GalleryEntry(
         x0=_swinging,
         t_span=(0.0, 20.0),
@@ -93,6 +94,10 @@ def double_spherical_pendulum(
     """
     first, second = (_pair(argument, what) for argument, what in ((masses, "masses"), (lengths, "lengths")))
     g = read_in_range(gravity, "gravity", zero=True)
+    (m1, m2), (l1, l2) = (np.array(pair) for pair in (first, second))
+    with np.errstate(all="ignore"):
+        determinant, weights = m1 * m2 * l1 * l1 * l2 * l2, g * np.array([(m1 + m2) * l1, m2 * l2])
+        check_products("masses, lengths and gravity", [determinant, *(weights if g else ())])
     H = pendulum_energy(first, second, g)
     return LiePoissonSystem(
         _algebra(),

@@ -34,6 +34,9 @@ VERTICAL_IN_BODY = Picture(
     "directions", vectors={r"vertical $\gamma$": (3, 4, 5)}, title="the vertical, seen from the body"
 )
 
+TOP = {"m": ("momentum", "mass length^2/time"), "gamma": ("direction", "1")}
+"""Kinds and units of the coordinates of a top."""
+
 
 def entry_of_top(
     x0: tuple[float, ...],
@@ -69,6 +72,7 @@ def _energy(inertia: npt.NDArray[Any], lever: npt.NDArray[Any]) -> tuple[npt.NDA
 @ready_made(
     energy=_energy,
     symmetric=("inertia",),
+    coordinates=TOP,
     gallery_entry=entry_of_top(
         x0=(0.3, 0.2, 3.0, 0.6, 0.0, 0.8),
         t_span=(0.0, 40.0),
@@ -178,6 +182,7 @@ def _lagrange_energy(equatorial: Any, axial: Any, lever: Any) -> tuple[npt.NDArr
 
 @ready_made(
     energy=_lagrange_energy,
+    coordinates=TOP,
     gallery_entry=entry_of_top(
         x0=(0.0, 0.0, 3.0, 0.8660254037844386, 0.0, 0.5),
         t_span=(0.0, 24.0),
@@ -257,6 +262,7 @@ def _kovalevskaya_energy(equatorial: Any, lever: Any) -> tuple[npt.NDArray[Any],
 
 @ready_made(
     energy=_kovalevskaya_energy,
+    coordinates=TOP,
     gallery_entry=entry_of_top(
         x0=(1.0, 0.5, 1.5, 0.6, 0.0, 0.8),
         t_span=(0.0, 60.0),
@@ -311,6 +317,7 @@ def _goryachev_chaplygin_energy(equatorial: Any, lever: Any) -> tuple[npt.NDArra
 
 @ready_made(
     energy=_goryachev_chaplygin_energy,
+    coordinates=TOP,
     gallery_entry=entry_of_top(
         x0=(0.0, 4.0, 3.0, 0.6, -0.48, 0.64),
         t_span=(0.0, 60.0),

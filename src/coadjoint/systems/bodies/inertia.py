@@ -142,19 +142,24 @@ def with_change(inverse: npt.NDArray[np.float64], change: npt.NDArray[np.float64
     return np.asarray(inverse - 1j * np.einsum("ij,jk,kl->il", inverse, change, inverse))
 
 
-MAX_MAGNITUDE = 1e30
-
-
 def read_in_range(value: Any, what: str, zero: bool = False) -> float:
-    """Return a positive number between 1e-30 and 1e30, or zero if that is allowed; `what` is its name in messages."""
+    """Return a positive number whose inverse is finite, or zero if that is allowed; `what` is its name in messages."""
     if zero and read_number(value, what) == 0.0:
         return 0.0
     number = read_positive(value, what)
-    if not 1 / MAX_MAGNITUDE <= number <= MAX_MAGNITUDE:
+    if not MIN_MOMENT <= number <= 1.0 / MIN_MOMENT:
         raise ValueError(
-            f"{what} is {number:g}; take units in which it is between {1 / MAX_MAGNITUDE:g} and {MAX_MAGNITUDE:g}"
+            f"{what} is {number:g}, and its inverse leaves the range of float64; take units in which it is between "
+            f"{MIN_MOMENT:g} and {1.0 / MIN_MOMENT:g}"
         )
     return number
+
+
+def check_products(what: str, products: npt.ArrayLike) -> None:
+    """Raise ValueError if a product of positive numbers, not finite or below `MIN_MOMENT`, has left float64."""
+    for product in np.ravel(np.asarray(products, dtype=np.float64)).tolist():
+        if not MIN_MOMENT <= product <= 1.0 / MIN_MOMENT:
+            raise ValueError(f"{what} have products ({product:g}) that leave the range of float64; change units")
 
 
 ROUNDING_TOLERANCE = 64 * UNIT_ROUNDOFF  # relative tolerance for rounded input

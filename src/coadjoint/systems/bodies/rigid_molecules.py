@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import drawn_bodies, momentum_in_space, relative_positions
-from coadjoint.systems.bodies.inertia import BodyInertia, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.body import IN_SPACE, distances_of_bodies, momentum_in_space, third_axes_of_bodies
+from coadjoint.systems.bodies.inertia import BodyInertia, check_products, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
 from coadjoint.systems.registry import ready_made
@@ -26,7 +25,11 @@ MIXING = ("lorentz-berthelot", "geometric")
 SWITCHED_PART = 0.1
 """Width of the switch relative to the cutoff, by default."""
 COLLINEAR = 64 * UNIT_ROUNDOFF
-"""Largest distance of a site from the axis of its linear molecule, relative to the size, that is taken for rounding."""
+"""Largest distance of a site from the axis of its linear molecule, relative to the size, that is left as it is."""
+ROUNDED_LINE, ROUNDED_CHARGE = 1e-6, 1e-4
+"""Largest distances of sites with and without a mass from the axis of a linear molecule, relative to the size, that are
+taken for the rounding of input: of seven and five decimals of a bond length in nm. Farther ones with a mass are a bent
+molecule, which turns fast about its axis; without one they would turn what has no moment of inertia."""
 MAX_MOLECULES = 10**5
 BYTES_PER_MOLECULE = 20_000
 ARGUMENTS = ("sites", "charges", "lj", "masses", "count")
@@ -84,23 +87,9 @@ def _dimer() -> Floats:
     )
 
 
-def _distance(x: Any, k: int) -> Any:
-    """Return the distance of the centres of molecule k and the first one."""
-    return np.linalg.norm(relative_positions(x)[..., k - 2, :], axis=-1)
-
-
-def _distances(dim: int) -> dict[str, Any]:
-    names = {k: f"from 1 to {k}" if drawn_bodies(dim)[-1] > 2 else "distance" for k in drawn_bodies(dim, 2)}
-    return {name: partial(_distance, k=k) for k, name in names.items()}
-
-
-def _dipoles(dim: int) -> dict[str, list[str]]:
-    """Return the third axis of each molecule in space, by its components."""
-    return {f"molecule {k}": [f"{axis}3[{k}]" for axis in "XYZ"] for k in drawn_bodies(dim)}
-
-
 @ready_made(
     unit="z",
+    coordinates=IN_SPACE,
     gallery_entry=GalleryEntry(
         x0=_dimer,
         t_span=(0.0, 2.0),
@@ -108,14 +97,10 @@ def _dipoles(dim: int) -> dict[str, list[str]]:
         caption="Two molecules of water with a hydrogen bond: the directions of their dipoles in space, which librate, "
         "and the distance of their centres of mass.",
         pictures=(
-            Picture(
-                "directions",
-                vectors=_dipoles,
-                title="directions of the dipoles in space",
-            ),
+            Picture("directions", vectors=third_axes_of_bodies, title="directions of the dipoles in space"),
             Picture("bodies"),
         ),
-        components=Picture("components", functions=_distances, quantity="distance of the centres [nm]"),
+        components=Picture("components", functions=distances_of_bodies, quantity="distance of the centres [nm]"),
         quantity="state",
     ),
 )
@@ -297,9 +282,44 @@ def _body_of_sites(places: Floats, m: Floats, which: str) -> tuple[Floats, float
     for i, j in ((0, 1), (0, 2), (1, 2)):
         tensor[i, j] = tensor[j, i] = -moments[i][j]
     diagonal = not (tensor - np.diag(np.diag(tensor))).any()
-    inertia = read_body_inertia(np.diag(tensor) if diagonal else tensor, f"the inertia of sites{which}")
-    _check_axis(inertia, from_centre, which)
-    return from_centre, mass, inertia
+    line, what = _on_a_line(from_centre, m), f"the inertia of sites{which}"
+    try:
+        inertia = read_body_inertia(np.diag(tensor) if diagonal else tensor, what)
+        _check_axis(inertia, from_centre, which)
+    except ValueError:
+        if line is None:
+            raise
+    else:
+        if line is None or inertia.rotating is not None:
+            return from_centre, mass, inertia
+    return line[0], mass, read_body_inertia(line[1], what)
+
+
+def _on_a_line(places: Floats, m: Floats) -> tuple[Floats, Floats] | None:
+    """Return sites from their centre of mass, moved to the axis, and the inertia of a molecule that is linear up to the
+    rounding of its sites; None for other molecules.
+    """
+    size = np.abs(places[m > 0.0]).max()
+    if not size > 0.0:
+        return None
+    # The axis of the largest second moment; one of the others is below the square of the tolerance.
+    scaled = places / size
+    axis = scaled[np.argmax(m * (scaled * scaled).sum(axis=1))]
+    for _ in range(3):
+        axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+        weights = m * np.array([math.fsum(row) for row in (scaled * axis).tolist()])
+        axis = np.array([math.fsum((weights * scaled[:, i]).tolist()) for i in range(3)])
+    axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+    axis[np.abs(axis) < ROUNDED_LINE] = 0.0  # an axis of coordinates is one exactly
+    axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+    along = np.array([math.fsum(row) for row in (scaled * axis).tolist()])
+    beside = np.abs(scaled - along[:, None] * axis).max(axis=1)
+    if (beside > np.where(m > 0.0, ROUNDED_LINE, ROUNDED_CHARGE)).any():
+        return None
+    places = size * (along[:, None] * axis)
+    moment = math.fsum((m * (size * along) ** 2).tolist())
+    tensor = moment * (np.eye(3) - axis[:, None] * axis)
+    return places, np.diag(tensor) if np.count_nonzero(axis) == 1 else tensor
 
 
 def _check_axis(inertia: BodyInertia, places: Floats, which: str) -> None:
@@ -340,6 +360,8 @@ def _read_cutoff(box: Any, cutoff: Any, switch_from: Any, dielectric: Any) -> tu
             raise ValueError(f"dielectric is {permittivity:g} without cutoff; the reaction field begins at a cutoff")
         return 0.0, 0.0, 1.0
     end = read_in_range(cutoff, "cutoff")
+    with np.errstate(all="ignore"):
+        check_products("powers of cutoff", np.float64(end) ** 3)
     begin = (1.0 - SWITCHED_PART) * end if switch_from is None else read_in_range(switch_from, "switch_from")
     if not begin < end:
         raise ValueError(f"switch_from is {begin:g}, and cutoff {end:g}; the switch must begin before the cutoff")

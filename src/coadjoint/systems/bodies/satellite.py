@@ -15,7 +15,8 @@ from coadjoint.algebra.families.products import semidirect
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.systems.bodies.inertia import principal, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.body import IN_SPACE
+from coadjoint.systems.bodies.inertia import check_products, principal, read_body_inertia, read_in_range
 from coadjoint.systems.bodies.rigid_body import ClassicalBody
 from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -47,6 +48,7 @@ def _pitch(x: Any) -> Any:
 
 @ready_made(
     unit="z",
+    coordinates={name: IN_SPACE[name] for name in ("L", "p", "r", "z")},
     gallery_entry=GalleryEntry(
         x0=_librating,
         t_span=(0.0, 300.0),
@@ -121,6 +123,8 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     if found.rotating is not None:
         raise ValueError("inertia is that of a rod; give a body with three positive principal moments")
     mass, gravity = read_in_range(mass, "mass"), read_in_range(gravity, "gravity")
+    with np.errstate(all="ignore"):
+        check_products("mass, inertia and gravity", gravity * np.array([mass, *np.diag(found.tensor)]))
     moments, along = principal(found.tensor), principal(found.inverse)
     free_flight = ((3, 4, 5), Quadratic(1 / mass))
     if moments is None or along is None:

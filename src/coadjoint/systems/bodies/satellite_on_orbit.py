@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from math import pi
 from typing import Any, NamedTuple
@@ -9,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.systems.bodies.body import attitude_algebra, axis_products
+from coadjoint.systems.bodies.body import ATTITUDE, attitude_algebra, axis_products
 from coadjoint.systems.bodies.body_systems import BodySystem
 from coadjoint.systems.bodies.inertia import (
     anisotropic_part,
     axis_of_symmetry,
+    check_products,
     inverse_of_moving,
     momentum_along,
     read_body_inertia,
@@ -57,6 +59,17 @@ class OrbitingSatellite(BodySystem):
 
     mean_motion: float
     eccentricity: float
+
+    @property
+    def frame_rate(self) -> Callable[..., Any]:  # type: ignore[override]
+        """Rate f'(t) at which the orbital frame turns about its third axis."""
+        return _frame_rate(self.mean_motion, self.eccentricity)
+
+    def momentum_at_rest(self, rate: Any) -> Floats:
+        """Return the matrix whose product with a state from the left is the state at rest in a frame of this rate."""
+        M = np.zeros((self.dim, self.dim))
+        M[NORMAL, :3] = rate * self.inertias[0].tensor
+        return M
 
     def orbit(self, t: npt.ArrayLike) -> KeplerOrbit:
         """Return where the satellite is at times t; at t = 0 it is at the pericentre.
@@ -121,6 +134,7 @@ def _energy(inertia: npt.NDArray[Any], mean_motion: Any, *, eccentricity: float)
 @ready_made(
     energy=_energy,
     symmetric=("inertia",),
+    coordinates=ATTITUDE,
     gallery_entry=GalleryEntry(
         x0=_librating,
         t_span=(0.0, 40.0),
@@ -157,6 +171,9 @@ def satellite_on_orbit(
     axis, the true anomaly f and ``Omega = I^-1 L``, the angular velocity in inertial space: ``L' = L cross Omega +
     3 mean_motion^2/r^3 X cross I X``, ``X' = X cross (Omega - f' Z)``, and so on. Sign -1, ``H = L . I^-1 L / 2 -
     f' L . Z + 3 mean_motion^2/(2 r^3) X . I X``.
+
+    Forces take the orbital frame as space: vectors have components along X, Y, Z, and damping is relative to the frame.
+    The gravity gradient is in H, so that `co.forces.GravityGradient` is refused.
 
     Parameters
     ----------
@@ -210,6 +227,8 @@ def satellite_on_orbit(
     rate, e = read_in_range(mean_motion, "mean_motion"), read_number(eccentricity, "eccentricity")
     if not 0.0 <= e < 1.0:
         raise ValueError(f"eccentricity is {e:g}; give a number from 0 to less than 1")
+    with np.errstate(all="ignore"):
+        check_products("mean_motion and inertia", rate * rate * np.diag(found.tensor))
     parameters = {"inertia": found.given, "mean_motion": rate, "eccentricity": e}
     if e:
         kinetic = np.zeros((PER_BODY, PER_BODY))
@@ -248,15 +267,30 @@ def _eccentric_anomaly(mean: float, e: float) -> float:
 
 
 @lru_cache(maxsize=64)
-def _on_ellipse(rate: float, e: float, tensor: tuple[tuple[float, ...], ...]) -> tuple[Hamiltonian, Hamiltonian]:
-    """Return -f'(t) L_i Z_i and the potential of X, cached, so that they are compiled once for equal parameters."""
-    anomaly, fast = callable_from_compiled(_eccentric_anomaly), rate * np.sqrt((1.0 - e) * (1.0 + e))
-    (a, f, g), (_, b, h), (_, _, c) = tensor
+def _inverse_radius(rate: float, e: float) -> Callable[..., Any]:
+    """Return the semi-major axis over the radius, a function of the time for compiled functions."""
+    anomaly = callable_from_compiled(_eccentric_anomaly)
 
     def inverse_radius(t: Any) -> Any:
         return 1.0 / (1.0 - e * np.cos(anomaly(rate * t, e)))
 
-    over = callable_from_compiled(inverse_radius)
+    return callable_from_compiled(inverse_radius)
+
+
+@lru_cache(maxsize=64)
+def _frame_rate(rate: float, e: float) -> Callable[..., Any]:
+    """Return the derivative of the true anomaly, a function of the time for compiled functions."""
+    if not e:
+        return callable_from_compiled(lambda t: rate + 0.0 * t)
+    over, fast = _inverse_radius(rate, e), rate * np.sqrt((1.0 - e) * (1.0 + e))
+    return callable_from_compiled(lambda t: fast * over(t) ** 2)
+
+
+@lru_cache(maxsize=64)
+def _on_ellipse(rate: float, e: float, tensor: tuple[tuple[float, ...], ...]) -> tuple[Hamiltonian, Hamiltonian]:
+    """Return -f'(t) L_i Z_i and the potential of X, cached, so that they are compiled once for equal parameters."""
+    over, fast = _inverse_radius(rate, e), rate * np.sqrt((1.0 - e) * (1.0 + e))
+    (a, f, g), (_, b, h), (_, _, c) = tensor
 
     def turning(y: Any, t: Any) -> Any:
         return -fast * over(t) ** 2 * y[0] * y[1]

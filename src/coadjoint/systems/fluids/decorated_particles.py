@@ -62,6 +62,7 @@ def _energy(
 # Odd coefficients of a pair potential are zero, so that its entries cannot change.
 @ready_made(
     unit="z",
+    coordinates={"q": ("position", "length"), "p": ("momentum", "mass length/time"), "z": ("constant", "1")},
     energy=_energy,
     gallery_entry=GalleryEntry(
         x0=(-1.0, 0.5, 0.0, 0.5, 1.0, 0.02, 0.0, 0.04, 0.05, 0.0, 0.02),

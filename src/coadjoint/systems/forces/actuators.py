@@ -170,6 +170,7 @@ class ControlMomentGyros(Sampled):
     max_rate: Any = None
     regularization: float = 1e-3
 
+    moves: ClassVar[tuple[str, ...]] = ("momentum", "angle")
     command_name: ClassVar[str] = "rate of the gimbals"
     selectors: ClassVar[tuple[str, ...]] = ("period", "first")
 

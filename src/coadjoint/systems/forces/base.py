@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import ExplainedCalls
-from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import record_repr, short
-from coadjoint.systems.user_functions import sample_points
+from coadjoint.systems.coordinates import check_moved, kinds_of
+from coadjoint.systems.user_functions import SAMPLE_TIME, sample_points
 from coadjoint.validation import as_tuples, read_finite, read_integer, set_fields, to_array
 
 Plain = float | tuple[Any, ...]
@@ -80,6 +80,9 @@ class Force(metaclass=ExplainedCalls):
     selectors: ClassVar[tuple[str, ...]] = ()
     """Parameters that select among cases, by which runs are not differentiated although they are numbers."""
 
+    moves: ClassVar[tuple[str, ...]] = ("momentum",)
+    """Kinds of the coordinates that it changes, see ``layout`` of `LiePoissonSystem`."""
+
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         # A dataclass keeps a representation that its class has.
@@ -112,6 +115,28 @@ class Force(metaclass=ExplainedCalls):
         ValueError, TypeError
             The force and the system do not match; the message names the mismatch.
         """
+
+    def _needs_energy(self, system: Any) -> bool:
+        """Return whether its flow depends on the Hamiltonian or another parameter of a system."""
+        return self.uses_energy
+
+    def _changed(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[np.bool_]:
+        """Return which coordinates the force changes at a state, (n,)."""
+        return np.asarray(self.field(system, x, t) != 0.0)
+
+    def _check_kinds(self, system: Any) -> None:
+        """Raise ValueError if the force changes coordinates of another kind than `moves`, at sample states."""
+        kinds = None if system.has_matrices else kinds_of(system)
+        if kinds is None:
+            return
+        fixed = ~np.isin(kinds, self.moves)
+        for x in sample_states(system):
+            try:
+                with np.errstate(all="ignore"):
+                    moved = fixed & self._changed(system, x, SAMPLE_TIME)
+            except Exception:  # outside its domain a user function may raise anything
+                continue
+            check_moved(self.label, system, moved)
 
     @property
     def is_constant_torque(self) -> bool:
@@ -267,8 +292,8 @@ def random_words(seed: int, stream: int, moment: float, part: int, count: int) -
 MAX_FORCES_TEXT = 240  # characters of the forces in a representation; longer lists are cut
 
 
-def forces_on(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]:
-    """Return a system with space in its state for the numbers that forces hold, and the forces, which can act on it."""
+def forces_on(system: Any, forces: Sequence[Any], new: int) -> tuple[Any, tuple[Any, ...]]:
+    """Return a system with space in its state for what forces hold, and the forces, which can act on it."""
     for force in forces:
         if isinstance(force, Sequence) and any(isinstance(one, Force) for one in force):
             raise TypeError(f"with_forces was given {short(force)}, a list; give the forces: with_forces(*forces)")
@@ -282,8 +307,10 @@ def forces_on(system: Any, forces: Sequence[Any]) -> tuple[Any, tuple[Any, ...]]
             for force, count, first in zip(forces, counts, starts, strict=False)
         ]
         system = system.with_held(sum(counts))
-    for force in forces:
+    for k, force in enumerate(forces):
         force.check(system)
+        if k >= len(forces) - new:
+            force._check_kinds(system)
     streams = [(force.seed, force.stream) for force in forces if force.random]
     if len(set(streams)) < len(streams):
         raise ValueError("two forces have the same seed and stream, and so the same noise; give each its own seed")
@@ -370,24 +397,3 @@ def apply_metric(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
     """Return the product of a number, a diagonal or a matrix with y."""
     array = np.asarray(matrix)
     return array @ y if array.ndim == 2 else array * y
-
-
-def metric_root(metric: Plain, what: str) -> NDArray[np.float64]:
-    """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor, summed in a fixed order."""
-    P = np.array(metric, dtype=np.float64)
-    size = np.max(np.abs(P))
-    if P.ndim < 2:
-        if np.any(P < 0.0):
-            raise ValueError(f"{what} has the negative entry {P.min():g}; damping needs a positive semidefinite one")
-        return np.sqrt(P)
-    if not np.array_equal(P, P.T):
-        raise ValueError(f"{what} is not symmetric; damping needs a symmetric positive semidefinite one")
-    n = len(P)
-    L, remainder, tolerance = np.zeros((n, n)), P.copy(), 64 * n * UNIT_ROUNDOFF * size
-    for k in range(n):
-        if remainder[k, k] > tolerance:
-            L[k:, k] = remainder[k:, k] / np.sqrt(remainder[k, k])
-            remainder -= np.multiply.outer(L[:, k], L[:, k])
-        elif remainder[k, k] < -tolerance or np.max(np.abs(remainder[k:, k])) > np.sqrt(tolerance * size):
-            raise ValueError(f"{what} is not positive semidefinite; damping would feed energy in")
-    return L

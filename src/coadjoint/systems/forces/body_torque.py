@@ -16,7 +16,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_systems import read_attitudes
 from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
-from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments
+from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments, sample_points
 from coadjoint.validation import as_tuples, read_choice, read_finite
 
 
@@ -69,24 +69,48 @@ def check_one_body(system: Any, label: str) -> None:
 @lru_cache(maxsize=1024)
 def velocity_map(system: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return W (3, dim) and w (3,) with the angular velocity W x + w, the derivative of the energy by the momentum."""
+
+    def velocity(x: Any, t: float) -> NDArray[np.float64]:
+        omega = np.asarray(system.hamiltonian.gradient(x, t))[:3]
+        # The energy in a frame that turns has its rate times the momentum along the third axis.
+        return omega if system.frame_rate is None else omega + system.frame_rate(t) * x[9:12]
+
     with np.errstate(all="ignore"):
-        points = np.eye(system.dim)
-        constant = np.asarray(system.hamiltonian.gradient(np.zeros(system.dim), 0.0))[:3]
-        columns = [np.asarray(system.hamiltonian.gradient(point, 0.0))[:3] - constant for point in points]
-    return np.stack(columns, axis=1), constant
+        constant = velocity(np.zeros(system.dim), 0.0)
+        W = np.stack([velocity(point, 0.0) - constant for point in np.eye(system.dim)], axis=1)
+        x = sample_points(system.dim)[0]
+        expected = W @ x + constant
+        error = np.abs(velocity(x, SAMPLE_TIME) - expected).max()
+    if error > CHANGED * np.abs(expected).max():
+        raise TypeError(
+            f"the angular velocity of {system.name}, the derivative of its energy by the momentum, depends on the time "
+            "or is not linear in the state, and no force that reads it fits; write a co.forces.Torque"
+        )
+    return W, constant
 
 
-def velocity_of(system: Any) -> Callable[..., Any]:
-    """Return the angular velocity as a function of the state, which compiled functions can call."""
+CHANGED = 2.0**-30  # relative difference of an angular velocity from a linear function that is no rounding
+
+
+def velocity_of(system: Any, *, in_frame: bool) -> Callable[..., Any]:
+    """Return the angular velocity, relative to a frame that turns or not, of (x, t), for compiled functions."""
     W, w = velocity_map(system)
 
-    def velocity(x: Any) -> Any:
+    def velocity(x: Any, t: Any) -> Any:
         omega = 0.0 * x[:3] + w
         for i in range(W.shape[1]):
             omega = omega + W[:, i] * x[i]
         return omega
 
-    return callable_from_compiled(velocity)
+    turning = system.frame_rate
+    if turning is None or not in_frame:
+        return callable_from_compiled(velocity)
+    inertial = callable_from_compiled(velocity)
+
+    def relative(x: Any, t: Any) -> Any:
+        return inertial(x, t) - turning(t) * x[9:12]
+
+    return callable_from_compiled(relative)
 
 
 def to_body(A: Any, v: Any) -> Any:
@@ -189,8 +213,10 @@ class Pointing(BodyTorque):
         Torque per angular velocity, in the body frame.
     attitude : (3, 3), (4,), scipy.spatial.transform.Rotation or callable, optional
         The wanted attitude, from the body to space; by default that of space. A function of the time returns a matrix.
-    rate : (3,) or callable
-        The wanted angular velocity w, in space: constant, or a function of the time.
+    rate : (3,) or callable, optional
+        The wanted angular velocity w, constant or a function of the time: relative to inertial space, with components
+        along the axes of space, or of the orbit for ``satellite_on_orbit``. By default that of these axes: zero, or
+        the rate of the orbit at each time.
     error : {"sine", "quaternion"}
         The error of the attitude. That of the sine vanishes at half a turn as well, where it is unstable.
     max_torque : float or (3,), optional
@@ -215,7 +241,7 @@ class Pointing(BodyTorque):
     stiffness: Any
     damping: Any
     attitude: Any = None
-    rate: Any = (0.0, 0.0, 0.0)
+    rate: Any = None
     error: str = "sine"
     max_torque: Any = None
 
@@ -226,7 +252,7 @@ class Pointing(BodyTorque):
             stiffness=read_tensor,
             damping=read_tensor,
             attitude=_read_wanted,
-            rate=read_prescribed,
+            rate=_read_rate,
             error=partial(read_choice, known=ERRORS),
             max_torque=read_limits,
         )
@@ -234,28 +260,34 @@ class Pointing(BodyTorque):
     @property
     def sees_attitude(self) -> bool:
         """Whether there is a spring, or a wanted angular velocity."""
-        return bool(np.any(self.stiffness)) or callable(self.rate) or any(self.rate)
+        return bool(np.any(self.stiffness)) or callable(self.rate) or any(self.rate or ())
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
         in_body, _ = body_products()
-        K, C, velocity = tensor(self.stiffness), tensor(self.damping), velocity_of(system)
+        K, C = tensor(self.stiffness), tensor(self.damping)
         wanted = prescribed(np.eye(3) if self.attitude is None else self.attitude)
-        rate, limited = prescribed(self.rate), limited_by(self.max_torque)
+        in_frame, limited = self.rate is None, limited_by(self.max_torque)
+        velocity, rate = velocity_of(system, in_frame=in_frame), prescribed(np.zeros(3) if in_frame else self.rate)
         error = callable_from_compiled(sine_error if self.error == "sine" else quaternion_error)
 
         def damper(x: Any, t: Any) -> Any:
-            omega = velocity(x)
+            omega = velocity(x, t)
             return limited(-(C[:, 0] * omega[0] + C[:, 1] * omega[1] + C[:, 2] * omega[2]))
 
         def spring(x: Any, A: Any, t: Any) -> Any:
             D = wanted(t)
             # The rows of the relative attitude, from the body to the wanted one.
             e = error(in_body(A, D[:, 0]), in_body(A, D[:, 1]), in_body(A, D[:, 2]))
-            d = velocity(x) - in_body(A, rate(t))
+            d = velocity(x, t) - in_body(A, rate(t))
             pull = K[:, 0] * e[0] + K[:, 1] * e[1] + K[:, 2] * e[2]
             return limited(-(pull + C[:, 0] * d[0] + C[:, 1] * d[1] + C[:, 2] * d[2]))
 
         return spring if self.sees_attitude else damper
+
+
+def _read_rate(value: Any, what: str) -> Any:
+    """Validate a wanted angular velocity; None is that of the frame."""
+    return None if value is None else read_prescribed(value, what)
 
 
 def _read_wanted(value: Any, what: str) -> Any:

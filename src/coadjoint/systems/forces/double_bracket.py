@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.systems.coordinates import check_moved, moved_by, moving_others, turned_by_bracket
 from coadjoint.systems.forces.base import (
     Force,
     ForceReader,
@@ -18,7 +19,6 @@ from coadjoint.systems.forces.base import (
     Plain,
     apply_metric,
     check_dimension,
-    metric_root,
     normal_deviates,
     read_matrix,
     read_seed,
@@ -30,6 +30,7 @@ from coadjoint.systems.forces.orbit_flow import (
     constant_hessian,
     exponential,
     exponential_with_tangent,
+    metric_root,
 )
 from coadjoint.validation import read_nonnegative
 
@@ -43,8 +44,13 @@ class DoubleBracketDamping(Force):
 
     For spins (copies of so(3), with H = -B.S and the like) this is Landau-Lifshitz damping,
     ``S' = -alpha S cross (S cross B)`` with B = -grad H. For Gilbert's form with damping a multiply the Hamiltonian by
-    1/(1 + a^2), and take alpha = a. For fluids it is the selective decay of energy at constant vorticity. The energy
+    1/(1 + a^2), and take alpha = a. Magnetic moments m, ``m' = -m cross B - alpha m cross (m cross B)``, are S = -m in
+    the field -B, with the same alpha. For fluids it is the selective decay of energy at constant vorticity. The energy
     decreases at the rate ``alpha f . P f``, f the Hamiltonian part of x'.
+
+    Where axes, directions or positions are part of the state, a number as metric is that of these: they are not
+    changed, and the damping is friction. A body in space has the torque ``-2 alpha Omega`` and the force ``-alpha r'``,
+    and a top the torque ``-alpha gamma cross (Omega cross gamma)``.
 
     Its flow is the midpoint rule on the orbit, by exponentials: of order 2, symmetric; Casimirs are preserved to
     round-off.
@@ -55,7 +61,7 @@ class DoubleBracketDamping(Force):
         Strength, zero or positive.
     metric : float, (n,) or (n, n) array_like
         P, symmetric and positive semidefinite. Use 1 if the invariant form of the algebra is the sum of squares, as for
-        spins and so(n).
+        spins and so(n). It is zero for momenta whose brackets would change axes, directions or positions.
 
     Raises
     ------
@@ -98,11 +104,28 @@ class DoubleBracketDamping(Force):
             )
         check_dimension(self.metric, f"metric of {name}", system)
 
+    def _check_kinds(self, system: Any) -> None:
+        moving = moving_others(system)
+        used = np.asarray(self.metric) != 0.0
+        if moving is not None and used.ndim:
+            check_moved(
+                f"metric of {self.label}", system, moved_by(system, used.any(axis=1) if used.ndim > 1 else used)
+            )
+
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         return np.asarray(_product(system, x, self._damping_direction(system, x, t)))
 
+    def _metric_on(self, system: Any) -> Any:
+        """Return the metric; a number is that of the coordinates whose brackets change momenta only."""
+        moving = moving_others(system)
+        return (
+            self.metric
+            if moving is None or np.ndim(self.metric)
+            else tuple(np.where(moving, 0.0, self.metric).tolist())
+        )
+
     def _damping_direction(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return self.alpha * apply_metric(self.metric, system.vector_field(x, t))
+        return self.alpha * apply_metric(self._metric_on(system), system.vector_field(x, t))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         return exponential(system, self._midpoint(system, x, t, tau)[1], x)
@@ -130,7 +153,7 @@ class DoubleBracketDamping(Force):
             return None
         hessian, linear = form
         bracket, scale = bracket_of(system.algebra, system.sign), tau * self.alpha
-        metric = np.asarray(self.metric)
+        metric = np.asarray(self._metric_on(system))
 
         def applied(y: NDArray[np.float64]) -> NDArray[np.float64]:
             return np.asarray(apply_metric(metric, y))
@@ -169,15 +192,15 @@ class DoubleBracketDamping(Force):
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64] | None:
         """Return the derivative of the midpoint rule, by that of its equation."""
         middle, v = self._midpoint(system, x, t, tau)
-        of_direction = tau * self.alpha * _product_of(self.metric, system.jacobian(middle, t + 0.5 * tau))
+        of_direction = tau * self.alpha * _product_of(self._metric_on(system), system.jacobian(middle, t + 0.5 * tau))
         _, by_x, by_v = exponential_with_tangent(system, 0.5 * v, x)
         of_middle = np.linalg.solve(np.eye(len(x)) - 0.5 * by_v @ of_direction, by_x)
         _, by_x, by_v = exponential_with_tangent(system, v, x)
         return np.asarray(by_x + by_v @ of_direction @ of_middle)
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
-        root = metric_root(self.metric, "metric")
-        return reader.on_orbit(self.alpha * np.asarray(self.metric), root, self.noise(system))
+        metric = self._metric_on(system)
+        return reader.on_orbit(self.alpha * np.asarray(metric), metric_root(metric, "metric"), self.noise(system))
 
     def noise(self, system: Any) -> Noise | None:
         """Return the noise that accompanies the damping; none by default."""
@@ -256,6 +279,17 @@ class HeatBath(DoubleBracketDamping):
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         raise TypeError("HeatBath is a noise, which has no field; its mean part is that of DoubleBracketDamping")
 
+    def _check_kinds(self, system: Any) -> None:
+        super()._check_kinds(system)
+        metric = np.asarray(self._metric_on(system))
+        used = np.broadcast_to(np.diagonal(metric) if metric.ndim > 1 else metric, system.dim)
+        for k, inertia in enumerate(getattr(system, "inertias", ())):
+            if inertia.rotating is not None and used[turned_by_bracket(system, k)].any():
+                raise ValueError(
+                    f"HeatBath turns body {k} of {system.name} about all its axes, and a rod has no momentum about its "
+                    "own; give a metric that is zero for its coordinates"
+                )
+
     @property
     def amplitude(self) -> float:
         """Factor of the Wiener processes, sqrt(2 alpha kT)."""
@@ -265,7 +299,7 @@ class HeatBath(DoubleBracketDamping):
         """Return the thermal noise; None at temperature zero."""
         if self.amplitude == 0.0:
             return None
-        return Noise(self.amplitude, self.seed, self.stream, commuting_sets(system.algebra, self.metric))
+        return Noise(self.amplitude, self.seed, self.stream, commuting_sets(system.algebra, self._metric_on(system)))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if tau < 0.0:
@@ -320,7 +354,7 @@ class HeatBath(DoubleBracketDamping):
         if noise is None:
             return
         deviates = normal_deviates(self.seed, self.stream, t, half, system.dim)
-        root = metric_root(self.metric, "metric")
+        root = metric_root(self._metric_on(system), "metric")
         for directions in reversed(noise.sets) if half else noise.sets:
             selected = np.zeros(system.dim)
             selected[list(directions)] = deviates[list(directions)]

@@ -28,7 +28,7 @@ class GravityGradient(BodyTorque):
     Gravity is that of a centre with second moments: ``U(r) = -mu (1/r + (tr Q - 3 u . Q u)/(2 r^3))``, u the direction
     of r, and the torque is that of the inertia tensor I of the body in its gradient. From a point, Q = 0, it is ``3 mu
     r^-5 r cross I r``, r in the body frame. For a circular or elliptic orbit about a point
-    `co.systems.satellite_on_orbit` has the same torque as a part of its energy.
+    `co.systems.satellite_on_orbit` has the same torque as a part of its energy, and refuses this force.
 
     Parameters
     ----------
@@ -68,6 +68,14 @@ class GravityGradient(BodyTorque):
         self._read(mu=read_number, position=read_prescribed, quadrupole=read_tensor)
         if not np.any(self.position(SAMPLE_TIME) if callable(self.position) else self.position):
             raise ValueError("position of GravityGradient is zero; give that of the body from the centre")
+
+    def check(self, system: Any) -> None:
+        super().check(system)
+        if system.frame_rate is not None:
+            raise ValueError(
+                f"the energy of {system.name} has the torque of GravityGradient already; leave it out, or take "
+                "co.systems.body, or for another centre a co.forces.Torque"
+            )
 
     def torque_on(self, system: Any) -> Callable[..., Any]:
         in_body, crossed = body_products()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
+from coadjoint.systems.coordinates import momenta_of, rest_of
 from coadjoint.systems.forces.base import (
     Force,
     ForceReader,
@@ -26,22 +27,26 @@ from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
 from coadjoint.validation import read_bool, read_title
 
 DIFFERENCE_TIME = 2.0**-12  # step of differences of order four: their error, its fourth power, is that of rounding
+ROUNDED = 2.0**-40  # change of a coordinate, relative to the state, that is taken for rounding
 
 
 @dataclass(frozen=True)
 class LinearDamping(Force):
     """Linear damping towards a given state, ``x' = -rate (x - toward)``: friction, viscosity of modes, relaxation.
 
-    Its flow is exact, ``x - toward`` times ``exp(-rate tau)``, also if rate times step is large. It preserves neither
-    energy nor Casimirs. To preserve the length of a spin use `DoubleBracketDamping`.
+    It acts on momenta: axes and directions, positions, constants, and carried fields are left as they are. In a moving
+    frame (a rotating sphere, an orbit) it damps the motion relative to the frame. Its flow is exact, ``x - toward``
+    times ``exp(-rate tau)``, also if rate times step is large. It preserves neither energy nor Casimirs. To preserve
+    the length of a spin use `DoubleBracketDamping`.
 
     Parameters
     ----------
     rate : float, (n,) or (n, n) array_like
-        Rates (1/time). A matrix need not be symmetric. Negative rates amplify.
+        Rates (1/time). A number is the rate of each momentum; in arrays those of other coordinates are zero. A matrix
+        need not be symmetric: its columns for positions make a spring. Negative rates amplify.
     toward : float, (n,) or (N, N) array_like
-        The state where the damping vanishes; a number applies to all coordinates. For a `MatrixSystem` it is a matrix
-        or zero, and the rate is a number.
+        The state where the damping vanishes; a number applies to all coordinates, and zero is rest in the frame of the
+        system. For a `MatrixSystem` it is a matrix or zero, and the rate is a number.
 
     Raises
     ------
@@ -73,16 +78,39 @@ class LinearDamping(Force):
                 f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, or "
                 "Friction for scale-dependent rates"
             )
+        if np.ndim(self.rate) == 2 and self._in_turning_frame(system):
+            raise ValueError(
+                f"rate of LinearDamping is a matrix, and the frame of {system.name} turns; give a number or one for "
+                "each coordinate, or a Pointing damper with a matrix"
+            )
         check_dimension(self.rate, "rate of LinearDamping", system)
         check_state(self.toward, "toward of LinearDamping", system)
 
+    def _in_turning_frame(self, system: Any) -> bool:
+        return system.frame_rate is not None and np.ndim(self.toward) == 0 and self.toward == 0.0
+
+    def _needs_energy(self, system: Any) -> bool:
+        return self._in_turning_frame(system)
+
+    def _rates(self, system: Any) -> NDArray[np.float64]:
+        """Return the rates; a number is that of each momentum."""
+        rate, momenta = np.asarray(self.rate, dtype=np.float64), momenta_of(system)
+        return rate if rate.ndim or momenta is None else np.where(momenta, rate, 0.0)
+
+    def _aim(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
+        """Return the state toward which momenta move: by default that at rest in the frame."""
+        if self._in_turning_frame(system):
+            return np.asarray(x @ system.momentum_at_rest(system.frame_rate(t)))
+        rest = rest_of(system) if np.ndim(self.toward) == 0 else None
+        return state_vector(self.toward, system) if rest is None else rest
+
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
-        return np.asarray(apply_metric(self.rate, state_vector(self.toward, system) - x))
+        return np.asarray(apply_metric(self._rates(system), self._aim(system, x, t) - x))
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         from scipy.linalg import expm
 
-        rate, deviation = np.asarray(self.rate), np.asarray(x) - state_vector(self.toward, system)
+        rate, deviation = self._rates(system), np.asarray(x) - self._aim(system, x, t + 0.5 * tau)
         if rate.ndim == 2:
             n = len(rate)
             # The last column of this exponential is the displacement of the state by the flow.
@@ -94,11 +122,34 @@ class LinearDamping(Force):
     def tangent(self, system: Any, x: NDArray[Any], t: float, tau: float) -> NDArray[np.float64]:
         from scipy.linalg import expm
 
-        rate = np.asarray(self.rate)
+        rate = self._rates(system)
+        if self._in_turning_frame(system):
+            kept = np.eye(system.dim) - system.momentum_at_rest(system.frame_rate(t + 0.5 * tau)).T
+            return np.asarray(np.eye(system.dim) + np.expm1(-tau * rate)[:, None] * kept)
         return np.asarray(expm(-tau * rate) if rate.ndim == 2 else np.exp(-tau * rate))
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
-        return reader.damping(np.asarray(self.rate), state_vector(self.toward, system))
+        if self._in_turning_frame(system):
+            return reader.flow(_flow_in_frame(self, system))
+        return reader.damping(self._rates(system), self._aim(system, np.zeros(system.dim), 0.0))
+
+
+@lru_cache(maxsize=64)
+def _flow_in_frame(damping: LinearDamping, system: Any) -> Callable[..., Any]:
+    """Return the flow toward rest in a turning frame, whose rate is that at the middle of the duration."""
+    rates, per_rate, turning = damping._rates(system), system.momentum_at_rest(1.0), system.frame_rate
+    momenta, others = np.flatnonzero(rates), np.flatnonzero(per_rate.any(axis=1))
+
+    def flow(x: Any, t: Any, tau: Any) -> Any:
+        y, rate = x.copy(), turning(t + 0.5 * tau)
+        for i in momenta:
+            rest = 0.0 * x[0]
+            for j in others:
+                rest = rest + rate * per_rate[j, i] * x[j]
+            y[i] = x[i] + np.expm1(-tau * rates[i]) * (x[i] - rest)
+        return y
+
+    return flow
 
 
 @dataclass(frozen=True)
@@ -187,6 +238,11 @@ class OwnForce(Force):
                 raise ValueError(f"the flow of {self.name} changes a state for tau = 0; it must return x")
             return
         raise ValueError(f"the flow of {self.name} fails at every sample point ({failure}); correct the function")
+
+    def _changed(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[np.bool_]:
+        """Return which coordinates the flow changes, by more than rounding."""
+        difference = np.abs(self.flow(system, x, t, DIFFERENCE_TIME) - x)
+        return np.asarray(difference > ROUNDED * np.max(np.abs(x)))
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         """Return the derivative of the flow at tau = 0, by differences of order four: central, or forward only."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.memory import check_available_memory
+from coadjoint.systems.coordinates import rest_of
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.matrices.spherical_modes import harmonics
 from coadjoint.systems.matrices.torus_modes import representatives
@@ -260,7 +261,7 @@ class ModeRates(Force):
     ) -> npt.NDArray[Any]:
         W = layer_matrix(system, self.layer, x)
         rest = self._rest_state(system)
-        return self._scale_matrix(system, W if rest is None else W - rest, factor)
+        return self._scale_matrix(system, W if rest is None else W - system.from_vector(rest), factor)
 
     def _scale_matrix(
         self, system: Any, W: npt.NDArray[Any], factor: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]
@@ -274,12 +275,8 @@ class ModeRates(Force):
         return layer_vector(system, self.layer, modes.matrix(coefficients, selected))
 
     def _rest_state(self, system: Any) -> npt.NDArray[Any] | None:
-        """Return the state at rest in the frame, or None if it is zero."""
-        absolute = getattr(system, "absolute", None)
-        if absolute is None or self.layer != "vorticity":
-            return None
-        rest = np.asarray(absolute(np.zeros(system.algebra.shape)))
-        return rest if np.any(rest) else None
+        """Return the state at rest in the frame, as a vector, or None if it is zero."""
+        return rest_of(system) if self.layer == "vorticity" else None
 
     def field(self, system: Any, x: npt.NDArray[Any], t: Any) -> npt.NDArray[Any]:
         return self._scale_modes(system, x, lambda rate: -rate)
@@ -293,8 +290,7 @@ class ModeRates(Force):
 
     def describe_to(self, reader: ForceReader, system: Any) -> Any:
         modes = modes_of(system, self.label)
-        rest = self._rest_state(system)
-        target = None if rest is None else np.ascontiguousarray(rest).view(np.float64).ravel()
+        target = self._rest_state(system)
         return reader.mode_rates(modes, *self._selected_modes(modes), target, layer_index(system, self.layer))
 
 

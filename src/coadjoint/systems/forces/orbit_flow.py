@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 
 Floats = NDArray[np.float64]
@@ -259,3 +260,24 @@ def constant_hessian(hamiltonian: Any, n: int) -> Any:
         total = total + csr_array((term.form.values, term.form.indices, term.form.indptr), shape=(n, n))
         linear = linear + term.form.linear
     return total.tocsr(), linear
+
+
+def metric_root(metric: Any, what: str) -> NDArray[np.float64]:
+    """Return L with L L^T = P: square roots of a number or diagonal, or a Cholesky factor, summed in a fixed order."""
+    P = np.array(metric, dtype=np.float64)
+    size = np.max(np.abs(P))
+    if P.ndim < 2:
+        if np.any(P < 0.0):
+            raise ValueError(f"{what} has the negative entry {P.min():g}; damping needs a positive semidefinite one")
+        return np.sqrt(P)
+    if not np.array_equal(P, P.T):
+        raise ValueError(f"{what} is not symmetric; damping needs a symmetric positive semidefinite one")
+    n = len(P)
+    L, remainder, tolerance = np.zeros((n, n)), P.copy(), 64 * n * UNIT_ROUNDOFF * size
+    for k in range(n):
+        if remainder[k, k] > tolerance:
+            L[k:, k] = remainder[k:, k] / np.sqrt(remainder[k, k])
+            remainder -= np.multiply.outer(L[:, k], L[:, k])
+        elif remainder[k, k] < -tolerance or np.max(np.abs(remainder[k:, k])) > np.sqrt(tolerance * size):
+            raise ValueError(f"{what} is not positive semidefinite; damping would feed energy in")
+    return L

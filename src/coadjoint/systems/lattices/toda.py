@@ -27,6 +27,7 @@ Floats = npt.NDArray[np.float64]
 MAX_POLYNOMIAL_SITES = 64  # largest number of sites with dense polynomial invariants
 MAX_SITES_WITH_ALL_TRACES = 8  # largest number of sites with all traces; for more only those of L^3 and L^4
 MAX_PRECISION_BITS = 2**20
+FLASCHKA = {"b": ("momentum", "1/time"), "a": ("position", "1/time")}  # an a depends on the distance of two particles
 
 
 def _names(missing_bonds: int, dim: int) -> tuple[str, ...]:
@@ -60,6 +61,7 @@ def _compressed_ring() -> Floats:
 
 
 @ready_made(
+    coordinates=FLASCHKA,
     gallery_entry=GalleryEntry(
         x0=(-0.8, 0.1, -0.2, 0.9, 0.4, 0.35, 0.45),
         t_span=(0.0, 12.0),
@@ -70,7 +72,7 @@ def _compressed_ring() -> Floats:
         pictures=(Picture("components", functions=_particles, quantity="position of the particles"),),
         coordinates=partial(_names, 1),
         quantity="state",
-    )
+    ),
 )
 def toda(sites: int = 4) -> LiePoissonSystem:
     """Return the open Toda lattice in Flaschka's variables, with its exact solution by QR.
@@ -119,6 +121,7 @@ def toda(sites: int = 4) -> LiePoissonSystem:
 
 
 @ready_made(
+    coordinates=FLASCHKA,
     gallery_entry=GalleryEntry(
         x0=_compressed_ring,
         t_span=(0.0, 60.0),
@@ -137,7 +140,7 @@ def toda(sites: int = 4) -> LiePoissonSystem:
         parameters={"sites": 48},
         coordinates=partial(_names, 0),
         quantity="state",
-    )
+    ),
 )
 def toda_ring(sites: int = 4) -> LiePoissonSystem:
     """Return the periodic Toda lattice in Flaschka's variables.

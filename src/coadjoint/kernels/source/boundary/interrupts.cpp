@@ -80,13 +80,15 @@ void reset_after_fork() { running = 0; }
 thread_local InterruptCheck* InterruptCheck::current = nullptr;
 
 InterruptCheck::InterruptCheck(const int64_t* stop)
-    : stop(stop), thread(release()), outer(current) {
+    : stop(stop), mode(float_mode()), thread(release()), outer(current) {
     left = CHECK_INTERVAL;
     current = this;
+    set_float_mode(mode_of_loops);
 }
 
 InterruptCheck::~InterruptCheck() {
     current = outer;
+    set_float_mode(mode);
     if (python.acquire) acquire(thread);
     --running;
 }
@@ -106,6 +108,7 @@ void InterruptCheck::check() {
     // An exception raised by a handler stays pending until the call returns to Python.
     const int raised = python.signals();
     thread = python.release();
+    set_float_mode(mode_of_loops);  // a handler may have changed it
     if (raised) throw Interrupted();
 }
 

@@ -5,11 +5,14 @@
 #include <chrono>
 #include <cstdint>
 
+#include "numbers/float_mode.hpp"
+
 namespace coadjoint {
 
 struct Interrupted {};  // thrown to end a call at once
 
-// Interrupt state of one call: the interpreter, whose lock it releases meanwhile, and a flag that other threads set.
+// State of one call: the interpreter, whose lock it releases meanwhile, a flag that other threads set, and the
+// floating-point mode of the caller.
 class InterruptCheck {
   public:
     explicit InterruptCheck(const int64_t* stop);
@@ -35,6 +38,7 @@ class InterruptCheck {
     static thread_local InterruptCheck* current;
     int64_t left = 0;
     const int64_t* stop;
+    const FloatMode mode;
     void* thread;
     InterruptCheck* const outer;  // of the enclosing call: a step written in Python may run another loop
     Clock::time_point next{};  // of the next signal check, once the clock has been read

@@ -159,12 +159,17 @@ INLINE void rotations_of(const Quaternion<A>& q, const Rotations<A>& rotations) 
     }
 }
 
-// The rotations that a share calls, over the time tau.
+// The rotations that a share calls, over the time tau. Lanes of times beyond MOST_PERIODS are marked as `too_long`.
 template <class A, class C>
 NOINLINE void called_rotations(const FlowTables& tables, const C& constants, int64_t body, const A& tau, const A* x,
-                               const Rotations<A>& rotations) {
+                               const Rotations<A>& rotations, int64_t* too_long) {
     const CalledBody<A> called(tables, constants, body, x);
     Quaternion<A> along = called.rotation(called.momentum, tau), q{along.whole, {}};
+    if (__builtin_expect(any(!(along.whole == along.whole)), 0) && too_long) {
+        const A still = dot(called.momentum, called.momentum) * A(0.0);
+        for (int lane = 0; lane < Numbers<A>::lanes; ++lane)
+            if (lane_of(still, lane) == 0.0 && std::isnan(lane_of(along.whole, lane))) too_long[lane] = 1;
+    }
     called.outward(along.vector, q.vector);
     rotations_of(q, rotations);
     const A lengths[BODY_ROTATIONS] = {called.scale[2], called.scale[0], called.scale[1], called.scale[2]};

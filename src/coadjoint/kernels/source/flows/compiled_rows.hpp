@@ -39,7 +39,7 @@ namespace coadjoint {
     declared template void gradient_rows(const Terms&, const C&, const int64_t*, int64_t, const A*, const A&, A*,  \
                                          int64_t, A*, double*);                                                    \
     declared template void called_rotations(const FlowTables&, const C&, int64_t, const A&, const A*,              \
-                                            const Rotations<A>&);                                                  \
+                                            const Rotations<A>&, int64_t*);                                        \
     declared template void rotate_shares(const FlowTables&, const C&, uint32_t, uint32_t, double, A*);
 
 #define COMPILED_ROWS_OF(declared, A)                                                                               \

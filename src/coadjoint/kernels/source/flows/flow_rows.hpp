@@ -185,7 +185,7 @@ INLINE void find_angles(const FlowTables& tables, const C& constants, uint32_t p
 // The rotations of a part with called shares.
 template <class A, class C>
 Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uint32_t part, const A& tau, const A* x,
-                               AngleWorkspace<A>& workspace) {
+                               AngleWorkspace<A>& workspace, int64_t* too_long = nullptr) {
     const Rotations<A> rotations{workspace.theta.at, workspace.rotated.at, workspace.arguments.at,
                                  (tables.properties[part] & DIRECT) != 0};
     const uint32_t begin = tables.share[part], origin = tables.terms.row[begin];
@@ -194,7 +194,8 @@ Rotations<A> rotations_of_part(const FlowTables& tables, const C& constants, uin
             const uint32_t angle = tables.terms.row[k] - origin;
             called_rotations(tables, constants, tables.called[k], tau, x,
                              Rotations<A>{rotations.angle + angle, rotations.sine + angle, rotations.cosm1 + angle,
-                                          rotations.direct});
+                                          rotations.direct},
+                             too_long);
         }
     });
     return rotations;
@@ -226,9 +227,9 @@ INLINE void apply_row(const FlowTables& tables, const C& constants, uint32_t r, 
             const bool direct_bonds = rotates_bonds_directly<summation>(tables, part) && !partial_step;
             Rotations<A> rotations{};
             if (partial_step)
-                rotations = rotations_of_part(tables, constants, part, tau * partial_step->scale, x.at, workspace);
+                rotations = rotations_of_part(tables, constants, part, tau * partial_step->scale, x.at, workspace, x.too_long);
             else if (with_group || !direct_bonds)
-                rotations = rotations_of_part(tables, constants, part, A(tau), x.at, workspace);
+                rotations = rotations_of_part(tables, constants, part, A(tau), x.at, workspace, x.too_long);
             if (direct_bonds)
                 rotate_bonds(tables, constants, part, tau, x.at);
             else

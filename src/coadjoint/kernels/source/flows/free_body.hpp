@@ -5,11 +5,15 @@
 // with a_1 = m2 - m3 and so on, p_1 = a2 a3 z1^2 and so on, 3 p = p1 + p2 + p3, and the Weierstrass function P, whose
 // roots are e_i = p - p_i: the addition theorem from the pole of P. It holds for moments of any sign and order, equal
 // ones too, on a separatrix and at rest, without cancellation. Time is divided into pieces so short that the series of
-// P and of the roots converge in a few terms.
+// P and of the roots converge in a few terms. Of a long time only the rest after whole periods is: over a period of z,
+// 2 pi over the arithmetic-geometric mean of the roots of e_1 - e_3 and e_1 - e_2, the body rotates about z.
 //
 // The body rotates by the shortest rotation from z to z(s), and then about z(s) by an angle whose rate is a smooth
 // function of z(s): Gauss quadrature with five points is exact to rounding over such a piece.
 #pragma once
+
+#include <cmath>
+#include <utility>
 
 #include "numbers/dual.hpp"
 
@@ -22,8 +26,10 @@ constexpr double NODE[WIDTH] = {0.046910077030668004, 0.23076534494715845, 0.5,
 constexpr double SHARE[POINTS - 1] = {0.11846344252809454, 0.23931433524968324, 0.28444444444444444,
                                       0.23931433524968324, 0.11846344252809454};
 
-constexpr double PIECE = 0.125;       // the longest time, in units of 1/(|z| max |a|)
-constexpr double MOST_PIECES = 65536;  // in one flow; a longer one would not resolve the motion
+constexpr double PIECE = 0.125;     // the longest time, in units of 1/(|z| max |a|)
+constexpr double MOST_PIECES = 64;  // of this length; for longer times the period is computed
+constexpr double MOST_PERIODS = 1073741824.0;  // in one flow, 2^30: after more, few digits would be left
+constexpr double LEAST_GAP = 0x1p-60;          // of e_1 - e_2 over e_1 - e_3; smaller ones are rounding
 
 template <class A>
 struct Quaternion {
@@ -214,8 +220,87 @@ INLINE Quaternion<R> spherical_rotation(const A& moment, const R* momentum, cons
     return Quaternion<R>{rotation.cosm1 + R(1.0), {sine * z[0], sine * z[1], sine * z[2]}};
 }
 
-// The quaternion of the rotation over the time tau from the momentum z along the principal axes; NaN if the time is
-// more than MOST_PIECES pieces. R is A, or A with its derivatives by z.
+// A value whose derivative is not resolved.
+INLINE double unresolved(double a) { return a; }
+INLINE Dual<double> unresolved(const Dual<double>& a) { return {a.value, NAN, NAN, NAN}; }
+
+// The quaternion after `count` pieces of the time, on which R may depend; moves z.
+template <class R>
+Quaternion<R> rotation_in_pieces(const double* moments, const double* differences, R* z, const R& time, double count) {
+    const R each = time / R(count);
+    R m[3], a[3];
+    for (int i = 0; i < 3; ++i) m[i] = R(moments[i]) * each, a[i] = R(differences[i]) * each;
+    Quaternion<R> total = rotation_in_piece(m, a, z, true);
+    for (double k = 1.0; k < count; k += 1.0) total = after(rotation_in_piece(m, a, z, true), total);
+    return total;
+}
+
+// The quaternion over a time of more than MOST_PIECES: whole periods of the momentum, and the rest, in pieces that are
+// short for the motion on this orbit, since (e_1 - e_3) s^2 bounds all s^2 p_i on it. NaN beyond MOST_PERIODS.
+template <class R>
+NOINLINE Quaternion<R> long_rotation(const double* moments, const double* differences, const R* z, double time) {
+    const double widest = larger(absolute(differences[0]), larger(absolute(differences[1]), absolute(differences[2])));
+    R p[3], moved[3] = {z[0], z[1], z[2]};
+    for (int i = 0; i < 3; ++i) {
+        const int j = (i + 1) % 3, k = (i + 2) % 3;
+        p[i] = R((differences[j] / widest) * (differences[k] / widest)) * (z[i] * z[i]);
+    }
+    for (int i : {0, 1, 0})
+        if (value_of(p[i + 1]) < value_of(p[i])) std::swap(p[i], p[i + 1]);
+    const R wide = p[2] - p[0];
+    const double speed = widest * (std::sqrt(value_of(wide)) * (1.0 / PIECE));
+    const auto pieces = [&](double length) { return larger(1.0, std::ceil(speed * absolute(length))); };
+    if (speed * absolute(time) <= MOST_PIECES)
+        return rotation_in_pieces(moments, differences, moved, R(time), pieces(time));
+    const double least = value_of(wide) * LEAST_GAP;
+    R gap = p[1] - p[0], mean = square_root(wide);
+    if (value_of(gap) < least) gap = unresolved(R(least));
+    R other = square_root(gap);
+    for (int k = 0; k < 9; ++k) {  // from the least gap on, the tenth digit is reached by eight
+        const R next = R(0.5) * (mean + other);
+        other = square_root(mean * other);
+        mean = next;
+    }
+    const R period = R((time < 0.0 ? -6.2831853071795865 : 6.2831853071795865) / widest) / mean;
+    const double periods = std::floor(time / value_of(period) + 0.5);
+    Quaternion<R> total{R(1.0), {R(0.0), R(0.0), R(0.0)}};
+    if (!(periods <= MOST_PERIODS)) return {R(NAN), {R(NAN), R(NAN), R(NAN)}};
+    if (periods > 0.0) {
+        // The power of a unit complex number, by squares.
+        const Quaternion<R> one = rotation_in_pieces(moments, differences, moved, period, pieces(value_of(period)));
+        const R length = square_root(dot(z, z)), along = dot(one.vector, z) / length;
+        const R size = square_root(fma(one.whole, one.whole, along * along));
+        R cosine = one.whole / size, sine = along / size, whole(1.0), about(0.0);
+        for (double left = periods; left > 0.0; left = std::floor(0.5 * left)) {
+            if (left != 2.0 * std::floor(0.5 * left)) {
+                const R next = fma(whole, cosine, -(about * sine));
+                about = fma(whole, sine, about * cosine);
+                whole = next;
+            }
+            const R next = fma(cosine, cosine, -(sine * sine)), twice = R(2.0) * (cosine * sine);
+            const R by = fma(R(-0.5), fma(next, next, twice * twice), R(1.5));  // keeps its length 1
+            cosine = next * by, sine = twice * by;
+        }
+        total.whole = whole;
+        for (int i = 0; i < 3; ++i) total.vector[i] = about * (z[i] / length), moved[i] = z[i];
+    }
+    const R rest = fma(R(-periods), period, R(time));
+    return after(rotation_in_pieces(moments, differences, moved, rest, pieces(value_of(rest))), total);
+}
+
+// One lane of a number.
+template <class A>
+INLINE Dual<double> lane_of(const Dual<A>& a, int lane) {
+    return {lane_of(a.value, lane), lane_of(a.slope[0], lane), lane_of(a.slope[1], lane), lane_of(a.slope[2], lane)};
+}
+template <class A>
+INLINE void set_lane(Dual<A>& a, int lane, const Dual<double>& value) {
+    set_lane(a.value, lane, value.value);
+    for (int k = 0; k < 3; ++k) set_lane(a.slope[k], lane, value.slope[k]);
+}
+
+// The quaternion of the rotation over the time tau from the momentum z along the principal axes. R is A, or A with its
+// derivatives by z.
 template <class A, class R>
 INLINE Quaternion<R> body_rotation(const A* moments, const R* momentum, const A& tau) {
     R z[3];
@@ -234,12 +319,12 @@ INLINE Quaternion<R> body_rotation(const A* moments, const R* momentum, const A&
     const A count = larger(A(1.0), select(rounded < near, rounded + A(1.0), rounded));
     const A each = __builtin_expect(all(count == A(1.0)), 1) ? time : time / count;
     const auto moving = A(0.0) < size;
-    R m[3], a[3];
+    R m[3], a[3], moved[3] = {z[0], z[1], z[2]};
     for (int i = 0; i < 3; ++i) m[i] = R(moments[i] * each), a[i] = R(differences[i] * each);
     Quaternion<R> total;
     double k = 0.0;
     do {
-        const Quaternion<R> piece = rotation_in_piece(m, a, z, moving);
+        const Quaternion<R> piece = rotation_in_piece(m, a, moved, moving);
         if (__builtin_expect(k == 0.0, 1)) {
             total = piece;
         } else {
@@ -250,7 +335,16 @@ INLINE Quaternion<R> body_rotation(const A* moments, const R* momentum, const A&
         }
         k += 1.0;
     } while (__builtin_expect(any(A(k) < count), 0));
-    total.whole = select(valid, total.whole, R(A(NAN)));
+    if (__builtin_expect(all(valid), 1)) return total;
+    for (int lane = 0; lane < Numbers<A>::lanes; ++lane) {
+        if (lane_of(reach, lane) <= MOST_PIECES) continue;
+        double own[3], between[3];
+        for (int i = 0; i < 3; ++i) own[i] = lane_of(moments[i], lane), between[i] = lane_of(differences[i], lane);
+        const decltype(lane_of(z[0], lane)) start[3] = {lane_of(z[0], lane), lane_of(z[1], lane), lane_of(z[2], lane)};
+        const auto found = long_rotation(own, between, start, lane_of(time, lane));
+        set_lane(total.whole, lane, found.whole);
+        for (int i = 0; i < 3; ++i) set_lane(total.vector[i], lane, found.vector[i]);
+    }
     return total;
 }
 

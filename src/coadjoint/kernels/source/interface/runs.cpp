@@ -16,6 +16,7 @@
 
 #include "boundary/arrays.hpp"
 #include "interface/stored_flow.hpp"
+#include "numbers/float_mode.hpp"
 
 namespace coadjoint {
 
@@ -43,9 +44,17 @@ void require(bool holds, const char* text) {
     if (!holds) throw Failure{COADJOINT_WRONG_ARGUMENT, text};
 }
 
+// The standard floating-point mode, until the end of a call.
+struct StandardMode {
+    const FloatMode caller = float_mode();
+    StandardMode() { set_float_mode(STANDARD_MODE); }
+    ~StandardMode() { set_float_mode(caller); }
+};
+
 // Call a function; what it throws is the code that is returned, and the message.
 template <class Function>
 int guarded(const Function& function) noexcept {
+    const StandardMode mode;
     const auto failed = [](int code, const char* text) {
         std::snprintf(message, sizeof message, "%s", text);
         return code;

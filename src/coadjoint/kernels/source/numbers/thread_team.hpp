@@ -21,6 +21,7 @@
 #endif
 
 #include "numbers/aligned_array.hpp"
+#include "numbers/float_mode.hpp"
 #include "numbers/lanes.hpp"
 
 namespace coadjoint {
@@ -75,7 +76,7 @@ class ThreadTeam {
     // Call `visit(first, last)` for slices of 0 to count - 1, on all threads; it must not throw. Slices begin at
     // multiples of `aligned`.
     void each(int64_t count, int64_t aligned, const CalledForSlices& visit) {
-        job = &visit, total = count, multiple = aligned;
+        job = &visit, total = count, multiple = aligned, mode = float_mode();
         left.store(int64_t(others.size()), std::memory_order_relaxed);
         {
             std::lock_guard<std::mutex> lock(mutex);
@@ -97,6 +98,7 @@ class ThreadTeam {
     std::atomic<int64_t> left{0};
     const CalledForSlices* job = nullptr;
     int64_t total = 0, multiple = 1;
+    FloatMode mode = STANDARD_MODE;
     std::atomic<int> processor;  // of the thread that waits for the others
     bool ended = false;
 
@@ -144,6 +146,7 @@ class ThreadTeam {
             }
             done = job_number.load(std::memory_order_acquire);
             if (ended) return;
+            set_float_mode(mode);
             take_slice(number);
             left.fetch_sub(1, std::memory_order_release);
         }
