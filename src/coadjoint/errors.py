@@ -59,7 +59,8 @@ def _restored(
 class LargeStepWarning(UserWarning):
     """Warning that the step of a run is so large that the scheme does not follow the motion; see `Solution.step_error`.
 
-    Invariants do not show this, since a scheme that preserves them does so at any step.
+    The error over the run, or the deviation of an invariant from its start or from the work of forces, is more than 5
+    per cent. Kept invariants do not show the contrary, since a scheme that preserves them does so at any step.
 
     Examples
     --------

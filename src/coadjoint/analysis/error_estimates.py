@@ -4,11 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.measured_steps import WARNED, MeasuredSteps, trial_states
+from coadjoint.analysis.measured_steps import (
+    SUSPECTED,
+    WARNED,
+    MeasuredSteps,
+    WorstStep,
+    most_steps,
+    states_at,
+    trial_states,
+)
 from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.errors import LargeStepWarning, RoundingWarning
 from coadjoint.long_operations import warn_caller
@@ -16,6 +25,7 @@ from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.results.quantities import sum_of_absolute_terms
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns
 from coadjoint.runs.start import any_momenta_of
@@ -23,6 +33,14 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
 
+# Largest error over a run without a warning, relative to the size of the motion, or of an invariant.
+OVER_RUN = 0.05
+GROWN = 16.0  # growth of the errors of steps over a run of which their sum is no bound
+COMPARED = 64  # points at which a run is compared with one of half the step
+ENERGY_SUSPECTED = 0.01  # deviation of an invariant from which on the run is repeated
+# Number of members whose invariants deviate most, and of points at which the size of an invariant is taken.
+MOST_LOST, SIZED = 16, 16
+LOST_DIGITS = 2.0**-36  # size of a motion, or of an invariant in its terms, of which rounding leaves few digits
 SUGGESTED = 0.002  # error of the step that a warning suggests, relative to the change of the state in it
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
 # are not powers of two, so that the rounding of their steps differs from that of the run.
@@ -39,7 +57,7 @@ FEW_STEPS = 20
 
 def step_error(solution: Solution) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
-    return MeasuredSteps(solution, None).worst()[0]
+    return MeasuredSteps(solution, None).worst().error
 
 
 def step_errors_of_groups(solution: Solution) -> dict[str, float]:
@@ -57,34 +75,51 @@ def loses_digits(solution: Solution) -> bool:
 
 
 def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
-    """Warn if the error of a step is a large part of the change of the state in it, or rounding one of a group."""
-    if prepared.method.own_steps or prepared.system.has_noise:
+    """Warn if the error over the run is large, or an invariant is lost, or rounding is a large part of a group."""
+    start, end = solution.asked_span
+    if prepared.method.own_steps or prepared.system.has_noise or abs(end - start) < 0.5 * solution.step:
         return
+    lost, rounded, error = KEPT, None, 0.0
     try:
+        lost = lost_invariant(solution)
         measured = MeasuredSteps(solution, prepared)
-        error, truncation, member, total = measured.worst()
-        too_large = truncation > WARNED and total > WARNED
-        # Where rounding is most of the error of a step, two half steps differ by rounding too.
-        rounded = None if too_large and error < 2.0 * truncation else measured.rounded_group()
-        if too_large and rounded is not None:
-            change, m, group = rounded
-            # An unstable run amplifies rounding.
-            if change >= 1.0 or measured.sizes[m, group] >= measured.sizes[m].max():
-                rounded = None
+        worst = measured.worst()
+        solution.__dict__["_step_error"] = worst.error
+        member = int(measured.members[worst.m])
+        if not lost.large:
+            short = measured.step_count(worst.m) <= most_steps(solution, worst.state.size, measured.h)
+            suspected = worst.truncation > SUSPECTED or lost.name or (short and worst.total > OVER_RUN / GROWN)
+            error = error_over_run(measured, worst) if suspected else 0.0
+            # Where rounding is most of the error of a step, two half steps differ by rounding too.
+            large = error > OVER_RUN and worst.truncation > WARNED
+            rounded = None if large and worst.error < 2.0 * worst.truncation else measured.rounded_group()
+            if large and rounded is not None:
+                change, m, group = rounded
+                # An unstable run amplifies rounding.
+                if change >= 1.0 or measured.sizes[m, group] >= measured.sizes[m].max():
+                    rounded = None
+            if rounded is not None:
+                change, m, group = rounded
+                member = int(measured.members[m])
     except Exception:
         # Functions of the user may refuse half steps, which are no part of the run; `step_error` raises their errors.
-        return
-    solution.__dict__["_step_error"] = error
-    if rounded is not None:
-        change, m, group = rounded
-        member = int(measured.members[m])
+        rounded, error = None, 0.0
+    if lost.large:
+        member = lost.member
     motion = "this motion" if solution.failed is None else f"the motion of member {member}"
-    if too_large and rounded is None:
-        suggested = solution.step * (SUGGESTED / min(truncation, total)) ** (1.0 / prepared.scheme.order)
+    if lost.large:
+        warn_caller(
+            f"the step {solution.step:g} is too large for {motion}: {lost.name} deviates by {lost.ratio:.2g} of its "
+            f"size{' from the work of the forces' * lost.balanced}; take a step of about "
+            f"{_smaller_step(solution, prepared, lost.ratio, 1.0):.1g}",
+            LargeStepWarning,
+        )
+    elif error > OVER_RUN and rounded is None:
         warn_caller(
             f"the step {solution.step:g} is too large for {motion}: the error of a step of {prepared.method} is "
-            f"{truncation:.2g} of the change of the state, though invariants may be kept; take a step of about "
-            f"{suggested:.1g}",
+            f"{worst.truncation:.2g} of the change of the state, and such errors add up to {error:.2g} of the motion, "
+            "though invariants may be kept; take a step of about "
+            f"{_smaller_step(solution, prepared, error, worst.truncation):.1g}",
             LargeStepWarning,
         )
     elif rounded is not None:
@@ -101,6 +136,107 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
             f"its size, {reason}",
             RoundingWarning,
         )
+
+
+def _smaller_step(solution: Solution, prepared: Preparation, error: float, truncation: float) -> float:
+    """Return the step at which the error over the run, and that of a step, are small, by the order."""
+    ratio = min(0.1 * OVER_RUN / min(1.0, error), SUGGESTED / min(error, truncation))
+    return solution.step * float(ratio ** (1.0 / prepared.scheme.order))
+
+
+@ignore_overflow
+def error_over_run(measured: MeasuredSteps, worst: WorstStep) -> float:
+    """Return the error of the run of a member by half steps, relative to its motion; of a long run, of a part.
+
+    The part begins at the worst step; where errors of steps are small it is a turn. Slow errors that grow in it are
+    extrapolated. Of a state at rest the error is relative to the state, since all that changes is error.
+    """
+    m, t, state, h = worst.m, worst.t, worst.state, measured.h
+    count = max(1, math.ceil(measured.step_count(m) * (1.0 - WHOLE_STEP_TOLERANCE)))
+    most: float = most_steps(measured.solution, state.size, h)
+    most = most if worst.truncation > SUSPECTED else min(most, measured.steps_of_turn(m))
+    if most >= count:
+        t, state = measured.points[0][0], measured.points[0][1][m : m + 1]
+    steps, one = int(min(most, count)), measured.of_member(m)
+    every = max(1, steps // COMPARED)
+    path, finer = (
+        measured.scaled(trial_states(one, state, Times(t, h / k, k * steps, k * every))[:, 0], m) for k in (1, 2)
+    )
+    differences = error_by_comparison(np.linalg.norm(path - finer, axis=1), 0.5**measured.prepared.scheme.order)
+    # Steps that failed follow no motion.
+    differences[~np.isfinite(differences)] = np.inf
+    error, early = float(differences.max()), float(differences[: len(differences) // 2 + 1].max())
+    lengthened = error + 2.0 * max(0.0, error - early) * (count / steps - 1.0)
+    if worst.at_rest:
+        return lengthened / float(np.linalg.norm(measured.scaled(state[0], m)))
+    # A motion of which rounding leaves few digits has no errors of steps.
+    moved = max(float(np.nanmax(np.linalg.norm(path - path[0], axis=1))), LOST_DIGITS * float(np.linalg.norm(path[0])))
+    if moved == 0.0:
+        return 0.0
+    # The phase of later turns does not count.
+    return min(lengthened / max(moved, measured.motion_of(m)), error / moved)
+
+
+class LostInvariant(NamedTuple):
+    """An invariant, named if it is lost, its deviation relative to its size, its member, and whether forces work."""
+
+    name: str
+    ratio: float
+    member: int
+    balanced: bool
+
+    @property
+    def large(self) -> bool:
+        """Whether the run is wrong."""
+        return self.ratio > OVER_RUN
+
+
+KEPT = LostInvariant("", ENERGY_SUSPECTED, 0, False)
+
+
+@ignore_overflow
+def lost_invariant(solution: Solution) -> LostInvariant:
+    """Return the invariant that deviates most in a step, with forces from their work, if by a part that matters."""
+    system, balanced = solution.system, bool(solution.work)
+    largest = KEPT
+    first = 1 + len(solution.casimirs) if balanced else 0
+    accounted = {invariant for _, invariant in solution._accounts}
+    for i, (name, initial) in enumerate(solution.initial.items()):
+        # Of archives only the start is known, where the terms of a Casimir may vanish.
+        if (balanced and name not in accounted) or (name != "energy" and not solution._in_memory):
+            continue
+        deviations = np.atleast_2d(solution._worst[..., first + i]).max(axis=1)
+        ratios = np.nan_to_num(deviations / np.abs(np.atleast_1d(initial)), nan=0.0, posinf=np.inf)
+        for m in np.argsort(-ratios, kind="stable")[:MOST_LOST].tolist():
+            one = system.of_member(m)
+            if ratios[m] <= largest.ratio or one.hamiltonian.timed or (one.forces and not balanced):
+                continue
+            size = _size_of_invariant(solution, one, name, m)
+            if size > 0.0 and deviations[m] > largest.ratio * size:
+                largest = LostInvariant(name, float(deviations[m] / size), m, balanced)
+    return largest
+
+
+def _size_of_invariant(solution: Solution, one: Any, name: str, m: int) -> float:
+    """Return the size of an invariant in the motion of a member: its value, its terms, its change or work of forces."""
+    plain, single = one.unforced, solution.failed is None
+    invariant = plain.hamiltonian if name == "energy" else plain.casimirs.get(name)
+    points = np.unique(np.linspace(0, len(solution.t) - 1, SIZED).astype(int)) if solution._in_memory else [0]
+    states = np.array([states_at(solution, np.array([m]), k)[0] for k in points])
+    initial = abs(float(np.atleast_1d(solution.initial[name])[m]))
+    work = [series[name] if single else series[name][:, m] for series in solution.work.values() if name in series]
+    # An invariant that is zero but for rounding has the size of its terms, and the energy what the motion changes in
+    # them: those of a close encounter are far larger than at the other points.
+    if name == "energy" and not plain.has_matrices:
+        slopes = np.abs([plain.hamiltonian.gradient(x, t) for x, t in zip(states, solution.t[points], strict=True)])
+        changes = np.median(np.sum(np.abs(states - states.mean(axis=0)) * slopes, axis=1))
+        terms = max(changes, LOST_DIGITS * np.sum(np.abs(states) * slopes, axis=1).max())
+    else:
+        # Terms that vanish at the start, such as those of two axes, need not do so later.
+        terms = float(np.nanmax(sum_of_absolute_terms(invariant, plain.states_of(states))))
+        if not terms:
+            return 0.0 if name != "energy" else initial
+    return float(np.nanmax([initial, terms, *(np.nanmax(np.abs(one)) for one in work)]))
 
 
 @ignore_overflow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +35,12 @@ THREADED = 2**16
 REPEATED = 2**18
 # Differences between a step and two half steps by rounding alone, relative to the state.
 ROUNDING = 64 * UNIT_ROUNDOFF
-# Largest error of a step, relative to the change of the state in it, without a warning.
-# At rest all of the change is error; then it is that of the whole run, relative to the state.
+# Error of a step, relative to the change of the state in it, with which the scheme no longer follows the motion.
 WARNED = 0.02
+# Path of a turn, in sizes of the motion: pi for a circle, 4 for a turn along a line.
+TURN = 5.0
+# Error of a step from which on the run is repeated, not a turn alone: such errors add up to `OVER_RUN` over a turn.
+SUSPECTED = 0.01
 # Largest change by the field in a step, relative to the error of a step, of a state that is at rest.
 AT_REST = 0.01
 # Differences between a step and two half steps by rounding alone, relative to that by its direction.
@@ -56,6 +59,19 @@ ROUNDED_POINTS = 16
 POINTS, MEMBERS = 5, 64
 # Largest number of entries of the states that are repeated; at least one state.
 NUMBERS = 2**20
+
+
+class WorstStep(NamedTuple):
+    """The largest error of a step, and the part of it that shorter steps reduce; its chosen member, time and state."""
+
+    error: float
+    truncation: float
+    m: int
+    t: float
+    state: Floats
+    total: float = math.inf
+    """Such errors in all steps, relative to the motion."""
+    at_rest: bool = False
 
 
 class MeasuredSteps:
@@ -162,11 +178,8 @@ class MeasuredSteps:
         return np.maximum(0.0, self.rounding_at_points - EXCESS * self.sizes)
 
     @ignore_overflow
-    def worst(self) -> tuple[float, float, int, float]:
-        """Return the largest error of a step, the part of it that shorter steps reduce, its member, and its total.
-
-        Of a run at rest the total is such an error in each of its steps, relative to the state, else infinite.
-        """
+    def worst(self) -> WorstStep:
+        """Return the largest error of a step, relative to the change in it."""
         solution, system, weights = self.solution, self.system, self.weights
 
         def total(part: Floats) -> Floats:
@@ -177,23 +190,33 @@ class MeasuredSteps:
         relative = _ratios(errors, changes)
         with_rounding = _ratios(errors + total(self._excess()), changes) if self.lossy else relative
         worst = int(np.argmax(relative))
-        known = [states[worst] for _, states, held in self.points if held[worst]]
-        mean = math.sqrt(errors[worst] / len(known))
-        one, rest = system.of_member(int(self.members[worst])), math.inf
-        if relative[worst] > WARNED:
-            field = one.rows_of(one.vector_field(one.states_of(known[0]), self.points[0][0]))
-            if np.linalg.norm(self.scaled(field, worst)) * abs(self.h) <= AT_REST * mean:
-                sizes = [np.sum(self.scaled(state, worst) ** 2) for state in known]
-                rest = self.step_count(worst) * mean / (math.sqrt(np.mean(sizes)) or 1.0)
-        largest = float(with_rounding.max()), float(relative[worst]), int(self.members[worst]), rest
+        t, states, _ = self.points[int(np.argmax(np.sum((self.errors[:, worst] * weights[worst]) ** 2, axis=1)))]
+        at_rest, mean = False, math.sqrt(errors[worst] / sum(held[worst] for _, _, held in self.points))
+        if relative[worst] > SUSPECTED:
+            one = system.of_member(int(self.members[worst]))
+            field = one.rows_of(one.vector_field(one.states_of(self.points[0][1][worst]), self.points[0][0]))
+            at_rest = bool(np.linalg.norm(self.scaled(field, worst)) * abs(self.h) <= AT_REST * mean)
+        state = states[worst : worst + 1]
+        total_error = self.step_count(worst) * mean / (self.motion_of(worst) or math.inf)
+        largest = WorstStep(float(with_rounding.max()), float(relative[worst]), worst, t, state, total_error, at_rest)
         if solution._in_memory and len(solution.t) > 1:
             passage, closest = self._passages()
             found = [] if passage is None else [self._fastest_step(*passage)]
-            for fastest, m in filter(None, [*found, self._fastest_step(closest)]):
-                if FASTEST * fastest > largest[1]:
-                    error = max(largest[0], FASTEST * fastest)
-                    largest = error, FASTEST * fastest, int(self.members[m]), math.inf
+            for fastest in filter(None, [*found, self._fastest_step(closest)]):
+                if fastest.truncation > largest.truncation:
+                    largest = fastest._replace(error=max(largest.error, fastest.error))
         return largest
+
+    def steps_of_turn(self, m: int) -> float:
+        """Return the number of steps in which the path of a chosen member is several times the size of its motion."""
+        squares = np.sum((self.changes[:, m] * self.weights[m]) ** 2, axis=1)
+        mean = math.sqrt(squares.sum() / sum(held[m] for _, _, held in self.points))
+        return max(1.0, math.ceil(TURN * self.motion_of(m) / mean)) if mean > 0.0 else math.inf
+
+    def motion_of(self, m: int) -> float:
+        """Return the largest distance of a chosen member from its start at the points."""
+        known = np.array([states[m] for _, states, held in self.points if held[m]])
+        return float(np.linalg.norm(self.scaled(known - known[0], m), axis=1).max())
 
     def step_count(self, m: int) -> float:
         """Return the number of steps of a chosen member."""
@@ -219,9 +242,9 @@ class MeasuredSteps:
         if not ratios.max() > ROUNDED:
             return None
         m = int(np.argmax(ratios.max(axis=1)))
-        prepared, state = self._of_member(m), self.points[0][1][m : m + 1]
+        prepared, state = self.of_member(m), self.points[0][1][m : m + 1]
         whole = float(counts[m, 0])
-        steps = max(1, min(math.ceil(whole * (1.0 - ROUNDING)), _most_steps(self.solution, state.size, self.h)))
+        steps = max(1, min(math.ceil(whole * (1.0 - ROUNDING)), most_steps(self.solution, state.size, self.h)))
         times = Times(self.solution.t_span[0], self.h, steps, max(1, steps // ROUNDED_POINTS))
         path = trial_states(prepared, state, times)
         rounded = np.concatenate(
@@ -278,8 +301,8 @@ class MeasuredSteps:
         inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
         return (first + int(np.argmax(inner)), m), closest
 
-    def _fastest_step(self, k: int, m: int | None = None) -> tuple[float, int] | None:
-        """Return the error of the fastest step after saved point k of a chosen member, and that member.
+    def _fastest_step(self, k: int, m: int | None = None) -> WorstStep | None:
+        """Return the fastest step after saved point k of a chosen member, with the part of its error that counts.
 
         By default it is the member whose fastest step is the fastest relative to its mean; None if it is no passage.
         """
@@ -287,10 +310,10 @@ class MeasuredSteps:
         members, t = self.members[chosen], float(solution.t[k])
         states = states_at(solution, members, k)
         steps = math.ceil(abs(float(solution.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
-        most = _most_steps(solution, states.size, h)
+        most = most_steps(solution, states.size, h)
         if not 1 < steps <= (most if m is None else max(STEPS, most)):
-            return None if m is None else (self._error_of(m, states, t), m)
-        path = trial_states(self.prepared if m is None else self._of_member(m), states, Times(t, h, steps, 1))
+            return None if m is None else self._error_of(m, states, t)
+        path = trial_states(self.prepared if m is None else self.of_member(m), states, Times(t, h, steps, 1))
         # Steps after the end of a member are not in the run.
         left = (ends_by_events(solution)[members] - t) / h
         path[np.arange(steps + 1)[:, None] - 1.0 > np.where(np.isnan(left), np.inf, left)] = np.nan
@@ -304,20 +327,21 @@ class MeasuredSteps:
         if m is None and ratios[fastest] < PASSAGE:
             return None
         j, m = int(np.argmax(lengths[:, fastest])), fastest if m is None else m
-        return self._error_of(m, path[j, fastest][None], t + j * h), m
+        return self._error_of(m, path[j, fastest][None], t + j * h)
 
-    def _of_member(self, m: int) -> Preparation:
+    def of_member(self, m: int) -> Preparation:
         """Return the run of a chosen member in one thread."""
         return self.alone.sampled(np.array([m])) if self.system.is_batch else self.alone
 
-    def _error_of(self, m: int, state: Floats, t: float) -> float:
-        """Return the error of a step of a chosen member from a state (1, n), relative to the change in it."""
-        step = self._step((self._of_member(m),), state, t, self.rounding[m : m + 1])
+    def _error_of(self, m: int, state: Floats, t: float) -> WorstStep:
+        """Return a step of a chosen member from a state (1, n), with the part of its error that counts."""
+        step = self._step((self.of_member(m),), state, t, self.rounding[m : m + 1])
         errors, changes = np.sum((step[:2] * self.weights[m]) ** 2, axis=2)
-        return float(_ratios(errors, changes)[0])
+        error = FASTEST * float(_ratios(errors, changes)[0])
+        return WorstStep(error, error, m, t, state.copy())
 
 
-def _most_steps(solution: Solution, numbers: int, h: float) -> int:
+def most_steps(solution: Solution, numbers: int, h: float) -> int:
     """Return the largest number of steps that are repeated from so many numbers: few, or a small part of the run."""
     whole = abs(solution.t_span[1] - solution.t_span[0]) / abs(h)
     return max(min(STEPS, REPEATED // numbers), min(int(PART * whole), NUMBERS // numbers))

@@ -70,7 +70,7 @@ class Choice:
     step : float
         The step, positive; it divides the span.
     accuracy : float
-        The required error of the momentum at the end, relative to its largest size in the run.
+        The required error of each group of coordinates at the end, relative to its largest size in the run.
     error : float
         The expected error, truncation and rounding together.
     roundoff : float
@@ -142,7 +142,8 @@ def choose(
     t_span : (float, float)
         Start and end; the end may be the smaller one.
     accuracy : float
-        Wanted: abs(x_num(t_end) - x(t_end)) <= accuracy * max abs(x(t)). Between 0 and 1.
+        Wanted: abs(x_num(t_end) - x(t_end)) <= accuracy * max abs(x(t)), for each group of coordinates with a unit of
+        its own, as in ``error_estimate(by_group=True)``. Between 0 and 1.
     attitude : bool, "coadjoint", or array_like
         Whether the run computes the group element, as in `integrate`. Schemes that cannot are excluded, and its work is
         counted. The accuracy is that of the momentum.

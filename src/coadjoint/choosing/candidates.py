@@ -20,8 +20,8 @@ from coadjoint.choosing.pilot import (
     PilotErrors,
     Trial,
     cached_for_system,
+    rates_of,
     short_run,
-    speeds_of,
 )
 from coadjoint.kernels.interface import limit
 from coadjoint.long_operations import note_progress
@@ -31,6 +31,7 @@ from coadjoint.methods.registry import reference_scheme
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import momenta_of, representations_of, start_of
 from coadjoint.systems.batch import Batch, selected
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.system import System
 
 # Least duration (seconds) and largest number of steps of a timed run.
@@ -206,7 +207,7 @@ def sample_of(system: System | Batch, momenta: NDArray[np.float64], t0: float, s
     if len(momenta) <= SAMPLE_SIZE:
         return system, momenta
     screened, states = _screened(system, momenta)
-    rates = speeds_of(screened, states, t0) / _sizes(states)
+    rates = rates_of(screened, CoordinateGroups(screened), states, t0)
     finite = np.isfinite(rates)
     fastest = float(np.max(rates[finite], initial=0.0))
     time = abs(span) if fastest == 0.0 else min(abs(span), SCREENING_STEPS / STEPS_PER_SIZE / fastest)
@@ -243,21 +244,15 @@ def _screened(system: System | Batch, momenta: NDArray[np.float64]) -> Sample:
     )
 
 
-def _sizes(states: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the norms of states (members, n), as divisors."""
-    sizes = np.linalg.norm(states, axis=1)
-    return np.where(sizes > 0.0, sizes, 1.0)
-
-
 def _errors_of_members(
     system: System | Batch, states: NDArray[np.float64], t0: float, time: float, method: Method, steps: int
 ) -> NDArray[np.float64]:
-    """Return the differences (points, members) from a run with half the step, relative to x0; inf if one fails."""
+    """Return the differences (points, members) from a run with half the step, relative to groups; inf if one fails."""
     every = max(1, steps // SCREENING_STEPS)  # bounds the memory of runs of many steps
     full, halved = (short_run(system, method, states, t0, time, k * steps, k * every) for k in (1, 2))
     failed = (full.state["status"] != 0) | (halved.state["status"] != 0)
-    differences = np.linalg.norm(full.saved["x"][1:] - halved.saved["x"][1:], axis=2)
-    return np.where(failed, np.inf, differences / _sizes(states))
+    groups, x = CoordinateGroups(system), halved.saved["x"]
+    return np.where(failed, np.inf, groups.ratios(full.saved["x"][1:] - x[1:], groups.sizes(x)))
 
 
 def _worst(system: System | Batch, states: NDArray[np.float64], errors: NDArray[np.float64]) -> Sample:

@@ -21,6 +21,7 @@ from coadjoint.runs.start import start_without_groups
 from coadjoint.runs.times import Times
 from coadjoint.short_repr import distinct
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.system import System
 
 REFERENCE = reference_scheme(16)
@@ -46,6 +47,7 @@ REPETITIONS = 3
 NEGLIGIBLE_ROUNDING = 2.0**-14
 # Largest initial step of the search, in radians at the initial rate.
 MAX_INITIAL_ANGLE = 2.0
+HALVINGS_OF_GROUPS = 24  # of the initial step, until one is accurate in every group of coordinates
 MIN_STEP_FRACTION = 2.0**-60  # of the span: smaller steps would not change the time
 # Steps of the reference in a window, for dimensions up to 16; proportionally fewer above, but at least POINTS / 5.
 WINDOW_STEPS = 240
@@ -53,6 +55,7 @@ WINDOW_STEPS = 240
 STEP_LENGTH_TOLERANCE = 1.07
 # Spans of at most this many windows are run as a whole.
 MAX_WHOLE_WINDOWS = 2.5
+OF_ZERO = 1.0 / 64.0  # change of a group by refinement, relative to its size, above which it is zero but for rounding
 # Relative change of the initial state whose growth is measured.
 PERTURBATION = 2.0**-30
 MAX_PERTURBATION_GROWTH = 0.1  # relative change of the state beyond which the growth is not that of small changes
@@ -130,6 +133,8 @@ class Pilot:
         self, system: System | Batch, momenta: NDArray[np.float64], t0: float, span: float, accuracy: float = 0.0
     ) -> None:
         self.system, self.momenta, self.t0, self.span = system, momenta, t0, span
+        # Errors are relative to the sizes of groups of coordinates, whose units are independent.
+        self.groups = CoordinateGroups(system)
         self.natural_step = self._natural_step()
         min_steps = POINTS // 5
         steps = max(min_steps, min(WINDOW_STEPS, WINDOW_STEPS * 16 // system.dim))
@@ -139,9 +144,11 @@ class Pilot:
         self.windows = abs(span) / self.window
         self.points = POINTS if steps >= POINTS else min_steps
         coarse, self.reference, self.reference_steps = self._converged_reference()
-        # At rest all errors are zero, for any size.
-        largest = _largest(self.reference)
-        self.size = np.where(largest > 0.0, largest, 1.0)
+        self.size = self.groups.sizes(self.reference)
+        # A group that is zero but for rounding has no size: it is lost at once, others only after their errors grew.
+        early = slice(self.points // 16 + 1)
+        lost = self.groups.norms(self.reference[early] - coarse[early]).max(axis=0) > OF_ZERO * self.size
+        self.size = np.where(lost, np.inf, self.size)
         self.sensitivity = self._sensitivity(coarse)
         self.noise = self._noise(coarse, accuracy)
         self.speed = self._speed()
@@ -184,36 +191,46 @@ class Pilot:
         """Compare states at evenly spaced points of the window with the reference, or with another motion."""
         count = len(states) - 1
         reference = self.reference if motion is None else motion
-        differences = np.linalg.norm(states - reference[:: self.points // count], axis=2) / self.size
-        worst = np.max(differences, axis=1)
-        return PilotErrors.of_run(worst[1:])
+        differences = self.groups.ratios(states - reference[:: self.points // count], self.size)
+        return PilotErrors.of_run(np.max(differences, axis=1)[1:])
 
     def _natural_step(self) -> float:
         """Return the largest step, among halves of the span, at which the reference is accurate from the start."""
-        speeds = speeds_of(self.system, self.momenta, self.t0)
-        if not np.all(np.isfinite(speeds)):
+        rates = rates_of(self.system, self.groups, self.momenta, self.t0)
+        if not np.all(np.isfinite(rates)):
             raise ValueError(
                 f"the vector field at x0 is not finite, so {self.system.name} cannot be integrated from it"
             )
-        rate = float(np.max(speeds / np.maximum(np.linalg.norm(self.momenta, axis=1), np.finfo(float).tiny)))
+        # If a group is zero but for rounding, no step is accurate in it.
+        for groups, halvings in ((self.groups, HALVINGS_OF_GROUPS), (None, 64)):
+            found = self._accepted_step(groups, halvings, float(np.max(rates)))
+            if found is not None:
+                return found
+        raise ValueError(f"no step is small enough for {self.system.name} at x0: a trial run fails at the first step")
+
+    def _accepted_step(self, groups: CoordinateGroups | None, halvings: int, rate: float) -> float | None:
+        """Return the largest accurate step, by groups or of the whole state, after at most so many halvings."""
         h = abs(self.span)
         while h * rate > MAX_INITIAL_ANGLE and h > MIN_STEP_FRACTION * abs(self.span):
             h /= 2
         initial_h = h
         full: NDArray[np.float64] | None = None
-        for _ in range(64):
+        for _ in range(halvings):
             halves = self._first_steps(h, 2)
             full = full if full is not None or halves is None else self._first_steps(h, 1)
-            if _agree(full, halves):
+            if _agree(groups, full, halves):
                 break
             # The first of two half steps is the next full step.
             full = None if halves is None else halves[:2]
             h /= 2
         else:
-            name = self.system.name
-            raise ValueError(f"no step is small enough for {name} at x0: its trial run fails at the first step")
+            return None
         # Near x = 0 the initial rate is no scale of the motion, so an accepted first step may grow.
-        while h >= initial_h and 2 * h <= abs(self.span) and _agree(*(self._first_steps(2 * h, n) for n in (1, 2))):
+        while (
+            h >= initial_h
+            and 2 * h <= abs(self.span)
+            and _agree(groups, *(self._first_steps(2 * h, n) for n in (1, 2)))
+        ):
             h *= 2
         return h
 
@@ -235,7 +252,7 @@ class Pilot:
                 continue
             states = run.saved["x"]
             if previous is not None:
-                size, difference = _largest(states), _largest(states - previous)
+                size, difference = self.groups.sizes(states), self.groups.norms(states - previous).max(axis=0)
                 stalled = stalled + 1 if change is not None and not np.any(difference < change / 16) else 0
                 # Large changes may decrease only at smaller steps, or not at all if the motion is chaotic.
                 done = stalled >= (1 if np.all(difference <= UNCONVERGED_CHANGE * size) else MIN_STALLED_REFINEMENTS)
@@ -257,21 +274,27 @@ class Pilot:
 
     def _noise(self, coarse: NDArray[np.float64], accuracy: float) -> float:
         """Return the rounding error of the reference, relative to the motion, at the worst point."""
-        difference = _largest(self.reference - coarse)
+
+        def largest(states: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.asarray(self.groups.ratios(states - self.reference, self.size).max(axis=0))
+
+        difference = largest(coarse)
         change = MAX_ROUNDING_RATIO * difference
         # A single change may be small by chance, or truncation of the coarse run; other numbers of steps show rounding.
-        if np.any(self.sensitivity.factor(self.windows) * change > NEGLIGIBLE_ROUNDING * accuracy * self.size):
+        if np.any(self.sensitivity.factor(self.windows) * change > NEGLIGIBLE_ROUNDING * accuracy):
             repeated = [self.run(REFERENCE, self.reference_steps + k * self.points) for k in range(1, REPETITIONS + 1)]
             succeeded = [repetition.saved["x"] for repetition in repeated if not np.any(repetition.state["status"])]
             if succeeded:
-                spread = np.max([_largest(states - self.reference) for states in succeeded], axis=0)
+                spread = np.max([largest(states) for states in succeeded], axis=0)
                 change = np.maximum(spread, np.minimum(difference, MAX_ROUNDING_RATIO * spread))
-        return max(UNIT_ROUNDOFF, float(np.max(change / self.size)))
+        return max(UNIT_ROUNDOFF, float(np.max(change)))
 
     def _sensitivity(self, coarse: NDArray[np.float64]) -> PilotErrors:
         """Return the relative growth of a small change of the initial state, with the steps of the coarse reference."""
         direction = np.random.default_rng(SEED).standard_normal(self.momenta.shape)
-        direction *= PERTURBATION * (self.size / np.linalg.norm(direction, axis=1))[:, np.newaxis]
+        # Each group by its own size: small ones, too, have rounding errors in proportion.
+        own = self.groups.norms(self.reference).max(axis=0)
+        direction *= PERTURBATION * (own / self.groups.norms(direction))[:, self.groups.labels]
         run = self.run(REFERENCE, self.reference_steps // 2, self.momenta + direction)
         grown = None if np.any(run.state["status"]) else self.growth_of(run.saved["x"], coarse)
         if grown is None or grown.whole > MAX_PERTURBATION_GROWTH:
@@ -283,33 +306,37 @@ class Pilot:
         """Return the largest speed relative to the size, over the window."""
         h = math.copysign(self.window / self.points, self.span)
         every = range(0, self.points + 1, self.points // 12)
-        return max(float(np.max(speeds_of(self.system, self.reference[k], self.t0 + k * h) / self.size)) for k in every)
+        return max(
+            float(np.max(rates_of(self.system, self.groups, self.reference[k], self.t0 + k * h, self.size)))
+            for k in every
+        )
 
 
-def _agree(full: NDArray[np.float64] | None, halves: NDArray[np.float64] | None) -> bool:
-    """Test whether one step and two half steps succeed and agree."""
+def _agree(
+    groups: CoordinateGroups | None, full: NDArray[np.float64] | None, halves: NDArray[np.float64] | None
+) -> bool:
+    """Test whether one step and two half steps succeed and agree, in each group or as a whole."""
     if full is None or halves is None:
         return False
-    return bool(np.all(np.linalg.norm(full[-1] - halves[-1], axis=1) <= STEP_AGREEMENT * _largest(halves)))
+    difference = full[-1] - halves[-1]
+    if groups is None:
+        size = np.max(np.linalg.norm(halves, axis=2), axis=0)
+        return bool(np.all(np.linalg.norm(difference, axis=1) <= STEP_AGREEMENT * size))
+    return bool(np.all(groups.norms(difference) <= STEP_AGREEMENT * groups.sizes(halves)))
 
 
-def speeds_of(system: System | Batch, states: NDArray[np.float64], t: float) -> NDArray[np.float64]:
-    """Return the norms of the vector field at states (members, n), each of its own system."""
-    return np.array([_norm(np.asarray(system.of_member(m).vector_field(x, t))) for m, x in enumerate(states)])
-
-
-def _norm(vector: NDArray[Any]) -> float:
-    """Return the norm, also of a vector whose squares overflow."""
-    with np.errstate(over="ignore"):
-        norm = float(np.linalg.norm(vector))
-    size = float(np.abs(vector).max(initial=0.0))
-    return norm if np.isfinite(norm) or not np.isfinite(size) else size * float(np.linalg.norm(vector / size))
-
-
-def _largest(states: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest norm of each member in the run."""
-    largest: NDArray[np.float64] = np.max(np.linalg.norm(states, axis=2), axis=0)
-    return largest
+def rates_of(
+    system: System | Batch,
+    groups: CoordinateGroups,
+    states: NDArray[np.float64],
+    t: float,
+    sizes: NDArray[np.float64] | None = None,
+) -> NDArray[np.float64]:
+    """Return the largest rates of groups at states (members, n), by default relative to their sizes there."""
+    fields = np.array([system.of_member(m).vector_field(x, t) for m, x in enumerate(states)])
+    units = np.abs(fields).max(axis=1, keepdims=True)  # squares of fields may overflow
+    units[units == 0.0] = 1.0
+    return groups.ratios(fields / units, groups.sizes(states[None]) if sizes is None else sizes) * units[:, 0]
 
 
 def short_run(

@@ -22,6 +22,7 @@ from coadjoint.runs.short_runs import ENDS_ONLY
 from coadjoint.runs.start import momenta_of, read_attitude
 from coadjoint.runs.times import accumulated_rounding, span_of
 from coadjoint.short_repr import distinct
+from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.system_checks import check_system
 
 # Allowed ratio of the error of the first step to the worst one of the sample; for variable steps, of the number of
@@ -89,6 +90,7 @@ class SampledRun(PreparedRun):
         self._one_step_span = 0.0, self.signed_step
         self._last_span: tuple[Any, float] = None, t0
         self._variable_steps, self._allowed = self.choice.method.own_steps, math.inf
+        self._weights: NDArray[np.float64] | None = None
         if self._variable_steps:
             self.most_evaluations = ALLOWED_RATIO * self._evaluations(states, t0)
         else:
@@ -178,10 +180,12 @@ class SampledRun(PreparedRun):
         except IntegrationError:
             return False
         if full.ndim > 1:
-            distance, size = _squared_distance_and_size(full, halved)
+            distance, size = self._squared_distance_and_size(full, halved)
             in_range = (size > MIN_SQUARE) & (size < MAX_SQUARE)
             similar, at_zero = in_range & (distance <= self._allowed**2 * size), ~np.any([full, halved], axis=(0, 2))
             return bool(np.all(similar | at_zero))
+        if self._weights is not None:
+            full, halved = self._weights * full, self._weights * halved
         full_values, halved_values = full.tolist(), halved.tolist()
         size = sum(map(mul, full_values, full_values))
         if MIN_SQUARE < size < MAX_SQUARE:
@@ -198,6 +202,11 @@ class SampledRun(PreparedRun):
         """Return the largest difference along the motions from a sample, relative to the state."""
         steps = max(1, round(self._time / self.signed_step))
         solution = self._full_step_run.run(sample, (t0, t0 + self._time), max(1, steps // CHECKED_STEPS))
+        groups = CoordinateGroups(self.system)
+        if groups.count > 1:
+            # Groups of coordinates count alike, in units of the sample.
+            sizes = groups.sizes(solution.x.reshape(len(solution.t), -1, self.system.dim)).max(axis=0)
+            self._weights = (1.0 / np.where(sizes > 0.0, sizes, 1.0))[groups.labels]
         if self._time_dependent or self.system.is_batch:
             starts = zip(solution.x, solution.t.tolist(), strict=True)
             pairs = [(x, (t, t + self.signed_step)) for x, t in starts]
@@ -205,12 +214,20 @@ class SampledRun(PreparedRun):
             pairs = [(solution.x.reshape(-1, solution.x.shape[-1]), self._one_step_span)]
         worst = 0.0
         for states, span in pairs:
-            distance, size = _squared_distance_and_size(
+            distance, size = self._squared_distance_and_size(
                 self._full_step_run.end(states, span), self._half_step_run.end(states, span)
             )
             # Avoids division by zero for states at rest, which stay there.
             worst = max(worst, float(np.max(distance / np.where(size > 0.0, size, 1.0))))
         return math.sqrt(worst)
+
+    def _squared_distance_and_size(
+        self, first: NDArray[np.float64], second: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the squared norms of the differences of states (members, n), and of the first ones."""
+        weights = 1.0 if self._weights is None else self._weights
+        with np.errstate(over="ignore"):
+            return np.sum((weights * (first - second)) ** 2, axis=-1), np.sum((weights * first) ** 2, axis=-1)
 
     def _start_of(self, t_span: Any) -> float:
         """Return the initial time; raise ValueError outside the direction and time prepared."""
@@ -233,11 +250,3 @@ class SampledRun(PreparedRun):
         options: Any = {"attitude": self._attitude_option, "methods": self._methods}
         choice = choose(self.system, x0, t_span, self.choice.accuracy, **options)
         return PreparedRun(self.system, choice.method, choice.step, **cast(Any, self._options)), choice
-
-
-def _squared_distance_and_size(
-    first: NDArray[np.float64], second: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the squared norms of the differences of states (members, n), and of the first ones."""
-    with np.errstate(over="ignore"):
-        return np.sum((first - second) ** 2, axis=-1), np.sum(first**2, axis=-1)

@@ -47,7 +47,7 @@ def state_at(solution: Solution, t: Any) -> StateAt:
     beyond = near = accumulated_rounding(count, *solution.t_span, solution.step)
     noisy = bool(noises_of(solution.system))
     if not noisy:
-        near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1]), solution.step))
+        near = 4 * np.spacing(max(abs(solution.t_span[0]), abs(solution.t_span[1])))
     outside = np.flatnonzero(
         (direction * requested < saved[0] - beyond) | (direction * requested > direction * end + beyond)
     )

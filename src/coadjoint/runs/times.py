@@ -31,7 +31,8 @@ def accumulated_rounding(count: float, first: float, last: float, step: float) -
     >>> accumulated_rounding(1, 0.0, 30.0, 0.1) < 1e-13 < 1e-11 < accumulated_rounding(300, 0.0, 30.0, 0.1)
     True
     """
-    one = TIME_ROUNDING * max(abs(first), abs(last), abs(last - first), step)
+    # Not of the step, beside which a short span would count as rounding.
+    one = TIME_ROUNDING * max(abs(first), abs(last), abs(last - first))
     return max(one, min(count * one, STEP_SHARE * step))
 
 
@@ -245,7 +246,7 @@ def output_times_of(t_eval: Any, times: Times, save_every: Any = 1, whole_steps:
         raise ValueError(f"t_eval[{k}] is {found}; it must lie within t_span, from {first} to {last}")
     tolerance = beyond
     if not whole_steps:
-        tolerance = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end), abs(times.h)))
+        tolerance = ULP_TOLERANCE * np.spacing(max(abs(times.t0), abs(times.end)))
     steps = np.clip((t - times.t0) / times.h, 0, times.steps)
     nearest = np.rint(steps).astype(np.int64)
     at_step = (np.abs(t - times.at(nearest)) <= tolerance) | (t < low) | (t > high)

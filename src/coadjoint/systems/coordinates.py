@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -177,6 +177,29 @@ class CoordinateGroups:
             return np.linalg.norm(states, axis=-1, keepdims=True)
         ordered = states if self._sorted else states[..., self._order]
         return np.sqrt(np.add.reduceat(ordered**2, self._starts, axis=-1))
+
+    def sizes(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sizes (..., count) of the groups in a motion (times, ..., dim): their largest norms.
+
+        What starts at zero has at least the size of groups with its name: p2 that of p1.
+        """
+        norms = self.norms(motion)
+        sizes = np.max(norms, axis=0)
+        if self.count > 1:
+            of_kind = np.stack([sizes[..., same].max(axis=-1) for same in self._of_kind], axis=-1)
+            sizes = np.where(norms[0] > 0.0, sizes, of_kind)
+        return np.asarray(sizes)
+
+    @cached_property
+    def _of_kind(self) -> list[NDArray[np.int64]]:
+        """For each group those whose first coordinate has the same name without its first number."""
+        names = np.array(coordinate_names(self._system), dtype=object)[self._order][self._starts]
+        kinds = np.array([re.sub(r"\d+", "", name, count=1) for name in names])
+        return [np.flatnonzero(kinds == kind) for kind in kinds]
+
+    def ratios(self, vectors: NDArray[np.float64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the largest norm of a group of vectors (..., dim) relative to its size (..., count) if not zero."""
+        return np.asarray(np.max(self.norms(vectors) / np.where(sizes > 0.0, sizes, np.inf), axis=-1))
 
     def matrix_norms(self, matrices: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the norms of the blocks of matrices (..., dim, dim) on the groups, shape (..., count, count)."""

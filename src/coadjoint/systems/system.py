@@ -79,13 +79,10 @@ class System:
     forces: tuple[Force, ...] = ()
     labels: tuple[str, ...] = ()
     reversible: bool = True
-    has_noise = False
-    """Whether a force is random, so that neither a field nor states between two steps exist."""
+    has_noise = False  # whether a force is random, so that neither a field nor states between two steps exist
     is_batch: Literal[False] = False
-    has_matrices = False
-    """Whether states are matrices, with streams, traces and spectra."""
-    has_attitude = False
-    """Whether attitudes of bodies are part of the state."""
+    has_matrices = False  # whether states are matrices, with streams, traces and spectra
+    has_attitude = False  # whether attitudes of bodies are part of the state
     frame_rate: Callable[..., Any] | None = None  # rate at which the frame of the attitude turns, a function of time
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
@@ -274,7 +271,6 @@ class System:
         """
         return require_closed_form(self.closed_form, self.name)(x0, t, attitude)
 
-    @in_standard_mode
     def with_forces(self, *forces: Force) -> Self:
         """Return the system with damping, torques or noise, after the forces that it has.
 

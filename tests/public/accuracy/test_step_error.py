@@ -11,8 +11,8 @@ import pytest
 import coadjoint as co
 from refusals import refused
 
-WARNED, FASTEST = 0.02, 0.4
-"""Largest error without a warning, and the weight of the fastest step, as docs/accuracy.md states them."""
+OVER_RUN, FASTEST = 0.05, 0.4
+"""Largest error over a run without a warning, and the weight of the fastest step, as docs/accuracy.md states them."""
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), np.array([0.3, 1.0, 0.2])
 TOP, TOP_X0 = co.systems.heavy_top(), np.array([1.0, 0.0, 2.0, 0.1, 0.0, 1.0])
 SEVEN = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 0.5, 0.3, 0.8, 0.2, 0.6]))
@@ -90,15 +90,15 @@ ALIGNED, LATTICE = np.tile([1.0, 2.0, 3.0], 16), co.systems.spin_lattice("square
 
 @pytest.mark.parametrize(("share", "warns"), [(0.98, False), (1.02, True)])
 def test_near_equilibria_the_error_of_the_whole_run_counts(share, warns):
-    """Aligned spins are at rest, and all that a step changes is error: 2 percent of the state are too much."""
+    """Aligned spins are at rest, and all that a step changes is error: 5 percent of the state are too much."""
     h, method = 0.01, co.Splitting(order=2)
     whole, halves = (co.integrate(LATTICE, ALIGNED, (0, h), h / k, method, save_every=k).x[-1] for k in (1, 2))
     error = 4 / 3 * np.linalg.norm(whole - halves) / np.linalg.norm(ALIGNED)
-    steps = int(share * 0.02 / error)
+    steps = int(share * OVER_RUN / error)
     assert steps > 100
     sol, found = told(lambda: co.integrate(LATTICE, ALIGNED, (1, 1 + steps * h), h, method, save_every=steps))
     assert sol.step_error() > 0.9 and len(found) == warns
-    assert not warns or "take a step of about 0.003" in found[0]  # an error of a tenth
+    assert not warns or "take a step of about 0.002" in found[0]  # an error of 0.2 percent
 
 
 @pytest.mark.parametrize(("amplitude", "warns"), [(0.0, False), (1e-9, False), (1e-4, True)])
@@ -140,22 +140,27 @@ def test_of_matrices_forces_and_archives(tmp_path):
 
 @pytest.mark.parametrize("system, x0", [(BODY, X0), (TOP, TOP_X0), (SEVEN, np.arange(1.0, 7.0) / 4)])
 def test_the_warning_comes_just_above_the_threshold_and_not_below(system, x0):
-    """The step is bisected until the errors of two neighbouring ones lie on both sides."""
+    """The step is bisected until one of two neighbouring ones warns; the errors of both are 5 percent of the motion.
+
+    By half steps the error is known up to terms of the next order.
+    """
     low, high = 1e-3, 4.0
-    for _ in range(40):
+    for _ in range(24):
         middle = (low * high) ** 0.5
-        error = told(lambda step=middle: co.integrate(system, x0, (0, 20 * step), step))[0].step_error()
-        low, high = (middle, high) if error <= WARNED else (low, middle)
-    assert high < 1.01 * low
-    quiet(lambda: co.integrate(system, x0, (0, 20 * low), low))
-    warned(lambda: co.integrate(system, x0, (0, 20 * high), high))
+        found = told(lambda step=middle: co.integrate(system, x0, (0, 20 * step), step))[1]
+        low, high = (low, middle) if found else (middle, high)
+    fine = co.integrate(system, x0, (0, 20 * low), low / 8, co.GaussLegendre(4), save_every=8).x
+    size = np.repeat(np.linalg.norm(fine.reshape(len(fine), -1, 3), axis=2).max(axis=0), 3) if system is TOP else 1.0
+    errors, motion = (co.integrate(system, x0, (0, 20 * low), low).x - fine) / size, (fine - x0) / size
+    ratio = np.linalg.norm(errors, axis=1).max() / np.linalg.norm(motion, axis=1).max()
+    assert ratio == pytest.approx(OVER_RUN, rel=0.25)
 
 
 @pytest.mark.parametrize("method", [co.Splitting(), co.Taylor(order=4), co.GaussLegendre(1)])
 def test_the_step_suggested_follows_the_motion(method):
     _, (message,) = told(lambda: co.integrate(TOP, TOP_X0, (0, 24), 0.75, method))
     steps = round(24 / float(message.rpartition(" ")[2]))
-    assert 1e-4 < co.integrate(TOP, TOP_X0, (0, 24), 24 / steps, method).step_error() < WARNED / 2
+    assert 1e-4 < co.integrate(TOP, TOP_X0, (0, 24), 24 / steps, method).step_error() < 0.01
 
 
 def test_long_runs_own_steps_and_accuracy_do_not_warn():
@@ -172,7 +177,7 @@ def test_long_runs_own_steps_and_accuracy_do_not_warn():
 )
 def test_the_first_run_of_a_prepared_one_warns(options):
     """Copies and later runs do not."""
-    prepared = co.prepare(BODY, co.Splitting(), 2.0, **options)
+    prepared = co.prepare(BODY, co.Splitting(), 4.0, **options)
     twin = pickle.loads(pickle.dumps(prepared))
     sol = warned(lambda: prepared.run(X0, (0, 20)))
     assert sol.step_error() == pytest.approx(quiet(lambda: twin.run(X0, (0, 20))).step_error())
@@ -183,7 +188,7 @@ def test_the_first_run_of_a_prepared_one_warns(options):
 
 def test_a_failed_run_leaves_the_warning_to_the_next():
     """The setup of the failed run is cached, but no step was compared."""
-    prepared = co.prepare(BODY, co.GaussLegendre(1), 2.0)
+    prepared = co.prepare(BODY, co.GaussLegendre(1), 4.0)
     with refused(co.IntegrationError, "overflowed"):
         prepared.run(1e300 * X0, (0, 20))
     warned(lambda: prepared.run(X0, (0, 20)))

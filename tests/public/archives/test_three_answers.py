@@ -47,7 +47,8 @@ class Web(fsspec.AbstractFileSystem):
         try:
             with urllib.request.urlopen(urllib.request.Request(f"http://{path}", method="HEAD")) as answer:
                 return {"name": path, "type": "file", "size": int(answer.headers["Content-Length"])}
-        except urllib.error.URLError as reason:
+        except urllib.error.HTTPError as reason:
+            reason.close()
             raise FileNotFoundError(path) from reason
 
     def _open(self, path, *arguments, **options):

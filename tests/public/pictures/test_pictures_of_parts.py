@@ -270,6 +270,17 @@ def test_the_pictures_of_a_controlled_body_are_its_errors_rates_torques_and_roto
         np.testing.assert_allclose(shown_values[1:], rate, rtol=1e-9, atol=1e-12)
 
 
+def test_quaternions_of_states_that_are_no_rotations_are_missing():
+    """A mirror image, and a state after a damping that shrank the axes: the others of an ensemble have theirs."""
+    system = co.systems.body(INERTIA)
+    x0 = np.tile(system.state(WANTED, (0.1, 0.2, 0.3)), (3, 1))
+    x0[1, 3:6] *= -1.0
+    x0[2, 3:] *= 0.5
+    found = co.integrate(system, x0, (0, 0.1), 0.1).to_xarray()["quaternion"].values
+    np.testing.assert_allclose(abs(found[0, 0] @ WANTED.as_quat()), 1.0, rtol=1e-14)
+    assert np.isfinite(found[:, 0]).all() and np.isnan(found[:, 1:]).all()
+
+
 def test_bodies_without_a_controller_have_none_of_its_pictures():
     damped = co.systems.body(INERTIA).with_forces(co.forces.Torque((0.1, 0, 0, *[0] * 9)))
     run = co.integrate(damped, damped.state(), (0, 1), 0.1)

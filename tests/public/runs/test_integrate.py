@@ -200,3 +200,30 @@ ADAPTIVE = ["RK45", "rk23", "DOP853", "Radau", "BDF", "LSODA", "dopri5", "vode",
 def test_adaptive_schemes_of_other_packages_are_refused_by_their_names(name):
     with refused(ValueError, name, "estimate of the error", "accuracy="):
         co.integrate(co.systems.rigid_body(), (1.0, 0.2, 0.1), (0, 1), 0.125, name)
+
+
+NEAR_ZERO = {
+    "m.p of a top": (co.systems.heavy_top(), lambda x: x - np.eye(6)[:, 0] * (x[:3] @ x[3:] - 2e-2) / x[3]),
+    "momenta of a chain": (co.systems.toda_ring(3), lambda x: x - np.eye(6)[:, 0] * (x[:3].sum() - 2e-2)),
+    "spin and field": (co.systems.clebsch_body(), lambda x: x - np.eye(6)[:, 1] * (x[:3] @ x[3:] - 2e-2) / x[4]),
+}
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-7])
+@pytest.mark.parametrize("name", NEAR_ZERO)
+def test_a_casimir_near_zero_in_one_member_is_not_lost_by_rounding(name, unit):
+    """Rounding is relative to the terms that are added up, in every member, alone too."""
+    system, near_zero = NEAR_ZERO[name]
+    states = np.random.default_rng(1).uniform(0.5, 1.5, (200, 6))
+    states[7] = near_zero(states[7])
+    run = (0, 0.5), 0.1, co.GaussLegendre(2)
+    drift = co.integrate(system, unit * states if name.startswith("momenta") else states, *run).drift()
+    kept = {key: one for key, one in drift.items() if key not in ("energy", "product of a")}
+    # Five steps, each with a few roundings of every term.
+    assert kept and all(one < 20 * U for one in kept.values())
+    assert all(one == max(one.members) and one.absolute <= one * one.scale.max() for one in kept.values())
+    if unit == 1.0:
+        alone = co.integrate(system, states[7], *run).drift()
+        assert all(alone[key].scale == one.scale[7] for key, one in drift.items())
+        values = [abs(casimir(states[7])) for casimir in system.casimirs.values()]
+        assert min(values) < 0.03 and min(one.scale[7] for one in kept.values()) > 0.05

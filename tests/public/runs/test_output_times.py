@@ -315,3 +315,40 @@ def test_how_far_beyond_the_end_times_may_be(size, span, times, steps):
             # The numbers in the message differ as those that were given.
             shown = [float(text) for text in re.findall(r"-?\d+(?:\.\d+)?(?:e[+-]\d+)?", str(error.value))[-3:]]
             assert len(set(shown)) == 3 and (shown[0] - shown[1]) * (shown[0] - shown[2]) > 0.0
+
+
+def wheel(period):
+    law = co.forces.Sampled(co.forces.Pointing(0.5, 1.5), period=period)
+    return co.systems.body((1.0, 2.0, 2.5)).with_forces(law)
+
+
+# Calls with a step, its span or another time far below it.
+SHORT = {
+    "a run": lambda ends, step, folder: co.integrate(BODY, X, ends, step),
+    "members": lambda ends, step, folder: co.integrate(BODY, [X, -X], ends, step),
+    "times": lambda ends, step, folder: co.prepare(BODY, None, step).run(X, ends, t_eval=[*ends]),
+    "the end": lambda ends, step, folder: co.prepare(BODY, None, step).end(X, ends),
+    "an archive": lambda ends, step, folder: co.integrate(BODY, X, ends, step, archive=folder / "short.zarr"),
+    "resumed": lambda ends, step, folder: (
+        co.integrate(BODY, X, (ends[0], ends[0]), step, archive=folder / "none.zarr"),
+        co.resume(folder / "none.zarr", t_end=ends[1]),
+    ),
+    "no steps": lambda ends, step, folder: co.integrate(BODY, X, (ends[0], ends[0]), step).at(ends[1]),
+    "a period": lambda ends, step, folder: co.integrate(wheel(1.0), wheel(1.0).state(), (0, 3 * step), step),
+}
+
+
+@pytest.mark.parametrize("step", [1e10, 1e15, 1e300])
+@pytest.mark.parametrize("ends", [(0.0, 1.0), (5.0, 4.0)])
+@pytest.mark.parametrize("call", SHORT)
+def test_times_far_below_a_step_are_not_rounding_of_none(call, ends, step, tmp_path):
+    """Beside the step such a span is rounding, beside its own ends it is not; a run would end where it starts."""
+    with refused(ValueError, "step" if call != "no steps" else "run"):
+        SHORT[call](ends, step, tmp_path)
+
+
+@pytest.mark.parametrize("end", [0.0, 0.1 + 0.2, -7.0])
+def test_spans_within_rounding_of_none_have_no_steps(end):
+    """A time that was summed misses the start of the next run by an ulp or two."""
+    sol = co.integrate(BODY, X, (end, end + 2 * np.spacing(end) if end else 0.0), 0.1)
+    assert sol.stats.steps == 0 and np.array_equal(sol.x, [X])

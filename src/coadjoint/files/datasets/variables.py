@@ -17,7 +17,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.results.solution import Solution
-from coadjoint.runs.results.solution_attributes import rotations_of
+from coadjoint.runs.results.solution_attributes import are_rotations, rotations_of
 from coadjoint.short_repr import short
 from coadjoint.systems.coefficients import linear_of
 from coadjoint.systems.coordinates import coordinate_names
@@ -133,11 +133,11 @@ def angular_motion_variables(solution: Solution) -> Variables:
 
 
 def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the quaternions (k, ..., 4) of rotations over time without changes of sign; NaN after a failure."""
+    """Return the quaternions (k, ..., 4) of rotations over time without changes of sign; NaN for other matrices."""
     from scipy.spatial.transform import Rotation
 
-    finite, found = np.isfinite(rotations).all(axis=(-2, -1)), np.full((*rotations.shape[:-2], 4), np.nan)
-    found[finite] = Rotation.from_matrix(rotations[finite]).as_quat(canonical=True)
+    proper, found = are_rotations(rotations), np.full((*rotations.shape[:-2], 4), np.nan)
+    found[proper] = Rotation.from_matrix(rotations[proper]).as_quat(canonical=True)
     opposite = (found[1:] * found[:-1]).sum(axis=-1, keepdims=True) < 0.0
     found[1:] *= np.cumprod(np.where(opposite, -1.0, 1.0), axis=0)
     return found

@@ -42,8 +42,8 @@ from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
 from coadjoint.validation import read_bool, read_path
 
-PUBLIC = {"step", "run", "first", "next", "finish", "step_with_tangents", "run_with_attitude"}
-"""Functions of a header. Others have no underscore in their names, so that those of two headers are never equal."""
+PUBLIC = {name: name for name in ("step_with_tangents", "run_with_attitude")}
+# Only these functions have an underscore in their names, so that those of two headers are never equal.
 IDENTIFIER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}")
 """Names of C functions; longer ones are not distinguished by all linkers."""
 
@@ -134,13 +134,9 @@ def c_header(prepared: PreparedRun, name: str, tangent: bool = False) -> str:
         defined.append(f"#define COADJOINT_WIDEST {exported.widest}")
     defined += [f"typedef {kind} coadjoint_index;"] if "coadjoint_index" in body else []
     code = "\n".join([INCLUDES, *defined, "", called, body, END])
-    code = re.sub(r"\bcoadjoint_(\w+)", lambda found: f"{name}_{_internal(found[1])}", code)
+    code = re.sub(r"\bcoadjoint_(\w+)", lambda one: f"{name}_{PUBLIC.get(one[1], one[1].replace('_', ''))}", code)
     code = code.replace("COADJOINT_", f"{_of_macros(name)}_")
     return _comment(prepared, name, tangent, exported) + "\n".join(map(_wrapped, code.split("\n")))
-
-
-def _internal(function: str) -> str:
-    return function if function in PUBLIC else function.replace("_", "")
 
 
 def _of_macros(name: str) -> str:

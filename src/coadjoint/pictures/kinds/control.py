@@ -11,6 +11,7 @@ from coadjoint.pictures.curves import draw_over_time
 from coadjoint.pictures.kinds.quantities import MAX_LINES
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
+from coadjoint.runs.results.solution_attributes import are_rotations
 from coadjoint.systems.forces.body_torque import Pointing
 from coadjoint.systems.forces.sampled import Sampled
 
@@ -52,8 +53,8 @@ def _angles(system: Any, A: Floats, t: Floats) -> Floats:
         raise CannotShow(f"{system.name} has no co.forces.Pointing with a stiffness")
     wanted: Any = np.eye(3) if law.attitude is None else law.attitude
     D = np.stack([np.asarray(wanted(time)) for time in t.tolist()]) if callable(wanted) else np.asarray(wanted)
-    finite, angles = np.isfinite(A).all(axis=(-2, -1)), np.full(len(A), np.nan)
-    angles[finite] = Rotation.from_matrix((np.swapaxes(D, -2, -1) @ A)[finite]).magnitude()
+    proper, angles = are_rotations(A), np.full(len(A), np.nan)
+    angles[proper] = Rotation.from_matrix((np.swapaxes(D, -2, -1) @ A)[proper]).magnitude()
     return np.degrees(angles)
 
 

@@ -32,8 +32,9 @@ Floats = NDArray[np.float64]
 Observed = Callable[[Floats, Floats], dict[str, Floats]]
 """Function of times (k,) and points (k, members, n) that returns the values (k, members) of quantities by name."""
 
-# A value below this fraction of the sum of its absolute terms is small by cancellation.
-CANCELLATION = 2.0**-10
+# An energy below this fraction of the sum of its absolute terms is small by cancellation. That of a near-parabolic
+# orbit, which determines its period, is larger. Casimirs have the size of their terms, as do their rounding errors.
+CANCELLATION = 2.0**-6
 # Number of invariants whose terms are always summed; those of further ones only if their values are far smaller than
 # others.
 SUMMED_INVARIANTS = 64
@@ -149,8 +150,9 @@ class Drift(float):
     Attributes
     ----------
     scale : float or ndarray, shape (members,)
-        The size of the invariant, to which all deviations are relative: the absolute initial value, or where its terms
-        nearly cancel, the sum of their absolute values. It is 1 for absolute deviations, and where both are zero.
+        The size of the invariant, to which all deviations are relative: of a Casimir the sum of its absolute terms, of
+        the energy the absolute initial value, or where its terms nearly cancel, the sum of their absolute values. So it
+        is never far below that of other members. It is 1 for absolute deviations, and where both are zero.
     absolute : float
         The largest absolute deviation.
     tenths : ndarray, shape (10,) or (members, 10)
@@ -203,6 +205,7 @@ def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> di
     scales: dict[str, Any] = {}
     for number, (name, value) in enumerate(values.items()):
         # Each member by itself, so that it has the same size alone.
+        fraction = CANCELLATION if name == "energy" else 1.0
         summed = np.arange(len(value)) if number < SUMMED_INVARIANTS else np.flatnonzero(value < CANCELLATION * largest)
         size = value.copy()
         for members in _groups(system, summed, states[0].size) if system is not None else ():
@@ -210,7 +213,7 @@ def scales_of_invariants(system: Any, x0: Any, initial: Mapping[str, Any]) -> di
             invariant = plain.hamiltonian if name == "energy" else plain.casimirs.get(name)
             rows = states[members] if plain.has_matrices else states[members].reshape(len(members), -1)
             terms = sum_of_absolute_terms(invariant, rows)
-            size[members] = np.where(value[members] < CANCELLATION * terms, terms, value[members])
+            size[members] = np.where(value[members] < fraction * terms, terms, value[members])
         size[~(np.isfinite(size) & (size > 0.0))] = 1.0
         scales[name] = float(size[0]) if single else size
     return scales

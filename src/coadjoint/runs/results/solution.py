@@ -123,8 +123,9 @@ class Solution(SolutionOutput):
         Parameters
         ----------
         relative : bool
-            Relative to the size of the invariant, ``drift()["energy"].scale``: its absolute initial value, or where its
-            terms nearly cancel, the sum of their absolute values. Otherwise, and where both are zero, absolute.
+            Relative to the size of the invariant, ``drift()["energy"].scale``: the initial energy, or where its
+            terms nearly cancel, and of Casimirs, the sum of their absolute values. Otherwise, and where both are zero,
+            absolute.
 
         Returns
         -------
@@ -265,7 +266,8 @@ class Solution(SolutionOutput):
 
         At five points of the run a step is compared with two half steps; and so is the fastest step that the saved
         points show, such as a pericentre, whose error counts 0.4 times. Above 0.02 the scheme does not follow the
-        motion, whatever its invariants, and `integrate` warns. For the error at the end see `error_estimate`.
+        motion, whatever its invariants; `integrate` warns if the error over the run is more than 5 per cent of the
+        motion (docs/accuracy.md). For the error at the end see `error_estimate`.
         Groups of coordinates count relative to their sizes, such as momentum and position, or each spin; those that
         start at zero relative to the size of the state. The rounding of a step counts if it loses many digits of a
         group.

@@ -17,6 +17,7 @@ from coadjoint.methods.protocol.method import Method
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import Batch
+from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system import System
 from coadjoint.validation import read_numbers
 
@@ -374,3 +375,10 @@ def rotations_of(attitude: Any) -> Floats | None:
         products = ends @ np.swapaxes(ends, -1, -2)
     finite = products[np.isfinite(products).all(axis=(-1, -2))]  # members that have failed are not tested
     return A if np.abs(finite - np.eye(3)).max(initial=0.0) < ORTHOGONALITY else None
+
+
+@ignore_overflow
+def are_rotations(matrices: Floats) -> npt.NDArray[np.bool_]:
+    """Return which matrices (..., 3, 3) are rotations; those of failed members and other states are none."""
+    defect = np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(axis=(-2, -1))
+    return (defect < ORTHOGONALITY) & (np.linalg.det(np.nan_to_num(matrices)) > 0.0)

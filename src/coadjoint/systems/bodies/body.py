@@ -101,6 +101,22 @@ def relative_positions(x: Any) -> Any:
     return r[..., 1:MAX_DRAWN_BODIES, :] - r[..., :1, :]
 
 
+def distance_from_first(x: Any, k: int) -> Any:
+    """Return the distance of the centres of body k and the first one."""
+    return np.linalg.norm(relative_positions(x)[..., k - 2, :], axis=-1)
+
+
+def distances_of_bodies(dim: int) -> dict[str, Any]:
+    """Return the distances of the other drawn bodies from the first, by name, as functions of states."""
+    names = {k: f"from 1 to {k}" if drawn_bodies(dim)[-1] > 2 else "distance" for k in drawn_bodies(dim, 2)}
+    return {name: partial(distance_from_first, k=k) for k, name in names.items()}
+
+
+def third_axes_of_bodies(dim: int) -> dict[str, list[str]]:
+    """Return the third axis of each molecule, or body, in space, by its components."""
+    return {f"molecule {k}": [f"{axis}3[{k}]" for axis in "XYZ"] for k in drawn_bodies(dim)}
+
+
 def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadratic]:
     """Return the products of the space axes of each body, which are Casimirs; none of more than 64 bodies."""
     found = {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import IN_SPACE, drawn_bodies, momentum_in_space, relative_positions
+from coadjoint.systems.bodies.body import IN_SPACE, distances_of_bodies, momentum_in_space, third_axes_of_bodies
 from coadjoint.systems.bodies.inertia import BodyInertia, check_products, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -88,21 +87,6 @@ def _dimer() -> Floats:
     )
 
 
-def _distance(x: Any, k: int) -> Any:
-    """Return the distance of the centres of molecule k and the first one."""
-    return np.linalg.norm(relative_positions(x)[..., k - 2, :], axis=-1)
-
-
-def _distances(dim: int) -> dict[str, Any]:
-    names = {k: f"from 1 to {k}" if drawn_bodies(dim)[-1] > 2 else "distance" for k in drawn_bodies(dim, 2)}
-    return {name: partial(_distance, k=k) for k, name in names.items()}
-
-
-def _dipoles(dim: int) -> dict[str, list[str]]:
-    """Return the third axis of each molecule in space, by its components."""
-    return {f"molecule {k}": [f"{axis}3[{k}]" for axis in "XYZ"] for k in drawn_bodies(dim)}
-
-
 @ready_made(
     unit="z",
     coordinates=IN_SPACE,
@@ -113,14 +97,10 @@ def _dipoles(dim: int) -> dict[str, list[str]]:
         caption="Two molecules of water with a hydrogen bond: the directions of their dipoles in space, which librate, "
         "and the distance of their centres of mass.",
         pictures=(
-            Picture(
-                "directions",
-                vectors=_dipoles,
-                title="directions of the dipoles in space",
-            ),
+            Picture("directions", vectors=third_axes_of_bodies, title="directions of the dipoles in space"),
             Picture("bodies"),
         ),
-        components=Picture("components", functions=_distances, quantity="distance of the centres [nm]"),
+        components=Picture("components", functions=distances_of_bodies, quantity="distance of the centres [nm]"),
         quantity="state",
     ),
 )
@@ -327,8 +307,7 @@ def _on_a_line(places: Floats, m: Floats) -> tuple[Floats, Floats] | None:
     axis = scaled[np.argmax(m * (scaled * scaled).sum(axis=1))]
     for _ in range(3):
         axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
-        along = [math.fsum(row) for row in (scaled * axis).tolist()]
-        weights = m * along
+        weights = m * np.array([math.fsum(row) for row in (scaled * axis).tolist()])
         axis = np.array([math.fsum((weights * scaled[:, i]).tolist()) for i in range(3)])
     axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
     axis[np.abs(axis) < ROUNDED_LINE] = 0.0  # an axis of coordinates is one exactly

@@ -129,7 +129,9 @@ class Sampled(Force):
         super().check_steps(t0, h)
         for what, time in (("period", self.period), ("start", t0)):
             count = time / h
-            if abs(count - round(count)) > ON_GRID * max(1.0, abs(count) * ON_GRID):
+            # A period far below the step is no rounding of zero steps.
+            unit = 1.0 if what == "start" else min(1.0, abs(count))
+            if abs(count - round(count)) > ON_GRID * max(unit, abs(count) * ON_GRID):
                 raise ValueError(
                     f"the {what} {'of the run' if what == 'start' else f'of {self.label}'} is {time:g}, which is not a "
                     f"whole number of steps of {h:g}; samples are at starts of steps, so take a step that divides it"

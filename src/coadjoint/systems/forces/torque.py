@@ -200,7 +200,7 @@ def _placed(function: Callable[..., Any], arguments: str, bodies: tuple[int, ...
 
     placed = callable_from_compiled(place)
     if arguments == "t":
-        return lambda t: placed(function(t), np.zeros(dim))
+        return lambda t: placed(function(t), 0.0 * t + np.zeros(dim))  # an array of JAX if t is one
     if arguments == "x":
         return lambda x: placed(function(x), 0.0 * x)
     return lambda x, t: placed(function(x, t), 0.0 * x)
