@@ -1,6 +1,7 @@
 """A file of an archive is not there, damaged, or cannot be read now: never one for the other, and not after waiting."""
 
 import http.server
+import inspect
 import io
 import json
 import os
@@ -201,7 +202,7 @@ def test_lack_of_memory_is_no_damage(base, name):
 
 
 def depth():
-    frame, count = sys._getframe(), 0
+    frame, count = inspect.currentframe(), 0
     while frame:
         frame, count = frame.f_back, count + 1
     return count

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 
 import coadjoint as co
-from coadjoint.errors import OneLineError
 from command import command
 from configuration_files import READY_MADE
 from refusals import refused
@@ -115,7 +114,7 @@ def test_a_full_disk_is_reported_with_the_path(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(Path, "write_text", full)
     for call, name in ((co.export_c, "run.h"), (co.export_table, "run.json")):
-        with refused(OneLineError, name, "No space left"):
+        with refused(ValueError, name, "No space left"):
             call(prepared, name)
     for arguments in (("body.toml",), ("--free-body",)):
         status, out, err = command(capsys, "export", *arguments, "-o", "body.h")
