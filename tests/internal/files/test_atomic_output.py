@@ -15,7 +15,7 @@ import xarray
 from coadjoint.files.datasets.writers import MAX_CACHED_BYTES, PAGE_BYTES, DeferredErrorFile
 from coadjoint.files.output import atomic_output
 from coadjoint.files.output.atomic_output import PendingOutput, sync_to_disk, write_atomically
-from coadjoint.files.output.output_files import write_dataset
+from coadjoint.files.output.output_files import OutputError, write_dataset
 
 NEW, OLD = b"new" * 100, b"old"
 
@@ -173,7 +173,7 @@ def test_a_failed_dataset_leaves_the_old_one_and_no_descriptor(tmp_path, monkeyp
     write_dataset(SMALL, tmp_path / name)
     write_dataset(SMALL.rename(x="y"), tmp_path / name)
     before = len(os.listdir("/proc/self/fd"))
-    with monkeypatch.context() as patched, pytest.raises(OSError, match="no space left"):
+    with monkeypatch.context() as patched, pytest.raises(OutputError, match=rf"{name}: .*no space left"):
         patched.setattr(PendingOutput, "writing", full)
         write_dataset(SMALL, tmp_path / name)
     assert len(os.listdir("/proc/self/fd")) == before

@@ -119,7 +119,7 @@ def test_datasets_are_replaced(tmp_path, windows, name):
 def test_moved_archive_is_locked_again(tmp_path, windows, monkeypatch):
     """And if another process has opened it before, this one does not write to it."""
     store = ArchiveStore.create_archive(tmp_path / "a.zarr", {})
-    store.commit({}, {})
+    store.commit({}, {}, [store.store_state({"number": 1}, {})])
     store.moved(tmp_path / "b.zarr")
     lock = tmp_path / "b.zarr" / ".coadjoint" / LOCK_FILE
     assert open_locked(lock) is None
