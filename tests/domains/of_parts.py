@@ -259,7 +259,7 @@ ON_BODIES = {
         "attitude": Domain(
             (None, (0, 0, 0, 1), np.eye(3)), (np.ones((3, 3)), (0, 0, 0, 2), 1.0, "1", of_nothing, flow)
         ),
-        "rate": IN_SPACE,
+        "rate": optional(IN_SPACE),
         "error": choice("sine", "quaternion"),
         "max_torque": LIMITS,
     },

@@ -112,7 +112,7 @@ def test_names_have_the_length_that_the_disk_allows(files, output, suffix):
         ("--out", "no/run.nc", "the folder no does not exist"),
         ("--figure", "no/a.png", "the folder no does not exist"),
         ("--movie", "no/a.gif", "the folder no does not exist"),
-        ("--archive", "no/run.zarr", "the folder no does not exist"),
+        ("--archive", "no/run.zarr", "no does not exist"),
         ("--archive", "", "archive is ''"),
         ("--archive", "held", "exists"),
         ("--out", "held.nc", "is a folder"),
