@@ -352,7 +352,6 @@ def test_many_events_are_read_again():
 
 STATES = {
     "another axis": lambda d: d.assign(x0=d["x0"].rename(row="line")),
-    "columns first": lambda d: d.assign(x0=d["x0"].transpose("part", "column", "row")),
     "no parts": lambda d: d.assign(x0=d["x0"].isel(part=0, drop=True)),
     "one part": lambda d: d.assign(x0=d["x0"].isel(part=[0])),
     "three parts": lambda d: d.drop_dims("part").assign(x0=(("row", "column", "part"), np.zeros((4, 4, 3)))),
@@ -371,6 +370,15 @@ def test_damaged_states_are_refused(damage):
     dataset = co.integrate(SPHERE, state_of(SPHERE), (0.0, 0.5), 0.25).to_xarray().drop_vars("part")
     with pytest.raises(ValueError):
         co.results.rebuild(STATES[damage](dataset))
+
+
+@pytest.mark.parametrize("named", [("part", "column", "row"), ("column", "part", "row"), ("column", "row", "part")])
+def test_states_are_read_by_the_names_of_their_dimensions(named):
+    sol = co.integrate(SPHERE, state_of(SPHERE), (0.0, 0.5), 0.25)
+    dataset = sol.to_xarray().drop_vars("part")
+    again = co.results.rebuild(dataset.assign(x0=dataset["x0"].transpose(*named)))
+    np.testing.assert_array_equal(again.x0, sol.x0)
+    np.testing.assert_array_equal(again.x, sol.x)
 
 
 def test_whole_numbers_are_states():

@@ -21,6 +21,7 @@ def test_variables_and_attributes():
     sizes["component_of_quaternion"] = 4
     assert dict(dataset.sizes) == sizes
     assert dataset["component"].values.tolist() == ["x1", "x2", "x3"]
+    assert dataset.coords["component_of_quaternion"].values.tolist() == ["x", "y", "z", "w"]
     assert dataset["x"].dims == ("time", "component")
     assert dataset["attitude"].dims == ("time", "row", "column")
     np.testing.assert_allclose(abs((dataset["quaternion"] * sol.rotation.as_quat()).sum(axis=1)), 1.0, rtol=1e-14)

@@ -5,6 +5,7 @@ import os
 import random
 import shutil
 import zlib
+from contextlib import nullcontext
 
 import h5py
 import numpy as np
@@ -50,24 +51,25 @@ def test_checksum_is_independent_of_the_format(tmp_path, sol, name):
 @pytest.mark.thinned(4)
 @pytest.mark.parametrize("name", ["plain.nc", "classic.nc", "second.zarr", "third.zarr"])
 def test_changed_content_is_refused(tmp_path, sol, name):
-    """Without the checksum attribute the content is read."""
+    """Without the checksum attribute the content is read, unless its parts contradict each other."""
     changes = (
-        lambda ds: ds.assign(x=ds["x"].where(ds["time"] != 2.0, np.nextafter(ds["x"], 9.0))),
-        lambda ds: ds.assign_attrs(step=0.25),
-        lambda ds: ds.assign_coords(component=["a", "b", "c"]),
-        lambda ds: ds.isel(time=slice(0, 20)),
-        lambda ds: ds.assign(more=("time", np.zeros(ds.sizes["time"]))),
-        lambda ds: ds.drop_vars("observed_q"),
-        lambda ds: ds.assign(energy=ds["energy"].assign_attrs(long_name="power")),
+        (lambda ds: ds.assign(x=ds["x"].where(ds["time"] != 2.0, np.nextafter(ds["x"], 9.0))), None),
+        (lambda ds: ds.assign_attrs(step=0.25), "0.125 is none at which the run saves"),
+        (lambda ds: ds.assign_coords(component=["a", "b", "c"]), "component is ['a', 'b', 'c']"),
+        (lambda ds: ds.isel(time=slice(0, 20)), None),
+        (lambda ds: ds.assign(more=("time", np.zeros(ds.sizes["time"]))), None),
+        (lambda ds: ds.drop_vars("observed_q"), None),
+        (lambda ds: ds.assign(energy=ds["energy"].assign_attrs(long_name="power")), None),
     )
-    for k, change in enumerate(changes):
+    for k, (change, contradiction) in enumerate(changes):
         dataset = change(sol.to_xarray())
         WRITERS[name](dataset, tmp_path / f"{k}{name}")
         with refused(ValueError, "checksum", CHECKSUM):
             co.load(tmp_path / f"{k}{name}")
         del dataset.attrs[CHECKSUM]
         WRITERS[name](dataset, tmp_path / f"without{k}{name}")
-        assert co.load(tmp_path / f"without{k}{name}").x.shape[1:] == (2, 3)
+        with refused(ValueError, contradiction) if contradiction else nullcontext():
+            np.testing.assert_array_equal(co.load(tmp_path / f"without{k}{name}").x, dataset["x"])
 
 
 def replaced(file, name="energy", **options):

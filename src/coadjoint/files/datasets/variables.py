@@ -112,9 +112,9 @@ def angular_motion_variables(solution: Solution) -> Variables:
     if not all(hasattr(one, "angular_velocity") for one in systems):
         return variables
 
-    def add(name: str, values: NDArray[np.float64], axis: str, long_name: str, **attributes: Any) -> None:
+    def add(name: str, values: NDArray[np.float64], axis: str, long_name: str) -> None:
         of_body = ("body",) * (values.ndim - len(dims) - 1)
-        variables[name] = ((*dims, *of_body, axis), values, {**cf_attributes(long_name), **attributes})
+        variables[name] = ((*dims, *of_body, axis), values, cf_attributes(long_name))
 
     for name in ("angular_velocity", "angular_momentum"):
         add(name, getattr(solution, name), "axis", f"{name.replace('_', ' ')} in the body frame")
@@ -123,8 +123,9 @@ def angular_motion_variables(solution: Solution) -> Variables:
     else:
         rotations = rotations_of(solution.attitude) if solution.carried == "representation" else None
     if rotations is not None:
-        long_name = "unit quaternion of the attitude, from the body to space"
-        add("quaternion", _quaternions(rotations), "component_of_quaternion", long_name, order="x, y, z, w")
+        part = "component_of_quaternion"
+        add("quaternion", _quaternions(rotations), part, "unit quaternion of the attitude, from the body to space")
+        variables[part] = ((part,), np.asarray(list("xyzw")), {"long_name": "component of a quaternion"})
     for name, rotors, axis in (("wheel_speed", "wheels", "wheel"), ("gimbal_angle", "gyros", "gyro")):
         if all(len(getattr(one, rotors, ())) for one in systems):
             long_name = f"{name.replace('_', ' ')}s relative to the body [radians]"
