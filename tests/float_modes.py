@@ -8,15 +8,17 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# The control word of a processor in `fenv_t`: its offset in bytes, rounding up and to zero, and flush to zero.
+# The control word of a processor in `fenv_t`: its offset in bytes, rounding up, down and to zero, and flush to zero.
+X86, ARM = (0x4000, 0x2000, 0x6000, 0x8040), (1 << 22, 2 << 22, 3 << 22, 1 << 24)
 LAYOUTS = {
-    ("linux", "x86_64"): (28, 0x4000, 0x6000, 0x8040),
-    ("darwin", "x86_64"): (4, 0x4000, 0x6000, 0x8040),
-    ("linux", "aarch64"): (0, 1 << 22, 3 << 22, 1 << 24),
-    ("darwin", "arm64"): (8, 1 << 22, 3 << 22, 1 << 24),
+    ("linux", "x86_64"): (28, *X86),
+    ("darwin", "x86_64"): (4, *X86),
+    ("linux", "aarch64"): (0, *ARM),
+    ("darwin", "arm64"): (8, *ARM),
 }
+NAMES = ("upward", "downward", "toward zero", "flush to zero")
 _LAYOUT = LAYOUTS.get((sys.platform, platform.machine()))
-MODES = {} if _LAYOUT is None else dict(zip(("upward", "toward zero", "flush to zero"), _LAYOUT[1:], strict=True))
+MODES = {} if _LAYOUT is None else dict(zip(NAMES, _LAYOUT[1:], strict=True))
 """Names of the modes that this machine is known to have, and their bits."""
 
 
@@ -30,7 +32,7 @@ def control() -> int:
     """Return the bits of `MODES` of this thread."""
     assert _LAYOUT is not None
     word = ctypes.c_uint32.from_buffer(_environment(), _LAYOUT[0]).value
-    return word & (_LAYOUT[2] | _LAYOUT[3])
+    return word & (_LAYOUT[3] | _LAYOUT[4])
 
 
 @contextmanager

@@ -11,8 +11,8 @@ from scipy import special, stats
 
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.tables.compiled import address
-from coadjoint.runs.run import rounding
 from coadjoint.systems.forces.base import normal_deviates, random_words
+from float_modes import MODES, float_mode
 from rounding import UNIT_ROUNDOFF as U
 
 
@@ -302,14 +302,14 @@ def test_the_plain_reading_draws_the_same():
 TURNS = ("every magnitude", "one turn", "around multiples of pi/2", "at the octants")
 
 
-@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("mode", [mode for mode in MODES if mode.endswith("ward")])
 @pytest.mark.parametrize(
     ("what", "where"), [*((rotations, where) for where in TURNS), *((what, "growth") for what in (hyperbolics, 3, 4))]
 )
-def test_functions_rounded_up_or_down_are_near_those_rounded_to_nearest(direction, what, where):
+def test_functions_rounded_up_or_down_are_near_those_rounded_to_nearest(mode, what, where):
     """To a unit of round-off for each of the 32 operations of a series at most."""
     arguments = np.random.default_rng(5).uniform(-20.0, 20.0, 4000) if where == "growth" else ANGLES[where]
     nearest = has_compiled_bracket(what, arguments)
-    with rounding(direction):
+    with float_mode(mode):
         rounded = has_compiled_bracket(what, arguments)
     assert 0.0 < np.max(np.abs(rounded - nearest) / np.maximum(1.0, np.abs(nearest))) <= 32 * U

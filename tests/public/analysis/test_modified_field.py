@@ -12,6 +12,7 @@ from fields_under_test import ALGEBRAS, along, elementary, field_of, motion_by, 
 import coadjoint as co
 from long import long_between, long_beyond
 from refusals import refused
+from rounding import UNIT_ROUNDOFF
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -320,6 +321,13 @@ def test_what_cannot_be_served_is_refused(what):
     call, error, named = REFUSED[what]
     with refused(error, named):
         call()
+
+
+def test_a_field_too_large_for_memory_is_computed_at_points():
+    found, x = co.modified_field(LARGE, RUNGE, 7), np.cos(np.arange(45.0))
+    assert not found.exact and "order 7" in found.reason
+    rounding = 16 * 16 * 45 * UNIT_ROUNDOFF  # of sums of 16 products up to 45
+    np.testing.assert_allclose(found(x, 0.0), LARGE.vector_field(x), rtol=0, atol=rounding)
 
 
 @pytest.mark.thinned(2)

@@ -14,6 +14,7 @@ jax = pytest.importorskip("jax")
 jnp = jax.numpy
 
 UNITS = {np.float64: UNIT_ROUNDOFF, np.float32: 2.0**-24}
+LARGEST_ANGLE = {np.float64: 2.0**30, np.float32: 2.0**20}  # radians, as the reference says
 # Inverse moments and momentum.
 SHAPES = {
     "ball": ((1.0, 1.0, 1.0), (0.3, 0.7, -0.5)),
@@ -77,6 +78,17 @@ def test_motion_in_60_digits(shape, turns, kind):
     carried = 3 * pieces * size * np.linalg.norm(turned[0]) + 3 * np.linalg.norm(turned[1] * inertia)
     assert np.linalg.norm(A1 - A.astype(float) @ R) <= u * (10 * (pieces + angle) + carried + 8)
     assert np.abs(A1.T @ A1 - np.eye(3)).max() <= 8 * u
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_long_step_is_the_closed_form(sign, kind):
+    """The rounding of the rates, of the period and of the rotation over it is some u of the angle."""
+    x, inertia, h = np.ones(3), np.array((1.0, 2.0, 3.0)), sign * (1e6 if kind == np.float64 else 1e4)
+    wanted = co.systems.rigid_body(inertia).exact(x, h, attitude=True)
+    found = co.jax.free_body(x.astype(kind), np.eye(3, dtype=kind), inertia.astype(kind), kind(h))
+    bound = 20 * UNITS[kind] * (1 + np.linalg.norm(x / inertia) * abs(h))
+    for one, other in zip(found, wanted, strict=True):
+        assert np.abs(one - other).max() <= bound
 
 
 def test_a_tensor_is_that_of_the_rotated_body(kind):
@@ -174,7 +186,8 @@ def test_momenta_of_any_size_and_ensembles(kind):
 def test_wrong_arguments_are_refused(kind):
     x = np.ones(3, kind)
     assert co.jax.free_body((1, 0, 0), None, (1, 2, 3), 1).dtype == kind
-    assert np.isnan(co.jax.free_body(x, None, np.array((1, 2, 3), kind), kind(1e6))).all()
+    beyond = kind(4 * LARGEST_ANGLE[kind])  # the momentum turns by half a radian in a unit of time
+    assert np.isnan(co.jax.free_body(x, None, np.array((1, 2, 3), kind), beyond)).all()
     assert np.isnan(co.jax.free_body(x * kind(np.nan), None, np.array((1, 2, 3), kind), kind(1.0))).all()
     for values, error, named in (
         ((x[:2], None, x, 1.0), ValueError, ("x ", "(2,)", "(3,)")),

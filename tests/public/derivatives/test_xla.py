@@ -497,11 +497,11 @@ def test_forces_have_the_flows_and_the_noise_of_the_compiled_run(name):
 
 
 def by_rows(x, t, tau):
-    y = x.copy().reshape(2, 3)
-    y[0][1] -= 0.3 * tau * y[1][2]
+    y = x.copy().reshape(3, 2)  # momenta are the first row and half of the second
+    y[0][1] -= 0.3 * tau * y[2][1]
     row = y[1]
     row[0] *= 1.0 - 0.2 * tau
-    y[:, 2][0] += 0.1 * tau
+    y[:, 0][0] += 0.1 * tau
     return y.ravel()
 
 

@@ -28,6 +28,7 @@ from coadjoint.analysis.backward_error.step_series import (
 )
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
+from coadjoint.memory import InsufficientMemoryError
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_method import read_step
 from coadjoint.optional_packages import require_packages
@@ -105,9 +106,9 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     if way != "numerical":
         try:
             return _exact(system, method, order)
-        except MemoryError:
-            raise
         except Exception as error:  # user functions may raise anything on formal numbers
+            if isinstance(error, MemoryError) and not isinstance(error, InsufficientMemoryError):
+                raise
             if way == "exact":
                 raise TypeError(f"no exact modified field: {error}") from error
             reason = str(error)
