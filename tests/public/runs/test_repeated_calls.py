@@ -166,6 +166,32 @@ def test_calls_of_several_threads_are_those_of_a_fresh_prepared_run(name):
         assert list(pool.map(work, range(4))) == [[]] * 4
 
 
+BASES = [co.GaussLegendre(1), co.Splitting(order=2)]
+SCHEMES = [
+    *(scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()),
+    *(co.methods.even_order(base, 4) for base in BASES),
+]
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("rate", [0.0, [0.2, 0.1, 0.3], 0.2 * np.eye(3) + 0.01], ids=["none", "diagonal", "matrix"])
+def test_a_check_of_the_step_changes_no_bits_of_the_next_run(rate):
+    """Checks round up, and what a thread keeps of a step, as factors of damping, is rounded with it."""
+    damping = [co.forces.LinearDamping(rate)] if np.any(rate) else []
+    system = co.systems.gyrostat().with_forces(co.forces.Torque((0.01, 0.02, 0.03)), *damping)
+    tried, drawn = 0, np.random.default_rng(3).standard_normal((4, 3))
+    for scheme in SCHEMES:
+        try:
+            shared = co.prepare(system, scheme, 0.25)
+        except (TypeError, ValueError):
+            continue  # it takes no forces, or no systems of vectors
+        for x0 in (drawn[0], drawn):
+            first, second = (shared.run(x0, (0, 3)) for _ in range(2))
+            np.testing.assert_array_equal(first.x, second.x, err_msg=str(scheme))
+        tried += 1
+    assert tried > 20
+
+
 @pytest.mark.parametrize("members", [1, 4])
 def test_solutions_do_not_see_arrays_changed_afterwards(members):
     prepared, x0, span = co.prepare(BODY, None, STEP, threads=1), MANY[:members].copy(), [0.0, 0.25]

@@ -1,9 +1,9 @@
 // Entry points of step methods for Python: the loop over steps, of one member after the other or of members as lanes.
 #include <atomic>
-#include <cfenv>
 #include <memory>
 
 #include "boundary/loop.hpp"
+#include "numbers/float_mode.hpp"
 #include "steps/own_steps.hpp"
 
 namespace coadjoint {
@@ -11,11 +11,11 @@ namespace coadjoint {
 typedef StepScheme* (*MakeScheme)(const StepTables& tables, const MemberConstants& constants);
 
 // Cache of the last steps of small tables in each thread, for many short calls. Tables are identified by a serial
-// number, since others may later have the same address. Steps keep numbers, which are rounded in the direction of the
-// thread; in another direction they are made again.
+// number, since others may later have the same address. Steps keep numbers, which are computed in the mode of the
+// thread (not all of which fegetround sees); in another one they are made again.
 struct CachedStep {
     int64_t serial = 0;
-    int rounding = FE_TONEAREST;
+    FloatMode mode = STANDARD_MODE;
     std::shared_ptr<StepScheme> scheme;
     std::shared_ptr<LaneStep> lane_step;
 };
@@ -42,13 +42,13 @@ static std::unique_ptr<StepScheme> made(const Stepping& tables, const MemberCons
 // The pointer is shared: a step written in Python may run other loops, which replace it here while it is still in use.
 static CachedStep cached_step(const Stepping& tables, bool as_lanes) {
     const int64_t serial = serial_of(tables);
-    const int rounding = std::fegetround();
+    const FloatMode mode = float_mode();
     CachedStep& entry = cache[serial % CACHE_SIZE];
-    if (entry.serial != serial || entry.rounding != rounding) {
+    if (entry.serial != serial || entry.mode != mode) {
         entry = CachedStep{};
         entry.scheme = made(tables, MemberConstants{1, 0});
         entry.serial = serial;
-        entry.rounding = rounding;
+        entry.mode = mode;
     }
     if (as_lanes && !entry.lane_step) entry.lane_step = entry.scheme->lane_step(tables.tables, nullptr);
     return entry;
