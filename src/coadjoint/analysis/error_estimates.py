@@ -24,12 +24,13 @@ from coadjoint.long_operations import warn_caller
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.partial_steps import resample
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.quantities import sum_of_absolute_terms
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns
 from coadjoint.runs.start import any_momenta_of
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import Times, output_times_of
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
 
@@ -45,6 +46,7 @@ SUGGESTED = 0.002  # error of the step that a warning suggests, relative to the 
 # Numbers of steps of the finer runs, relative to the run; the next one is used if the error is not yet resolved. They
 # are not powers of two, so that the rounding of their steps differs from that of the run.
 REFINEMENTS = (1.5, 1.75, 2.5, 3.5)
+SAMPLED_REFINEMENTS = (1.5, 2.5)  # the same of runs with samples, rounded up to whole multiples
 # Differences above this multiple of the expected round-off are truncation errors.
 ROUNDOFF_FACTOR = 16.0
 # Largest number of saved points of a finer run, and of numbers saved at once.
@@ -265,6 +267,9 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     )
     time = float(solution.t[-1]) - solution.t_span[0]
     steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))
+    # Samples are at starts of steps: only whole fractions of the step divide their periods for certain.
+    sampled = any(force.sampled for one in system.distinct for force in one.forces)
+    span = math.copysign(steps * solution.step, time) if sampled else time
     groups = CoordinateGroups(system)
     if steps == 0:
         return np.zeros((1 + groups.count, len(starts)))
@@ -273,12 +278,12 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     squares, counts = np.zeros((1 + groups.count, len(starts))), np.zeros(len(starts), dtype=int)
     pending = np.flatnonzero(~lost)
     order = effective_scheme(system, solution.method).order
-    for refinement in REFINEMENTS:
+    for refinement in SAMPLED_REFINEMENTS if sampled else REFINEMENTS:
         if not len(pending):
             break
         members = np.arange(len(starts)) if system.is_batch else pending
-        finer = finer_run(solution.method, steps, refinement, order)
-        distances = _distances(solution, groups, starts[members], ends[members], time, finer)
+        finer = finer_run(solution.method, steps, refinement, order, sampled)
+        distances = _distances(solution, groups, starts[members], ends[members], span, finer)
         distances = distances[:, pending] if system.is_batch else distances
         valid = np.isfinite(distances[0])
         squares[:, pending[valid]] += distances[:, valid] ** 2
@@ -289,19 +294,23 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     errors = np.sqrt(squares / np.maximum(counts, 1))
     if loses_digits(solution):
         same_steps = FinerRun(solution.method, steps, 0.0)
-        rounded = _distances(solution, groups, starts, ends, time, same_steps, advance_in_turns)
+        rounded = _distances(solution, groups, starts, ends, span, same_steps, advance_in_turns)
         errors = np.maximum(errors, np.where(np.isfinite(rounded), rounded, 0.0))
     errors[:, counts == 0] = np.inf
     errors[:, lost] = np.nan
     return np.maximum(errors, UNIT_ROUNDOFF)
 
 
-def finer_run(method: Method, steps: int, times: float, order: int) -> FinerRun:
-    """Return the scheme and number of steps of a run of `times` as many steps, and the fraction of the error `left`."""
+def finer_run(method: Method, steps: int, times: float, order: int, sampled: bool) -> FinerRun:
+    """Return the scheme and number of steps of a run of `times` as many steps, and the fraction of the error `left`.
+
+    With samples the number is a multiple of `steps`.
+    """
     by_own_steps = method.finer(steps, times)
     if by_own_steps is not None:
         return by_own_steps
     count = math.ceil(times * (steps + FEW_STEPS))
+    count = steps * -(-count // steps) if sampled else count
     return FinerRun(method, count, (steps / count) ** order)
 
 
@@ -310,14 +319,27 @@ def _distances(
     groups: CoordinateGroups,
     starts: NDArray[np.float64],
     ends: NDArray[np.float64],
-    time: float,
+    span: float,
     finer: FinerRun,
     advance: Callable[[Run], None] = Run.advance,
 ) -> NDArray[np.float64]:
-    """Return the relative distances from the ends of a finer run, corrected for its error: of states, and of groups."""
+    """Return the relative distances from the ends of a finer run, corrected for its error: of states, and of groups.
+
+    A span of whole steps may end after the run, which is then compared by a part of a step.
+    """
     points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)
-    plan = Times(solution.t_span[0], time / finer.steps, finer.steps, every)
+    plan, end = Times(solution.t_span[0], span / finer.steps, finer.steps, every), float(solution.t[-1])
+    follow = advance
+    if abs(span) > abs(end - plan.t0) * (1.0 + WHOLE_STEP_TOLERANCE):
+        known = plan.saved_times
+        moments = output_times_of(np.append(known[np.abs(known - plan.t0) < abs(end - plan.t0)], end), plan)
+        plan = plan.with_saved_steps(moments.marks)
+
+        def follow(run: Run) -> None:
+            advance(run)
+            resample(run, moments)
+
     prepared = Preparation(solution.system, finer.method, abs(plan.h), watch=False)
     size = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
     size = len(starts) if solution.system.is_batch else size
@@ -326,7 +348,7 @@ def _distances(
     chunks = [slice(first, first + size) for first in range(0, len(starts), size)]
     distances = []
     for chunk in chunks:
-        distances.append(_distances_of(trial_states(prepared, starts[chunk], plan, advance), groups, ends[chunk]))
+        distances.append(_distances_of(trial_states(prepared, starts[chunk], plan, follow), groups, ends[chunk]))
     total: NDArray[np.float64] = error_by_comparison(np.concatenate(distances, axis=1), finer.left)
     return total
 

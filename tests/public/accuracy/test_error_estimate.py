@@ -260,3 +260,22 @@ def test_a_copy_has_it_too():
     told = sol.error_estimate()
     assert late.error_estimate() == told == copy.deepcopy(sol).error_estimate()
     assert late.choice == sol.choice and sol.choice.method == sol.method
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("method", [None, GAUSS(2)], ids=str)
+@pytest.mark.parametrize("end", ["end", "t_eval", "event"])
+@pytest.mark.parametrize("count", [1, 80])
+def test_estimate_with_samples(count, end, method):
+    """Other steps must divide the period too; against 16 times finer ones, also where a run ends between steps."""
+    law = co.forces.Sampled(co.forces.Pointing(0.5, 2.4), period=0.5)
+    body = co.systems.body((4.0, 5.5, 7.2)).with_forces(co.forces.Torque((0.012, -0.02, 0.009)), law)
+    x0, h = body.state([0.48, -0.36, 0.0, 0.8], angular_velocity=(0.1, 0.2, -0.1)), 0.25
+    span = (3.0, 3.0 + count * h)
+    given = {"end": {}, "t_eval": {"t_eval": [3.0, 3.0 + 0.61 * count * h]}}
+    given["event"] = {"events": co.Event(lambda x, t: x[0] - 0.3, terminal=True)}
+    sol = co.integrate(body, x0, span, h, method, **given[end])
+    exact = co.integrate(body, x0, span, h / 16, method, t_eval=[sol.t[-1]]).x[-1]
+    error = np.linalg.norm(sol.x[-1] - exact) / np.linalg.norm(sol.x, axis=1).max()
+    assert error / 2 <= sol.error_estimate() <= 2 * error
+    assert np.all(co.integrate(body, np.array([x0, x0]), span, h, method).error_estimate() > 0.0)
