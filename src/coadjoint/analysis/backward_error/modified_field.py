@@ -106,12 +106,15 @@ def modified_field(system: System, method: Any, order: int, *, way: str = "auto"
     if way != "numerical":
         try:
             return _exact(system, method, order)
-        except Exception as error:  # user functions may raise anything on formal numbers
-            if isinstance(error, MemoryError) and not isinstance(error, InsufficientMemoryError):
+        except MemoryError as error:
+            if type(error) is not InsufficientMemoryError:
                 raise
-            if way == "exact":
-                raise TypeError(f"no exact modified field: {error}") from error
-            reason = str(error)
+            obstacle: Exception = error
+        except Exception as error:  # user functions may raise anything on formal numbers
+            obstacle = error
+        if way == "exact":
+            raise TypeError(f"no exact modified field: {obstacle}") from obstacle
+        reason = str(obstacle)
     field = ModifiedField(system, method, order, reason)
     field.check_steps()
     return field
