@@ -485,6 +485,11 @@ def test_functions_are_named_and_given_again_to_load(name, tmp_path):
     assert same_bits(loaded.x, sol.x)
     assert repr(loaded) == repr(sol) and loaded.method == method
     assert pages_without_times(loaded) == pages_without_times(sol).replace("drift of energy", "change of energy")
+    archived = co.integrate(system, start(system), (0, 0.25), 0.125, method, archive=tmp_path / "run.zarr")
+    for other in (loaded, co.load(tmp_path / "run.zarr"), archived):
+        for invariant, change in sol.change().items():
+            np.testing.assert_array_equal(other.change()[invariant].scale, change.scale)
+            assert other.change()[invariant] == change
     with refused(ValueError, "system", "load"):
         _ = loaded.system
     assert co.load(tmp_path / "run.nc", system=system).system is system
