@@ -128,7 +128,7 @@ class PlannedRun(NamedTuple):
         differences = [
             f"{START_NAMES[name]} differs"
             for name, (_, values, _) in start_variables(start_solution).items()
-            if not _is_stored(store, name, np.asarray(values))
+            if name in START_NAMES and not _is_stored(store, name, np.asarray(values))
         ]
         fingerprints = [json.loads(attributes[FUNCTIONS_ATTRIBUTE]) for attributes in (stored, own)]
         differences += [

@@ -28,7 +28,7 @@ from coadjoint.files.archives.folder import ArchiveError, reading
 from coadjoint.files.archives.root import FIRST_STEP, FORMAT, RUN, VERSION_ATTRIBUTE
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.datasets.named_axes import MEMBER, stored_axes
-from coadjoint.files.datasets.variables import TIME
+from coadjoint.files.datasets.variables import SIZES, TIME
 from coadjoint.files.records.entries import EXACT, INTEGRAL, Entry, parsed
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import functions_among, invariants_record, record_of
@@ -48,7 +48,7 @@ TEXT_ATTRIBUTES = ("system_repr", "method_repr", "coadjoint_version", "platform"
 SUMMARY_ARRAYS = ({"drift"}, {"change", "balance", "work"})
 """Arrays over the invariants, of a run without forces and with them."""
 ARRAY_TYPES = {"invariant": "string", "failed": "bool", STATUS: "int64", "tenth": "int64"}
-FLOAT_ARRAYS = (TIME, "x", "x0", "attitude", "attitude0", "energy", "drift", "change", "balance", "work")
+FLOAT_ARRAYS = (TIME, "x", "x0", "attitude", "attitude0", "energy", "drift", "change", "balance", "work", SIZES)
 VARYING_DIMENSIONS = ("row", "column", "layer")
 """Dimensions whose length may differ between arrays."""
 SERIES_PREFIXES, CROSSING_PREFIX = ("casimir_", "observed_"), "event_"
@@ -134,6 +134,8 @@ def check_arrays(arrays: Mapping[str, StoredArray], accounts: list[list[str]]) -
         raise ValueError("the arrays x, x0 and energy are over other dimensions than the states of one run")
     if arrays["x"].shape[1:] != arrays["x0"].shape or not all(arrays["x0"].shape):
         raise ValueError("the arrays x and x0 have states of other shapes")
+    if SIZES in arrays and arrays[SIZES].dims != (*energy_dims[1:], "invariant"):
+        raise ValueError(f"the array {SIZES} is over {', '.join(arrays[SIZES].dims)}")
     if sizes.get("part", 2) != 2 or (accounts and sizes.get("account") != len(accounts)):
         raise ValueError("a dimension has a length that contradicts its meaning")
     return sizes

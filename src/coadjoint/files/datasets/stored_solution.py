@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
 from coadjoint.files.datasets.export import stored_method
-from coadjoint.files.datasets.variables import OBSERVED_NAMES, joined_complex
+from coadjoint.files.datasets.variables import OBSERVED_NAMES, SIZES, joined_complex
 from coadjoint.files.records.entries import parsed
 from coadjoint.keyword_hints import NamedValues
 from coadjoint.methods.forced import effective_scheme
@@ -172,6 +172,11 @@ class StoredSolution(Solution):
     def _worst(self) -> Floats:
         names = ("change", "balance") if self._accounts else ("drift",)
         return np.concatenate([np.moveaxis(self._read(name), -2, -1) for name in names], axis=-1)
+
+    @cached_property
+    def _scales(self) -> dict[str, Any]:
+        sizes = self._read_if_stored(SIZES)
+        return super()._scales if sizes is None else {name: sizes[..., i][()] for i, name in enumerate(self._names)}
 
     @cached_property
     def attitude(self) -> Floats | None:

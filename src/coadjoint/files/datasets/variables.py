@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.files.datasets.named_axes import unstacked
 from coadjoint.files.datasets.writers import CHECKSUM, with_checksum
-from coadjoint.files.records.records import safe_name
+from coadjoint.files.records.records import record_of, safe_name
 from coadjoint.labels import COMPLEX_PARTS, STATE_DIMENSIONS
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
@@ -74,6 +74,8 @@ CONVENTIONS = "CF-1.11"
 TIME = "time"
 OBSERVED_NAMES = "observed"
 """Attribute with the names of the observed quantities in the order of the run."""
+SIZES = "drift_scale"
+"""Variable with the sizes of the invariants of a run with functions, which are not stored."""
 
 
 def cf_attributes(long_name: str) -> dict[str, Any]:
@@ -168,7 +170,7 @@ def summary_variables(solution: Solution) -> Variables:
 
 
 def start_variables(solution: Solution) -> Variables:
-    """Return the initial states and group elements."""
+    """Return the initial states and group elements, and the sizes of invariants that depend on lost functions."""
     member, x0 = _member(solution), solution.x0
     of_state = state_dimensions(x0, len(member))
     variables: Variables = {"x0": ((*member, *of_state), split_complex(x0), cf_attributes("initial momentum"))}
@@ -178,6 +180,10 @@ def start_variables(solution: Solution) -> Variables:
             solution.attitude0,
             cf_attributes("initial group element"),
         )
+    if "not_stored" in record_of(solution.system):
+        sizes = np.stack(list(solution._scales.values()), axis=-1)
+        about = "size of an invariant, to which deviations are relative"
+        variables[SIZES] = ((*member, "invariant"), sizes, cf_attributes(about))
     return variables
 
 
