@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.measured_steps import (
     SUSPECTED,
+    TURN,
     WARNED,
     MeasuredSteps,
     WorstStep,
@@ -147,16 +148,18 @@ def _smaller_step(solution: Solution, prepared: Preparation, error: float, trunc
 
 
 @ignore_overflow
-def error_over_run(measured: MeasuredSteps, worst: WorstStep) -> float:
+def error_over_run(measured: MeasuredSteps, worst: WorstStep, turn: float | None = None) -> float:
     """Return the error of the run of a member by half steps, relative to its motion; of a long run, of a part.
 
     The part begins at the worst step; where errors of steps are small it is a turn. Slow errors that grow in it are
-    extrapolated. Of a state at rest the error is relative to the state, since all that changes is error.
+    extrapolated. Of a state at rest the error is relative to the state, since all that changes is error, and so that of
+    groups at rest beside others that move.
     """
     m, t, state, h = worst.m, worst.t, worst.state, measured.h
     count = max(1, math.ceil(measured.step_count(m) * (1.0 - WHOLE_STEP_TOLERANCE)))
     most: float = most_steps(measured.solution, state.size, h)
-    most = most if worst.truncation > SUSPECTED else min(most, measured.steps_of_turn(m))
+    longest, motion = min(most, count), measured.motion_of(m)
+    most = most if worst.truncation > SUSPECTED else min(most, measured.steps_of_turn(m) if turn is None else turn)
     if most >= count:
         t, state = measured.points[0][0], measured.points[0][1][m : m + 1]
     steps, one = int(min(most, count)), measured.of_member(m)
@@ -164,11 +167,25 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep) -> float:
     path, finer = (
         measured.scaled(trial_states(one, state, Times(t, h / k, k * steps, k * every))[:, 0], m) for k in (1, 2)
     )
-    differences = error_by_comparison(np.linalg.norm(path - finer, axis=1), 0.5**measured.prepared.scheme.order)
+    # From here a turn may take more steps than the mean of all points told, such as after the start of a controller.
+    length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    if steps < longest and length < 0.5 * TURN * motion:
+        return error_over_run(measured, worst, min(longest, TURN * motion * steps / length if length else math.inf))
+    norms, left = measured.groups.norms, 0.5**measured.prepared.scheme.order
+    differences = error_by_comparison(norms(path - finer), left)
+    # A group whose motion in half steps is below the difference rests.
+    rests = norms(finer - finer[0]).max(axis=0) < differences.max(axis=0)
+    rests &= not (worst.at_rest or rests.all())
     # Steps that failed follow no motion.
     differences[~np.isfinite(differences)] = np.inf
-    error, early = float(differences.max()), float(differences[: len(differences) // 2 + 1].max())
-    lengthened = error + 2.0 * max(0.0, error - early) * (count / steps - 1.0)
+
+    def grown(some: NDArray[np.bool_]) -> tuple[float, float]:
+        """Return the largest error of some groups in the part, and in the run."""
+        errors = np.linalg.norm(differences[:, some], axis=1)
+        error, early = float(errors.max()), float(errors[: len(errors) // 2 + 1].max())
+        return error, error + 2.0 * max(0.0, error - early) * (count / steps - 1.0)
+
+    (error, lengthened), (_, resting) = grown(~rests), grown(rests)
     if worst.at_rest:
         return lengthened / float(np.linalg.norm(measured.scaled(state[0], m)))
     # A motion of which rounding leaves few digits has no errors of steps.
@@ -176,7 +193,7 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep) -> float:
     if moved == 0.0:
         return 0.0
     # The phase of later turns does not count.
-    return min(lengthened / max(moved, measured.motion_of(m)), error / moved)
+    return max(resting, min(lengthened / max(moved, motion), error / moved))
 
 
 class LostInvariant(NamedTuple):

@@ -342,3 +342,21 @@ def test_the_first_run_with_inputs_is_judged_with_their_values():
             errors[values].add(sol.step_error())
             assert len(found) == (values == order[0] == fast)
     assert len(errors[slow]) == len(errors[fast]) == 1 and max(errors[fast]) > 0.05 > 10 * max(errors[slow])
+
+
+@pytest.mark.parametrize("forward", [False, True])
+@pytest.mark.parametrize(("rate", "h"), [(1e-3, 0.5), (1e-4, 0.25), (1e-5, 0.5), (1e-6, 0.1), (1e-7, 0.1)])
+def test_a_slow_ramp_of_a_controlled_attitude_is_not_warned_of(rate, h, forward):
+    """On the ramp the momentum is at rest, and all that it changes is error; its start is over in a few steps."""
+
+    def ramp(t):
+        c, s = np.cos(rate * t), np.sin(rate * t)
+        return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+    law = co.forces.Pointing(0.5, 2.4, ramp, rate=(0, 0, rate) if forward else (0, 0, 0))
+    body = co.systems.body((4.0, 5.5, 7.2)).with_forces(law)
+    ends = [
+        quiet(lambda k=k: co.integrate(body, body.state(angular_velocity=(0, 0, rate)), (0, 200), h / k)).x[-1]
+        for k in (1, 4)
+    ]
+    assert np.abs(ends[0] - ends[1])[3:].max() < 1e-4 * 200 * rate  # of the angle that it turns by
