@@ -208,6 +208,14 @@ def test_ensembles_in_blocks_warn_once(tmp_path):
     np.testing.assert_array_equal(told(lambda: co.resume(tmp_path / "refused.zarr"))[0].x, many.x)
 
 
+def test_a_member_of_many_systems_is_named_by_its_number_among_all():
+    """Of 70 systems 64 are measured."""
+    bodies = co.batch([co.systems.rigid_body((1, 2, 2 + k / 100)) for k in range(70)])
+    states = np.tile(0.1 * X0, (70, 1))
+    states[69] = 10 * X0
+    warned(lambda: co.integrate(bodies, states, (0, 4), 0.4, co.GaussLegendre(1)), "the motion of member 69")
+
+
 def kepler():
     J = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
 

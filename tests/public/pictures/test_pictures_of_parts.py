@@ -270,6 +270,15 @@ def test_the_pictures_of_a_controlled_body_are_its_errors_rates_torques_and_roto
         np.testing.assert_allclose(shown_values[1:], rate, rtol=1e-9, atol=1e-12)
 
 
+def test_gimbals_that_pass_half_a_turn_are_drawn_without_jumps():
+    system = co.systems.body(INERTIA, gyros=PYRAMID).with_forces(co.forces.ControlMomentGyros(LAW, PERIOD))
+    x0 = system.state(gimbal_angles=(3.1, -3.1, 3.1, -3.1))
+    run = co.integrate(system, x0, (0, 3), 0.05)
+    angles, drawn = system.gimbal_angles(run.x), np.transpose([*lines_of(run.plot(["gimbal angles"]).axes[0]).values()])
+    assert np.abs(np.diff(angles, axis=0)).max() > 6.0
+    np.testing.assert_allclose(drawn, np.unwrap(angles, axis=0), rtol=0, atol=1e-14)
+
+
 def test_quaternions_of_states_that_are_no_rotations_are_missing():
     """A mirror image, and a state after a damping that shrank the axes: the others of an ensemble have theirs."""
     system = co.systems.body(INERTIA)

@@ -195,3 +195,12 @@ def test_functions_of_the_user_are_called_in_the_standard_mode(mode):
     with float_mode(mode):
         co.integrate(body(), X0, (0.0, 0.3), 0.1, InPython(lambda: seen.append(control())))
     assert seen[:3] == [0, 0, 0]  # further runs are rounded in other directions, to measure what rounding changes
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_values_at_subnormal_states_do_not_depend_on_the_mode(mode):
+    spin = co.systems.spin_lattice("chain", 1, field=(0.0, 0.0, 1.0))
+    wanted = spin.vector_field(SUBNORMAL), spin.energy(SUBNORMAL)
+    assert np.abs(wanted[0]).max() > 0.0 and wanted[1] != 0.0
+    with float_mode(mode):
+        assert bits_of((spin.vector_field(SUBNORMAL), spin.energy(SUBNORMAL))) == bits_of(wanted)
