@@ -23,7 +23,7 @@ import numpy as np
 import coadjoint as co
 import matrix.functions as f
 import matrix.user_schemes as user
-from matrix.results import assert_agree, attempted, fixed, numbers, rows, shared
+from matrix.results import assert_agree, attempted, fixed, momenta, numbers, rows, shared
 """
 MEMBERS = 3
 STEPS = 12

@@ -89,6 +89,8 @@ def bits_of_prepared_runs(case: Case, space: dict[str, Any]) -> Iterator[str]:
     given = f"0.1 * np.sin(1.0 + np.arange(np.prod({shape}))).reshape({shape})"
     if matrices(value_of(case.system)):
         given = f"0.1 * system.algebra.projected({given} * (0.5 + 0.5j))"
+    elif name == "pushed":
+        given += " * momenta(system)"
     lines = f"own = ready.run(x0, span{passed}, {name}={given})\n"
     every = [lines]
     if "'coordinates'" not in case.method:  # there, a part is left out where a coefficient of the system is zero
@@ -357,7 +359,8 @@ def derivatives(case: Case, space: dict[str, Any]) -> Iterator[str]:
         key = ""
     value = f", {key}=value" if key else ""
     if key:
-        lines += "value, push = 0.2 * move, 0.1 * np.cos(x)\n"
+        taken = " * momenta(system)" if key == "pushed" else ""
+        lines += f"value, push = 0.2 * move{taken}, 0.1 * np.cos(x){taken}\n"
         lines += "value, push = (value[0], push[0]) if value.ndim == 2 else (value, push)\n"
     # Rounding of twelve steps of about a thousand operations, and that of differences of order 8.
     names = ["x", "energy", "attitude"] if turned else ["x", "energy"]
@@ -427,7 +430,8 @@ def changed_parameters(case: Case, space: dict[str, Any]) -> tuple[dict[str, str
     for key in (key for key in known if "." in key):
         force, _, parameter = key.partition(".")
         if acting.count(f"{force}({parameter}=") == 1:
-            changes[key] = str((0.1 * np.ones(np.shape(known[key]))).tolist())
+            moved = known[key] != 0.0 if parameter == "torque" else np.ones(np.shape(known[key]))  # momenta alone
+            changes[key] = str((0.1 * moved).tolist())
             acting = acting.replace(f"{force}({parameter}=", f"{force}({parameter}=k * e * np.array({changes[key]}) + ")
     name = case.system.removeprefix("co.systems.").partition("(")[0]
     if case.system.startswith("co.systems."):

@@ -11,6 +11,7 @@ import numpy as np
 import coadjoint as co
 
 from . import functions
+from .results import momenta
 
 VALUES = {
     "rate": "0.2",
@@ -47,18 +48,9 @@ def force_text(name: str, system: Any) -> str:
     parameters = inspect.signature(getattr(co.forces, name)).parameters.values()
     given = [p.name for p in parameters if p.default is p.empty or p.name in GIVEN_ANYWAY]
     values = VALUES | ({"torque": OF_MATRICES} if system.has_matrices else {})
-    if not system.has_matrices and system.layout.get("coordinates"):
-        values["torque"] += f" * np.array({[int(takes_torques(system, i)) for i in range(system.dim)]})"
+    if not system.has_matrices and not (taken := momenta(system)).all():
+        values["torque"] += f" * np.array({taken.astype(int).tolist()})"
     return f"co.forces.{name}({', '.join(f'{key}={values[key].format(system)}' for key in given)})"
-
-
-def takes_torques(system: Any, i: int) -> bool:
-    """Return whether a coordinate is a momentum."""
-    try:
-        system.with_forces(co.forces.Torque(np.eye(system.dim)[i]))
-    except ValueError:
-        return False
-    return True
 
 
 def is_noise(name: str) -> bool:

@@ -27,6 +27,18 @@ def fixed(system: Any, values: np.ndarray, to: float) -> np.ndarray:
     return values
 
 
+def momenta(system: Any) -> np.ndarray:
+    """Return 1 for coordinates that a torque may change, momenta, and 0 for others."""
+    one = getattr(system, "systems", [system])[0].unforced
+    taken = np.ones(one.dim)
+    for i in range(one.dim) if one.layout.get("coordinates") else ():
+        try:
+            one.with_forces(co.forces.Torque(np.eye(one.dim)[i]))
+        except ValueError:
+            taken[i] = 0.0
+    return taken
+
+
 def numbers(sol: co.Solution, m: int | None = None, every: Any = slice(None), followed: bool = True) -> dict[str, Any]:
     """Return every number of a run, or of one of its members, at some of the saved times.
 
