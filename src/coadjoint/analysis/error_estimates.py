@@ -82,7 +82,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> None:
     start, end = solution.asked_span
     if prepared.method.own_steps or prepared.system.has_noise or abs(end - start) < 0.5 * solution.step:
         return
-    lost, rounded, error = KEPT, None, 0.0
+    lost, rounded, error, member = KEPT, None, 0.0, 0
     try:
         lost = lost_invariant(solution)
         measured = MeasuredSteps(solution, prepared)
