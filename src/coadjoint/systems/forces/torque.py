@@ -380,7 +380,8 @@ class Torque(StateTorque):
 
 
 def _shapes_on(system: Any) -> str:
-    return f"({system.dim},)" + (f", or {torque_shape(system)} in body frames" if hasattr(system, "bodies") else "")
+    own = torque_shape(system) if hasattr(system, "bodies") else (system.dim,)
+    return f"({system.dim},)" + (f", or {own} in body frames" if own != (system.dim,) else "")
 
 
 @lru_cache(maxsize=64)
