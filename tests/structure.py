@@ -26,7 +26,7 @@ MAXIMA: dict[str, int] = {
     "files in cycles, with imports inside functions and for types": 46,  # causes of failures, labels of states
     "modules behind integrate": 114,  # labels, causes of failures
     "C++ lines": 20424,  # modes of rounding of callers, free bodies over whole periods
-    "test lines": 75600,  # pairs of forces, forces on every system, labels, flips in archives, idioms of NumPy
+    "test lines": 75640,  # pairs of forces, forces on every system, labels, flips in archives, idioms of NumPy
     "test files that import internals": 77,  # modes of rounding, traced functions, archives that change
     "public names": 342,  # rigid_molecules, export_table and co.jax.free_body
 }

@@ -268,7 +268,7 @@ def test_each_mode_of_the_layer_decays_by_its_own_rate_and_nothing_else_moves(s,
         ),
         (lambda: some.LinearDamping(0.1, toward=[[0.0, 1j], [np.inf * 1j, 0.0]]), ("toward", "finite")),
         (lambda: co.systems.rigid_body().with_forces(some.Viscosity(0.1)), ("Viscosity", "modes of a fluid")),
-        (lambda: co.systems.rigid_body().with_forces(some.Torque(np.zeros((3, 3)))), ("torque", "(3, 3)", "needs (3,)")),
+        (lambda: co.systems.rigid_body().with_forces(some.Torque(np.zeros((3, 3)))), ("torque", "(3, 3)", "(3,)")),
         (
             lambda: co.systems.passive_scalar(5).with_forces(some.RandomForcing(1.0, (1, 2), 3, layer="carried")),
             ("carried", "passive_scalar", "energy"),
