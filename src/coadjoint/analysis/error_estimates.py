@@ -167,7 +167,7 @@ def error_over_run(measured: MeasuredSteps, worst: WorstStep, turn: float | None
     path, finer = (
         measured.scaled(trial_states(one, state, Times(t, h / k, k * steps, k * every))[:, 0], m) for k in (1, 2)
     )
-    # From here a turn may take more steps than the mean of all points told, such as after the start of a controller.
+    # From here a turn may take more steps than by the mean speed of all points, as after the start of a controller.
     length = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
     if steps < longest and length < 0.5 * TURN * motion:
         return error_over_run(measured, worst, min(longest, TURN * motion * steps / length if length else math.inf))
