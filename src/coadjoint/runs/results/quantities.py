@@ -18,7 +18,7 @@ from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
-from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.summable import Summable
 from coadjoint.systems.hamiltonians.terms import built_in
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time, with_time
@@ -43,8 +43,8 @@ SUMMED_NUMBERS = 2**18
 
 
 def is_formula(quantity: Any) -> bool:
-    """Whether a quantity is a formula of coordinates, not a function of the user."""
-    return isinstance(quantity, Polynomial | Quadratic)
+    """Whether a quantity is a formula or a Hamiltonian of the coordinates, not a plain function of the user."""
+    return isinstance(quantity, Polynomial | Summable)
 
 
 def observed_quantities(system: System, observe: Mapping[str, Any], x0: Floats) -> Observed:
