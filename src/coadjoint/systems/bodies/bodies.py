@@ -14,9 +14,9 @@ from coadjoint.systems.bodies.body import (
     axis_products,
     bodies_algebra,
     central_coordinate,
-    momenta_of_bodies,
     momentum_in_space,
 )
+from coadjoint.systems.bodies.body_pictures import momenta_of_bodies, pictures_beside_points
 from coadjoint.systems.bodies.body_systems import (
     Bodies,
     joined,
@@ -184,6 +184,7 @@ def _tumbling() -> Floats:
         ),
         components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum of the first body"),
         quantity="state",
+        variant=pictures_beside_points,
     ),
 )
 def bodies(

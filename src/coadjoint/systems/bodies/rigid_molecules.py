@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import IN_SPACE, distances_of_bodies, momentum_in_space, third_axes_of_bodies
+from coadjoint.systems.bodies.body import IN_SPACE, momentum_in_space
+from coadjoint.systems.bodies.body_pictures import distances_of_bodies, pictures_of_molecules, third_axes_of_bodies
 from coadjoint.systems.bodies.inertia import BodyInertia, check_products, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -102,6 +104,7 @@ def _dimer() -> Floats:
         ),
         components=Picture("components", functions=distances_of_bodies, quantity="distance of the centres [nm]"),
         quantity="state",
+        variant=partial(pictures_of_molecules, declared=WATER),
     ),
 )
 def rigid_molecules(
