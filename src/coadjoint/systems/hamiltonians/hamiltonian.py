@@ -41,9 +41,8 @@ from coadjoint.systems.user_functions import (
     all_take_time,
     callable_from_compiled,
     check_derivative,
-    evaluate,
     multiple_of,
-    sample_points,
+    numbers_at_samples,
     without_multiples,
 )
 from coadjoint.validation import read_integer
@@ -178,7 +177,7 @@ class Hamiltonian(Summable):
     def _derived(self, n: int) -> Self:
         """Return this Hamiltonian with derivatives derived from its value."""
         result = copy.copy(self)
-        values = (evaluate(self._value, x, self.timed, convert=False) for x in sample_points(n))
+        values = numbers_at_samples(self._value, n, self.timed)
         if any(map(is_array_of_jax, values)):
             check_traceable(self._value, n, self.timed)
             functions: tuple[Any, ...] = tuple(JaxFunction(self._value, order, self.timed) for order in range(3))
