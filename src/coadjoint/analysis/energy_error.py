@@ -253,8 +253,8 @@ def suggest_step(
 
     A run by a Poisson map preserves H + h^p H_p + ... but for terms that are small for small steps, so its energy
     varies about as h^p H_p does along the motion. Measured is the time in which the motion turns by one radian; a
-    longer run may exceed the amount, above all near the largest step. Choose it to control the energy error. `choose` selects scheme and step for an error of the
-    momentum over a span.
+    longer run may exceed the amount, above all near the largest step. Choose it to control the energy error. `choose`
+    selects scheme and step for an error of the momentum over a span.
 
     Parameters
     ----------

@@ -108,7 +108,7 @@ ORDER_TOLERANCE = 0.5
 CERTIFIED_STEPS = 100  # enough for a drift to show beside rounding, in a second for all schemes
 MAX_NAME_LENGTH = 32  # characters of the name of a scheme
 CHECK_DESCRIPTIONS = {
-    "symmetry": "a step forth and back",
+    "symmetry": "a step back undoes a step",
     "reversibility": "reversibility",
     "poisson": "Poisson bracket",
     "energy": "energy",
