@@ -1,5 +1,7 @@
 """Datasets without a checksum, as other programs change them: read by dimensions and labels, or refused."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import xarray
@@ -28,6 +30,7 @@ RUNS = {
     "events": lambda: co.integrate(BODY, X, (0, 9), 0.125, events=co.Event("x2", terminal=True)),
     "t_eval": lambda: co.integrate(BODY, X, (0, 2), 0.125, t_eval=[0.3, 0.31, 1.9]),
 }
+RUNS = {name: cache(run) for name, run in RUNS.items()}
 WRITERS = {
     "netcdf": lambda data, path: data.to_netcdf(path, engine="h5netcdf"),
     "zarr": lambda data, path: data.to_zarr(path),
