@@ -256,7 +256,7 @@ def gradient_of(term: FunctionTerm) -> TracedFunction:
 def sample_states(system: Any, x0: Floats | None) -> Sequence[Floats]:
     """Return states near x0, (n,) or (members, n), and at distances up to its size; without x0 those of any system."""
     if x0 is None:
-        return [sample_state(x, system) if system.has_attitude else x for x in sample_points(system.dim)]
+        return [sample_state(x, system) for x in sample_points(system.dim)]
     rows, groups = x0.reshape(-1, x0.shape[-1]), CoordinateGroups(system)
     rows = rows[np.linspace(0, len(rows) - 1, len(DISTANCES)).astype(np.int64)]
     sizes = groups.norms(rows)

@@ -191,6 +191,15 @@ class Archive:
         except FileNotFoundError:
             return None
 
+    def intact_marker(self, folder: Folder, block: MemberBlock, only_head: bool = False) -> Marker | None:
+        """Return `read_marker`, also None if it is damaged: the block is computed again."""
+        try:
+            return self.read_marker(folder, block, only_head)
+        except ArchiveUnreadable:
+            raise
+        except ArchiveError:
+            return None
+
     def read_heads(self, whole_markers: bool = False) -> list[dict[str, Any]]:
         """Return the progress of each block; empty for blocks that have not begun, or whose marker is damaged."""
         if not self.has_blocks:
@@ -198,12 +207,7 @@ class Archive:
         heads = []
         with self.opened() as folder:
             for block in self.blocks:
-                try:
-                    marker = self.read_marker(folder, block, not whole_markers)
-                except ArchiveUnreadable:
-                    raise
-                except ArchiveError:
-                    marker = None
+                marker = self.intact_marker(folder, block, not whole_markers)
                 heads.append(marker.head if marker else {})
         return heads
 

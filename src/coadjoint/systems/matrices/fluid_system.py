@@ -33,6 +33,12 @@ class RelativeVorticity(np.ndarray):
         kept = all(isinstance(one, RelativeVorticity) or np.ndim(one) == 0 for one in operands)
         return array[()] if return_scalar else np.asarray(array).view(RelativeVorticity if kept else np.ndarray)
 
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        # So are stacks of them.
+        found = super().__array_function__(function, types, arguments, options)
+        kept = type(found) is np.ndarray and all(issubclass(one, RelativeVorticity) for one in types)
+        return found.view(RelativeVorticity) if kept else found
+
 
 @cache
 def _warn_of_frame(name: str) -> None:
