@@ -102,12 +102,18 @@ def _order(
     if dim not in axes and dim not in order:
         return list(range(len(given)))
     known = order.get(dim)
-    wanted: list[Any] = list(range(len(given))) if known is None else list(known)
-    places = {label: k for k, label in enumerate(given)}
-    if not len(given) == len(wanted) == len(places) or any(label not in places for label in wanted):
-        expected = "0, 1, 2, ..." if known is None else short(wanted)
+    found = positions(range(len(given)) if known is None else known, given)
+    if found is None:
+        expected = "0, 1, 2, ..." if known is None else short(list(known))
         raise ValueError(
             f"{what} has the labels {short(given)} of {dim}; they must be {expected} in any order, or give its "
             "to_numpy() if its order is right"
         )
-    return [places[label] for label in wanted]
+    return found
+
+
+def positions(labels: Sequence[Any], given: Sequence[Any]) -> list[int] | None:
+    """Return the positions of labels among the given ones; None unless each of both is among the others, once."""
+    places = {label: k for k, label in enumerate(given)}
+    is_order = len(places) == len(given) == len(labels) and places.keys() == set(labels)
+    return [places[label] for label in labels] if is_order else None

@@ -160,11 +160,6 @@ class _FirstFlow(Force):
     def __init__(self, forces: tuple[Any, ...]) -> None:
         self._forces = forces
 
-    @property
-    def label(self) -> str:
-        """That of the force."""
-        return self._forces[0].label
-
     def check(self, system: Any) -> None:
         self._forces[0].check(system)
 
