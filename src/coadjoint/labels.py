@@ -87,21 +87,18 @@ def by_labels(
             "order is right"
         )
     array = np.asarray(data)
+    known = dict.fromkeys(axes) | dict(order or {})
     for k, along in labels.items():
-        array = np.take(array, _order(along, dims[k], axes, order or {}, what), axis=k)
+        if dims[k] in known:
+            array = np.take(array, _order(along, dims[k], known[dims[k]], what), axis=k)
     rest = [k for k, dim in enumerate(dims) if dim not in axes]
     # In the layout of other arrays, which sums in BLAS depend on.
     array = np.ascontiguousarray(array.transpose(*rest, *(dims.index(axis) for axis in axes)))
     return array[..., 0] + 1j * array[..., 1] if axes[-1] == "part" else array
 
 
-def _order(
-    given: list[Any], dim: Any, axes: Sequence[str], order: Mapping[str, Sequence[Any] | None], what: str
-) -> list[int]:
-    """Return the positions of the known labels of an axis among the given ones."""
-    if dim not in axes and dim not in order:
-        return list(range(len(given)))
-    known = order.get(dim)
+def _order(given: list[Any], dim: Any, known: Sequence[Any] | None, what: str) -> list[int]:
+    """Return the positions of the known labels of an axis, None for 0, 1, ..., among the given ones."""
     found = positions(range(len(given)) if known is None else known, given)
     if found is None:
         expected = "0, 1, 2, ..." if known is None else short(list(known))
