@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from coadjoint.algebra.families.phase_space import heisenberg
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.systems.bodies.inertia import check_range, read_in_range, read_vector
+from coadjoint.systems.bodies.inertia import check_products, read_in_range, read_vector
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -96,7 +96,7 @@ def double_spherical_pendulum(
     g = read_in_range(gravity, "gravity", zero=True)
     (m1, m2), (l1, l2) = first, second
     weights = [g * ((m1 + m2) * l1), g * (m2 * l2)] if g else []
-    check_range("masses, lengths and gravity", lambda: [m1 * m2 * l1 * l1 * l2 * l2, *weights])
+    check_products("masses, lengths and gravity", lambda: [m1 * m2 * l1 * l1 * l2 * l2, *weights])
     H = pendulum_energy(first, second, g)
     return LiePoissonSystem(
         _algebra(),

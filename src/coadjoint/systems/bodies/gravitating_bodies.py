@@ -18,7 +18,7 @@ from coadjoint.systems.bodies.bodies import (
     system_of_bodies,
 )
 from coadjoint.systems.bodies.body import IN_SPACE, drawn_bodies, momentum_in_space, relative_positions
-from coadjoint.systems.bodies.inertia import anisotropic_part, check_range, read_in_range, read_inertias
+from coadjoint.systems.bodies.inertia import anisotropic_part, check_products, read_in_range, read_inertias
 from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import FunctionOfConstants
@@ -174,7 +174,7 @@ def gravitating_bodies(
     gravity = read_in_range(G, "G")
     if not is_integer(order) or order not in ORDERS:
         raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
-    check_range("G and masses", lambda: gravity * m[:, None] * m)
+    check_products("G and masses", lambda: gravity * m[:, None] * m)
     parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
     V = _potential(np.array([one.tensor for one in found]), m, np.array(gravity), order=int(order)).hamiltonian()
     integrals = momentum_in_space(len(found), 18 * len(found) + 1)

@@ -157,7 +157,7 @@ def read_in_range(value: Any, what: str, zero: bool = False) -> float:
 
 
 @np.errstate(all="ignore")
-def check_range(what: str, products: Callable[[], npt.ArrayLike]) -> None:
+def check_products(what: str, products: Callable[[], npt.ArrayLike]) -> None:
     """Raise ValueError if a product of positive numbers, not finite or below `MIN_MOMENT`, has left float64."""
     for product in np.ravel(np.asarray(products(), dtype=np.float64)).tolist():
         if not MIN_MOMENT <= product <= 1.0 / MIN_MOMENT:

@@ -13,7 +13,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
 from coadjoint.systems.bodies.body import IN_SPACE, distances_of_bodies, momentum_in_space, third_axes_of_bodies
-from coadjoint.systems.bodies.inertia import BodyInertia, check_range, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.inertia import BodyInertia, check_products, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
 from coadjoint.systems.registry import ready_made
@@ -364,7 +364,7 @@ def _read_cutoff(box: Any, cutoff: Any, switch_from: Any, dielectric: Any) -> tu
             raise ValueError(f"dielectric is {permittivity:g} without cutoff; the reaction field begins at a cutoff")
         return 0.0, 0.0, 1.0
     end = read_in_range(cutoff, "cutoff")
-    check_range("powers of cutoff", lambda: np.float64(end) ** 3)
+    check_products("powers of cutoff", lambda: np.float64(end) ** 3)
     begin = (1.0 - SWITCHED_PART) * end if switch_from is None else read_in_range(switch_from, "switch_from")
     if not begin < end:
         raise ValueError(f"switch_from is {begin:g}, and cutoff {end:g}; the switch must begin before the cutoff")

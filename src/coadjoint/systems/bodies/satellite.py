@@ -16,7 +16,7 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.bodies.body import IN_SPACE
-from coadjoint.systems.bodies.inertia import check_range, principal, read_body_inertia, read_in_range
+from coadjoint.systems.bodies.inertia import check_products, principal, read_body_inertia, read_in_range
 from coadjoint.systems.bodies.rigid_body import ClassicalBody
 from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -123,7 +123,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     if found.rotating is not None:
         raise ValueError("inertia is that of a rod; give a body with three positive principal moments")
     mass, gravity = read_in_range(mass, "mass"), read_in_range(gravity, "gravity")
-    check_range("mass, inertia and gravity", lambda: gravity * np.array([mass, *np.diag(found.tensor)]))
+    check_products("mass, inertia and gravity", lambda: gravity * np.array([mass, *np.diag(found.tensor)]))
     moments, along = principal(found.tensor), principal(found.inverse)
     free_flight = ((3, 4, 5), Quadratic(1 / mass))
     if moments is None or along is None:

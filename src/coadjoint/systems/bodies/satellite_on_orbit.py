@@ -15,7 +15,7 @@ from coadjoint.systems.bodies.body_systems import BodySystem
 from coadjoint.systems.bodies.inertia import (
     anisotropic_part,
     axis_of_symmetry,
-    check_range,
+    check_products,
     inverse_of_moving,
     momentum_along,
     read_body_inertia,
@@ -227,7 +227,7 @@ def satellite_on_orbit(
     rate, e = read_in_range(mean_motion, "mean_motion"), read_number(eccentricity, "eccentricity")
     if not 0.0 <= e < 1.0:
         raise ValueError(f"eccentricity is {e:g}; give a number from 0 to less than 1")
-    check_range("mean_motion and inertia", lambda: rate * rate * np.diag(found.tensor))
+    check_products("mean_motion and inertia", lambda: rate * rate * np.diag(found.tensor))
     parameters = {"inertia": found.given, "mean_motion": rate, "eccentricity": e}
     if e:
         kinetic = np.zeros((PER_BODY, PER_BODY))

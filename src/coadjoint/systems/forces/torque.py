@@ -280,7 +280,7 @@ class Torque(StateTorque):
         if self.is_constant_torque:
             shape = np.shape(self.torque)
             if hasattr(system, "bodies") and shape not in ((system.dim,), torque_shape(system)):
-                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {_shapes_on(system)}")
+                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {shapes_on(system)}")
             if not is_on_bodies(shape, system):
                 check_state(self.torque, "the torque", system)
             return
@@ -300,7 +300,7 @@ class Torque(StateTorque):
         if torque.shape != shape and not is_on_bodies(torque.shape, system):
             raise ValueError(
                 f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
-                f"{_shapes_on(system) if 'A' not in arguments else shape}"
+                f"{shapes_on(system) if 'A' not in arguments else shape}"
             )
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
@@ -340,7 +340,8 @@ class Torque(StateTorque):
         return super().describe_to(reader, system)
 
 
-def _shapes_on(system: Any) -> str:
+def shapes_on(system: Any) -> str:
+    """Return the shapes of constant torques on a system as text."""
     own = torque_shape(system) if hasattr(system, "bodies") else (system.dim,)
     return f"({system.dim},)" + (f", or {own} in body frames" if own != (system.dim,) else "")
 
