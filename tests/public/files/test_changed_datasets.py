@@ -107,6 +107,7 @@ CHANGED = {
     "x of other members": ("members", lambda data: data.assign(x=data.x.rename(member="other")), ["x"]),
     "no drift": ("one", lambda data: data.drop_vars("drift"), ["drift", "missing"]),
     "a tenth of numbers": ("one", lambda data: data.isel(tenth=slice(3)), ["tenth"]),
+    "tenths as text": ("one", lambda data: data.assign_coords(tenth=data.tenth.astype(str)), ["tenth", "'1'"]),
 }  # fmt: skip
 
 
