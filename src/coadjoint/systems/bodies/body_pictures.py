@@ -80,6 +80,10 @@ def third_axes_of_bodies(dim: int) -> dict[str, list[str]]:
     return {f"molecule {k}": [f"{axis}3[{k}]" for axis in "XYZ"] for k in drawn_bodies(dim)}
 
 
+DIPOLES = Picture("directions", vectors=third_axes_of_bodies, title="directions of the dipoles in space")
+"""Picture of molecules of water, whose third axes are their dipoles."""
+
+
 def pictures_beside_points(system: Any) -> dict[str, Any]:
     """Return the pictures of bodies of which some are points: momenta of the others, or paths if there are none."""
     turning = turning_bodies(system)
