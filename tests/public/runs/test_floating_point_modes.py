@@ -109,6 +109,21 @@ def test_bits_do_not_depend_on_the_mode_of_the_caller(call, mode):
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("options", [{}, {"save_every": 7}])
+def test_what_a_solution_computes_later_has_the_same_bits(options, mode):
+    """A prepared run warns once, so that later ones have not computed their times when they return."""
+    ready = prepared(attitude=True)
+
+    def later():
+        sol = ready.run(X0, (0.7, 3.7), **options)
+        return sol.t, sol.x, sol.attitude, sol.energy, sol.drift()["energy"]
+
+    wanted = bits_of(later())
+    with float_mode(mode):
+        assert bits_of(later()) == wanted
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_exported_digits(tmp_path, mode):
     export = exported(tmp_path)
     wanted, table = export()[0], (tmp_path / "run.json").read_text()
