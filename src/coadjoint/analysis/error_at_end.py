@@ -145,20 +145,22 @@ def _distances(
     distances = []
     for chunk in chunks:
         x = trial_states(prepared, starts[chunk], plan, follow)
-        of_groups = groups.norms(ends[chunk] - x[-1]) / _sizes(prepared, x, plan, groups)
-        distances.append(np.concatenate([of_groups.max(axis=1, keepdims=True), of_groups], axis=1).T)
+        sizes = groups.sizes(x)
+        # If the size is zero, so is the distance.
+        of_groups = groups.norms(ends[chunk] - x[-1]) / np.where(sizes > 0.0, sizes, 1.0)
+        counted = np.where(_of_zero(prepared, x, plan, groups, sizes), 0.0, of_groups)
+        distances.append(np.concatenate([counted.max(axis=1, keepdims=True), of_groups], axis=1).T)
     total: NDArray[np.float64] = error_by_comparison(np.concatenate(distances, axis=1), finer.left)
     return total
 
 
-def _sizes(prepared: Preparation, x: NDArray[np.float64], plan: Times, groups: CoordinateGroups) -> NDArray[np.float64]:
-    """Return the sizes of groups in a run (times, members, n), infinite of those that are zero but for rounding."""
-    sizes = groups.sizes(x)
-    if groups.count > 1:
-        alone, first = prepared.in_one_thread(), Times(plan.t0, plan.h, 1, 1).with_saved_steps([1])
-        up, down = (trial_states(alone, x[0], first, advance)[0] for advance in (advance_up, Run.advance))
-        rounding, start = groups.norms(up - down), groups.norms(x[0])
-        of_zero = np.where(start > 0.0, OF_ZERO * start, OF_ZERO / math.sqrt(plan.steps) * sizes) < rounding
-        sizes = np.where(of_zero, np.inf, sizes)
-    # If the size is zero, so is the distance.
-    return np.where(sizes == 0.0, 1.0, sizes)
+def _of_zero(
+    prepared: Preparation, x: NDArray[np.float64], plan: Times, groups: CoordinateGroups, sizes: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Return the groups (members, groups) that are zero but for rounding in a run (times, members, n)."""
+    if groups.count == 1:
+        return np.zeros(sizes.shape, dtype=bool)
+    alone, first = prepared.in_one_thread(), Times(plan.t0, plan.h, 1, 1).with_saved_steps([1])
+    up, nearest = (trial_states(alone, x[0], first, advance)[0] for advance in (advance_up, Run.advance))
+    start = groups.norms(x[0])
+    return OF_ZERO * np.where(start > 0.0, start, sizes / math.sqrt(plan.steps)) < groups.norms(up - nearest)
