@@ -27,8 +27,8 @@ FASTEST = 0.4
 # Least speed of a passage, relative to the mean speed; below, the steps at the points represent all.
 PASSAGE = 2.0
 # Largest number of steps that are repeated, and part of the run. Short runs, of no more steps, are repeated as a whole
-# unless every step is saved, so that what is found does not depend on the saved points; and longer ones in which an
-# invariant deviates.
+# unless every step is saved, so that what is found does not depend on the saved points; and longer ones in which the
+# energy deviates.
 STEPS, PART, SUSPECTED_STEPS = 1000, 0.05, 10000
 # Smallest number of entries of the states at the points whose steps take several threads.
 THREADED = 2**16
@@ -261,7 +261,10 @@ class MeasuredSteps:
         """Return times and states (times, n) of one of the chosen `members` at so many known points at most."""
         points = np.unique(np.linspace(0, len(self.t) - 1, count).astype(int))
         m = int(np.searchsorted(self.members, member))
-        return self.t[points], np.array([self.states(k)[0][m] for k in points.tolist()])
+        if self._path is None:
+            return self.t[points], np.array([self.states(k)[0][m] for k in points.tolist()])
+        known = points[np.isfinite(self._path[points, m]).all(axis=1)]
+        return self.t[known], self._path[known, m]
 
     def step_count(self, m: int) -> float:
         """Return the number of steps of a chosen member."""
@@ -270,7 +273,7 @@ class MeasuredSteps:
         return abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
 
     def _passages(self) -> list[WorstStep]:
-        """Return the fastest steps between the known points with the largest change of some members, and the least."""
+        """Return the fastest steps of members between the known points between which they change most."""
         # Of long runs, first the fastest of many equal pieces is found.
         solution, members = self.solution, self.members
         count = len(self.t) - 1
@@ -295,43 +298,31 @@ class MeasuredSteps:
         known = ~np.isnan(found)
         mean = np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         ratios = np.where(known, found / np.where(mean > 0.0, mean, np.inf), 1.0)
-        passages = [self._fastest_step(stride * int(np.argmin(ratios.sum(axis=1))))]
+        passages = []
         for m in np.argsort(-ratios.max(axis=0), kind="stable")[:FASTEST_MEMBERS].tolist():
             if ratios[:, m].max() >= PASSAGE:
                 first = stride * int(np.argmax(ratios[:, m]))
                 last = min(first + stride, count)
                 inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
-                passages.append(self._fastest_step(first + int(np.argmax(inner)), m))
-        return [one for one in passages if one is not None]
+                k = first + int(np.argmax(inner))
+                if self.steps_begin[k]:
+                    passages.append(self._fastest_step(k, m))
+        return passages
 
-    def _fastest_step(self, k: int, m: int | None = None) -> WorstStep | None:
-        """Return the fastest step after known point k of a chosen member, with the part of its error that counts.
-
-        By default it is the member whose fastest step is the fastest relative to its mean; None if it is no passage.
-        """
-        solution, h, chosen = self.solution, self.h, slice(None) if m is None else slice(m, m + 1)
-        if not self.steps_begin[k]:
-            return None
-        members, t, states = self.members[chosen], float(self.t[k]), self.states(k)[0][chosen]
+    def _fastest_step(self, k: int, m: int) -> WorstStep:
+        """Return the fastest step after known point k of a chosen member, with the part of its error that counts."""
+        h, t, state = self.h, float(self.t[k]), self.states(k)[0][m : m + 1]
         steps = math.ceil(abs(float(self.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
-        most = most_steps(solution, states.size, h)
-        if not 1 < steps <= (most if m is None else max(STEPS, most)):
-            return None if m is None else self._error_of(m, states, t)
-        path = trial_states(self.prepared if m is None else self.of_member(m), states, Times(t, h, steps, 1))
+        if not 1 < steps <= max(STEPS, most_steps(self.solution, state.size, h)):
+            return self._error_of(m, state, t)
+        path = trial_states(self.of_member(m), state, Times(t, h, steps, 1))
         # Steps after the end of a member are not in the run.
-        left = (ends_by_events(solution)[members] - t) / h
-        path[np.arange(steps + 1)[:, None] - 1.0 > np.where(np.isnan(left), np.inf, left)] = np.nan
+        left = (ends_by_events(self.solution)[self.members[m]] - t) / h
+        path[np.arange(steps + 1) - 1.0 > (math.inf if math.isnan(left) else left)] = np.nan
         with np.errstate(over="ignore", invalid="ignore"):
-            lengths = np.nan_to_num(
-                np.linalg.norm(self.scaled(np.diff(path, axis=0), chosen), axis=2), nan=0.0, posinf=0.0
-            )
-        mean = lengths.mean(axis=0)
-        ratios = lengths.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
-        fastest = int(np.argmax(ratios))
-        if m is None and ratios[fastest] < PASSAGE:
-            return None
-        j, m = int(np.argmax(lengths[:, fastest])), fastest if m is None else m
-        return self._error_of(m, path[j, fastest][None], t + j * h)
+            lengths = np.linalg.norm(self.scaled(np.diff(path[:, 0], axis=0), m), axis=1)
+        j = int(np.argmax(np.nan_to_num(lengths, nan=0.0, posinf=0.0)))
+        return self._error_of(m, path[j], t + j * h)
 
     def of_member(self, m: int) -> Preparation:
         """Return the run of a chosen member in one thread."""
