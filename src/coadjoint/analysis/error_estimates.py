@@ -265,7 +265,7 @@ def _deviations(solution: Solution) -> list[tuple[str, int, float]]:
 
 
 def suspects_of(solution: Solution) -> tuple[int, ...]:
-    """Return the members of a run in memory whose energy deviates most. (Casimirs may be zero at the start.)"""
+    """Return the members of a run in memory whose energy deviates most; Casimirs may be zero at the start."""
     return tuple(m for name, m, _ in _deviations(solution) if name == "energy") if solution._in_memory else ()
 
 
