@@ -1,6 +1,7 @@
 """Runs that went wrong are warned of, and no others: over the registry of systems, and where steps show nothing."""
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
@@ -161,6 +162,7 @@ def test_molecules_that_collide_between_the_measured_points(t0, direction, step,
     assert len(found) == wrong
 
 
+@pytest.mark.thinned(3)
 @pytest.mark.parametrize("every", [1, 50, 400])
 @pytest.mark.parametrize(("far", "steps"), [(0.6, 100), (6.0, 1200)])
 def test_collisions_between_saved_points(far, steps, every):
@@ -181,6 +183,7 @@ def test_collisions_between_saved_points(far, steps, every):
     assert told(lambda: co.integrate(pair, x0, run, h / 20, co.Splitting(4), save_every=20 * every))[1] == []
 
 
+@cache
 def two_bodies(eccentricity, unit=1.0):
     """Two bodies at the apocentre of an orbit with the period 2 pi, masses in a unit."""
     pair = co.systems.gravitating_bodies([np.array([1e-9] * 3) * unit] * 2, (unit, 1e-3 * unit), 1.0 / unit)

