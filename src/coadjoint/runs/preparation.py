@@ -318,9 +318,9 @@ class Preparation(Immutable):
                 self.cache.observed = observed_quantities(self.system.of_member(0), self.observe, start.momenta[0])
         return self.cache.observed
 
-    def warn_of_large_step(self, solution: Solution) -> None:
-        """Warn if the step is too large for a run of this system, or if rounding is."""
-        shortcut("warn_of_large_step")(solution, self)
+    def warn_of_large_step(self, solution: Solution) -> bool:
+        """Warn if the step is too large for a run of this system, or if rounding is; return whether the step is."""
+        return bool(shortcut("warn_of_large_step")(solution, self))
 
 
 def trial_run(

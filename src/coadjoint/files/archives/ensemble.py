@@ -43,6 +43,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import combined
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
+from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer, read_numbers
@@ -259,7 +260,7 @@ def run_in_blocks(
 
 def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int | None, progress: bool) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
-    began, prepared, is_new = time.perf_counter(), planned.prepared, not path.exists()
+    began, prepared, is_new, warned = time.perf_counter(), planned.prepared, not path.exists(), False
     if pool.client is not None and pool.client.status != "running":
         raise ValueError(f"the client is {pool.client.status}; give one that is connected to a scheduler")
     if is_new:
@@ -269,7 +270,7 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
     with closing(store, prepared.system):
         if is_new:
             # A copy, since loops of half a step are not sent to workers.
-            prepared.in_one_thread().warn_of_large_step(open_archive(path, prepared.system))
+            warned = prepared.in_one_thread().warn_of_large_step(open_archive(path, prepared.system))
             remaining = store.blocks
         else:
             check_archive(store)
@@ -285,10 +286,14 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
             elif remaining:
                 on_processes(min(pool.worker_count, len(remaining)), store, remaining, planned, pool.threads, progress)
         try:
-            finish_ensemble(store, began)
+            heads = finish_ensemble(store, began)
         except OSError as reason:
             raise _unwritten(store, reason) from reason
-    return raise_if_failed(open_archive(path, prepared.system))
+    solution = raise_if_failed(open_archive(path, prepared.system))
+    lost = [head["lost"] for head in heads if "lost" in head]
+    if lost and remaining and not warned:
+        shortcut("warn_of_blocks")(solution, prepared, lost)
+    return solution
 
 
 def _run_serially(store: ArchiveStore, remaining: list[MemberBlock], prepared: PreparedRun, progress: bool) -> None:
@@ -379,8 +384,8 @@ def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:
     return [block for block in blocks if block.number in lost or not store.heads[block.number].get(FINISHED)]
 
 
-def finish_ensemble(store: ArchiveStore, began: float) -> None:
-    """Mark the ensemble as finished in the root, with the time since its call began."""
+def finish_ensemble(store: ArchiveStore, began: float) -> list[dict[str, Any]]:
+    """Mark the ensemble as finished in the root, with the time since its call began; return the heads of its blocks."""
     heads = store.read_heads()
     attributes = total_progress(heads)
     attributes["elapsed"] = float(store.attributes.get("elapsed", 0.0)) + time.perf_counter() - began
@@ -396,3 +401,4 @@ def finish_ensemble(store: ArchiveStore, began: float) -> None:
     store.commit(attributes, {TIME: store.arrays[TIME].shape[0]}, store.states)
     for block in store.blocks:
         store.folder.remove(HIDDEN_FOLDER, block.lock_file)
+    return heads
