@@ -306,7 +306,7 @@ class Torque(StateTorque):
         if self.is_constant_torque:
             shape = np.shape(self.torque)
             if hasattr(system, "bodies") and shape not in ((system.dim,), torque_shape(system)):
-                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {_shapes_on(system)}")
+                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {shapes_on(system)}")
             if not is_on_bodies(shape, system):
                 check_state(self.torque, "the torque", system)
             return
@@ -329,7 +329,7 @@ class Torque(StateTorque):
             if torque.shape != shape and not is_on_bodies(torque.shape, system):
                 raise ValueError(
                     f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
-                    f"{_shapes_on(system) if 'A' not in arguments else shape}"
+                    f"{shapes_on(system) if 'A' not in arguments else shape}"
                 )
             return
         raise ValueError(
@@ -379,9 +379,10 @@ class Torque(StateTorque):
         return super().describe_to(reader, system)
 
 
-def _shapes_on(system: Any) -> str:
+def shapes_on(system: Any) -> str:
+    """Return the shapes of constant torques on a system as text."""
     own = torque_shape(system) if hasattr(system, "bodies") else (system.dim,)
-    return f"({system.dim},)" + (f", or {own} in body frames" if own != (system.dim,) else "")
+    return f"({system.dim},)" + f", or {own} in body frames" * (own != (system.dim,))
 
 
 @lru_cache(maxsize=64)
@@ -395,6 +396,5 @@ def _shape_of_values(torque: Callable[..., Any], arguments: str, system: Any) ->
 
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:
     if "A" in arguments:
-        A = system.attitudes(x)
-        return (x, A, t) if "t" in arguments else (x, A)
+        return (x, system.attitudes(x), t)[: 3 if "t" in arguments else 2]
     return {"t": (t,), "x": (x,), "x, t": (x, t)}[arguments]
