@@ -57,6 +57,8 @@ def shortcut(name: str) -> Any:
 def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package; `shown` is its name in error messages."""
     resolve, _, names = lazy_loader.attach_stub(package, file)
+    # Modules compute constants when they are imported, and their compiled files are kept.
+    resolve = in_standard_mode(resolve)
 
     def __getattr__(name: str) -> Any:
         if name not in names:
@@ -65,8 +67,7 @@ def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], An
 
             elsewhere = unknown_function(name) if package == "coadjoint" else None
             raise elsewhere or unknown_attribute(shown or package, name, names)
-        # Modules compute constants when they are imported, and their compiled files are kept.
-        return in_standard_mode(resolve)(name)
+        return resolve(name)
 
     def __dir__() -> list[str]:
         return sorted(names)

@@ -292,6 +292,16 @@ def set_fields(instance: Any, **fields: Any) -> None:
         object.__setattr__(instance, name, value)
 
 
+class Immutable:
+    """Base class of objects that runs share: fields are set once, in constructors; private ones are caches."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_") and name in vars(self):
+            kind = type(self).__name__
+            raise AttributeError(f"{name} of a {kind} cannot be changed, since runs share it; make another {kind}")
+        object.__setattr__(self, name, value)
+
+
 def read_path(value: Any, what: str) -> Path:
     """Validate the name of a file or folder and return a Path."""
     if not isinstance(value, str | Path):

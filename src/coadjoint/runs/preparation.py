@@ -10,7 +10,6 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import Immutable
 from coadjoint.kernels.loop import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
@@ -54,7 +53,7 @@ from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
-from coadjoint.validation import read_bool, read_integer
+from coadjoint.validation import Immutable, read_bool, read_integer
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member

@@ -10,6 +10,7 @@ import pytest
 import coadjoint as co
 from exported_table import Interface, exported_library
 from float_modes import MODES, control, float_mode
+from long import long_beyond
 from own_schemes import Plain
 
 STARTS = np.random.default_rng(0).standard_normal((40, 3))
@@ -116,7 +117,7 @@ def test_exported_digits(tmp_path, mode):
     assert (tmp_path / "run.json").read_text() == table
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", long_beyond(1, MODES))
 def test_a_package_that_is_imported_in_a_mode(mode):
     """Constants of its modules are those of any other process."""
     source = (
@@ -136,19 +137,20 @@ def test_a_package_that_is_imported_in_a_mode(mode):
     assert len(found) == 1
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_c_interface(tmp_path, mode):
+def test_the_c_interface(tmp_path):
     interface, ready = Interface(exported_library(tmp_path)), prepared()
     table = co.export_table(ready, tmp_path / "run.json").read_text()
+    wanted = ready.run(X0, (0.0, 1.0)).x[1:].tobytes()
 
     def states():
         run = interface.run(table)
         run.x = np.array(X0)
         return run.save(10)
 
-    with float_mode(mode):
-        found = states()
-    assert found.tobytes() == ready.run(X0, (0.0, 1.0)).x[1:].tobytes()
+    for mode in MODES:
+        with float_mode(mode):
+            found = states()
+        assert found.tobytes() == wanted, mode
 
 
 class InPython(Plain):

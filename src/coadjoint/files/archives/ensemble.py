@@ -22,7 +22,6 @@ from coadjoint.errors import IntegrationError
 from coadjoint.files.archives.archive import (
     FINISHED,
     MemberBlock,
-    is_computed,
     total_progress,
 )
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
@@ -372,8 +371,9 @@ def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:
     """Return the unfinished blocks; those of which committed chunks are lost begin again."""
     blocks, lost, store.heads = store.blocks, set[int](), store.read_heads(whole_markers=True)
     for name, indices in store.lost_chunks(store.folder):
-        if is_computed(name, store.arrays[name]):
-            lost.add(indices[store.arrays[name].dims.index(MEMBER)])
+        axis = store.axis_of_blocks(name)
+        if axis is not None:
+            lost.add(indices[axis])
     for number in lost:
         store.folder.remove(HIDDEN_FOLDER, blocks[number].marker)
     return [block for block in blocks if block.number in lost or not store.heads[block.number].get(FINISHED)]

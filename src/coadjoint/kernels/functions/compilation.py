@@ -225,14 +225,27 @@ def _value(inner: Any, size: int, scalar: bool, timed: bool) -> Callable[..., No
 
 
 def _array(inner: Any, size: int, results: int, timed: bool) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
+    def fill(y: Any, t: float, out: Any) -> None:
         for k in range(results):
             out[k] = np.nan
         x = carray(y, (size,))
+        values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
+        for k in range(results):
+            out[k] = values[k]
+
+    return not_a_number_after_errors(fill)
+
+
+def not_a_number_after_errors(fill: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that fills numbers, the first of them by NaN if it raises.
+
+    A block of `try` takes Numba much longer than the same statements outside it: this one has a single call.
+    """
+    filled = numba.njit(**_INTERNAL_OPTIONS)(fill)
+
+    def call(y: Any, t: float, out: Any) -> None:
         try:
-            values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
-            for k in range(results):
-                out[k] = values[k]
+            filled(y, t, out)
         except Exception:
             out[0] = np.nan
 

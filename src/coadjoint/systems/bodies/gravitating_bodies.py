@@ -174,8 +174,7 @@ def gravitating_bodies(
     gravity = read_in_range(G, "G")
     if not is_integer(order) or order not in ORDERS:
         raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
-    with np.errstate(all="ignore"):
-        check_products("G and masses", gravity * m[:, None] * m)
+    check_products("G and masses", lambda: gravity * m[:, None] * m)
     parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
     V = _potential(np.array([one.tensor for one in found]), m, np.array(gravity), order=int(order)).hamiltonian()
     integrals = momentum_in_space(len(found), 18 * len(found) + 1)

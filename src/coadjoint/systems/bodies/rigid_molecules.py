@@ -306,12 +306,12 @@ def _on_a_line(places: Floats, m: Floats) -> tuple[Floats, Floats] | None:
     scaled = places / size
     axis = scaled[np.argmax(m * (scaled * scaled).sum(axis=1))]
     for _ in range(3):
-        axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+        axis = _unit(axis)
         weights = m * np.array([math.fsum(row) for row in (scaled * axis).tolist()])
         axis = np.array([math.fsum((weights * scaled[:, i]).tolist()) for i in range(3)])
-    axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+    axis = _unit(axis)
     axis[np.abs(axis) < ROUNDED_LINE] = 0.0  # an axis of coordinates is one exactly
-    axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+    axis = _unit(axis)
     along = np.array([math.fsum(row) for row in (scaled * axis).tolist()])
     beside = np.abs(scaled - along[:, None] * axis).max(axis=1)
     if (beside > np.where(m > 0.0, ROUNDED_LINE, ROUNDED_CHARGE)).any():
@@ -320,6 +320,10 @@ def _on_a_line(places: Floats, m: Floats) -> tuple[Floats, Floats] | None:
     moment = math.fsum((m * (size * along) ** 2).tolist())
     tensor = moment * (np.eye(3) - axis[:, None] * axis)
     return places, np.diag(tensor) if np.count_nonzero(axis) == 1 else tensor
+
+
+def _unit(vector: Floats) -> Floats:
+    return vector / math.sqrt(math.fsum((vector * vector).tolist()))
 
 
 def _check_axis(inertia: BodyInertia, places: Floats, which: str) -> None:
@@ -360,8 +364,7 @@ def _read_cutoff(box: Any, cutoff: Any, switch_from: Any, dielectric: Any) -> tu
             raise ValueError(f"dielectric is {permittivity:g} without cutoff; the reaction field begins at a cutoff")
         return 0.0, 0.0, 1.0
     end = read_in_range(cutoff, "cutoff")
-    with np.errstate(all="ignore"):
-        check_products("powers of cutoff", np.float64(end) ** 3)
+    check_products("powers of cutoff", lambda: np.float64(end) ** 3)
     begin = (1.0 - SWITCHED_PART) * end if switch_from is None else read_in_range(switch_from, "switch_from")
     if not begin < end:
         raise ValueError(f"switch_from is {begin:g}, and cutoff {end:g}; the switch must begin before the cutoff")
