@@ -192,6 +192,10 @@ def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
             raise ValueError(f"{what} has masked entries, which have no value; fill or remove them")
     elif has_unit(values):
         raise not_numbers_error(values, what)
+    elif getattr(values, "requires_grad", False) is True:
+        raise TypeError(
+            f"{what} is a tensor with requires_grad, whose gradients would be lost; use co.torch, or give its detach()"
+        )
     else:
         reject_lost_labels(values, what)
 

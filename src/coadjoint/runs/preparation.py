@@ -124,7 +124,7 @@ class Preparation(Immutable):
         self._watching = watching and not system.has_matrices
         self._representations = representations_of(cast(Any, system), self.scheme, attitude)
         self.initial_attitude = read_attitude(attitude, self.system)
-        self.observe = check_observe({} if observe is None else observe)
+        self.observe = check_observe({} if observe is None else observe, self.system)
         self._threads = workers or concurrent_members(matrix_rows(system))
         self.cache = _Cache(self.step)
         self._vector_size = vector_size(self.system)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import inspect
+import re
 import types
 import warnings
 from collections import namedtuple
@@ -202,7 +203,9 @@ def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
 
 
 def numba_error_text(error: Exception) -> str:
-    """Return the informative lines of a Numba error, joined to one line."""
+    """Return the informative lines of a Numba error, joined to one line; of a call of a Python function, its name."""
+    if helper := re.search(r"Untyped global name '(\w+)'[^\n]*\s*[^\n]*<class 'function'>", str(error)):
+        return f"it calls the Python function {helper[1]}; compile that one too, by the decorator @numba.njit"
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
     informative = [
         line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))

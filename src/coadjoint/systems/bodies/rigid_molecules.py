@@ -12,7 +12,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import IN_SPACE, distances_of_bodies, momentum_in_space, third_axes_of_bodies
+from coadjoint.systems.bodies.body import IN_SPACE, momentum_in_space
+from coadjoint.systems.bodies.body_pictures import DIPOLES, distances_of_bodies, pictures_of_molecules
 from coadjoint.systems.bodies.inertia import BodyInertia, check_products, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -96,12 +97,10 @@ def _dimer() -> Floats:
         step=0.0005,
         caption="Two molecules of water with a hydrogen bond: the directions of their dipoles in space, which librate, "
         "and the distance of their centres of mass.",
-        pictures=(
-            Picture("directions", vectors=third_axes_of_bodies, title="directions of the dipoles in space"),
-            Picture("bodies"),
-        ),
+        pictures=(DIPOLES, Picture("bodies")),
         components=Picture("components", functions=distances_of_bodies, quantity="distance of the centres [nm]"),
         quantity="state",
+        variant=lambda system: pictures_of_molecules(system, WATER),
     ),
 )
 def rigid_molecules(

@@ -68,7 +68,7 @@ class FluidSystem(MatrixSystem):
     rotation: float = 0.0
     """Angular velocity of the frame."""
 
-    states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_file")
+    states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_modes", "from_grid", "from_file")
     """Methods that return a state, available by name in configuration files."""
 
     random = initial_states.random
