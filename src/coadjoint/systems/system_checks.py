@@ -138,6 +138,7 @@ def read_invariants(argument: Any, system: Any, kind: str) -> dict[str, Any]:
                 f"{article} {kind} is called 'energy', which is the name of the Hamiltonian; choose another name"
             )
         if isinstance(invariant, Hamiltonian) and not invariant.timed:
+            term: Any
             (term,) = invariant.bind(n).terms()
             invariant = Invariant(term.value, term.gradient)
         if not isinstance(invariant, Polynomial | Quadratic | Invariant):

@@ -132,7 +132,7 @@ def _invariant_record(value: Any) -> Any:
     if isinstance(value, Polynomial):
         return _monomials(value)
     missing: list[str] = []
-    record = _hamiltonian_record(value, missing) if isinstance(value, Summable) else None
+    record = _hamiltonian_record(value, missing) if isinstance(value, HamiltonianLike) else None
     return None if missing else record
 
 
