@@ -322,6 +322,16 @@ class Preparation(Immutable):
         """Warn if the step is too large for a run of this system, or if rounding is; return whether the step is."""
         return bool(shortcut("warn_of_large_step")(solution, self))
 
+    def warn_of_blocks(self, solution: Solution, lost: list[list[Any]]) -> None:
+        """Warn of the invariants that blocks of an ensemble have lost, if any has."""
+        if lost:
+            shortcut("warn_of_blocks")(solution, self, lost)
+
+
+def lost_invariant(solution: Solution) -> Any:
+    """Return the invariant that deviates most in a step of a run, relative to its size."""
+    return shortcut("lost_invariant")(solution)
+
 
 def trial_run(
     prepared: Preparation, times: Times, momenta: NDArray[np.float64], advance: Callable[[Run], None] = Run.advance

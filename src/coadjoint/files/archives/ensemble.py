@@ -19,11 +19,7 @@ import numpy as np
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
-from coadjoint.files.archives.archive import (
-    FINISHED,
-    MemberBlock,
-    total_progress,
-)
+from coadjoint.files.archives.archive import FINISHED, MemberBlock, total_progress
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.folder import ArchiveError, open_folder, read_archive_path, timeout
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
@@ -43,7 +39,6 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import combined
 from coadjoint.runs.times import times_of
 from coadjoint.short_repr import short
-from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch
 from coadjoint.systems.system import System
 from coadjoint.validation import read_integer, read_numbers
@@ -290,9 +285,8 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
         except OSError as reason:
             raise _unwritten(store, reason) from reason
     solution = raise_if_failed(open_archive(path, prepared.system))
-    lost = [head["lost"] for head in heads if "lost" in head]
-    if lost and remaining and not warned:
-        shortcut("warn_of_blocks")(solution, prepared, lost)
+    if remaining and not warned:
+        prepared.warn_of_blocks(solution, [head["lost"] for head in heads if "lost" in head])
     return solution
 
 
