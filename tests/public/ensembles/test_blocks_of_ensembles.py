@@ -14,7 +14,6 @@ import pytest
 import xarray
 
 import coadjoint as co
-from coadjoint.runs import piecewise_run
 from hostile_archives import edit_attributes
 from refusals import refused
 from same_runs import check_same
@@ -168,22 +167,6 @@ def test_chunks_without_a_marker_are_overwritten(tmp_path, monkeypatch):
     assert (path / HIDDEN / marker(0)).read_bytes() != held
     (path / HIDDEN / marker(0)).write_bytes(held)
     check_same(ensemble(path, span=LONG), long_run())
-
-
-def test_points_without_a_marker_are_not_shown(tmp_path, monkeypatch):
-    """They are in the chunk of committed ones, which is written again before its marker, and every few steps here."""
-    monkeypatch.setattr(piecewise_run, "TAKING_INTERVAL", 0.0)
-    monkeypatch.setattr(piecewise_run, "TAKING_RATIO", 0.0)
-    path, span = tmp_path / "many.zarr", (0.0, 1000 * STEP)
-    expected = co.integrate(BODY, X, span, STEP)
-    with Stop(monkeypatch, marker(1), KeyboardInterrupt(), after=1), pytest.raises(KeyboardInterrupt):
-        ensemble(path, span=span)
-    found = co.open_archive(path)
-    rows, states = 1 + piecewise_run.FIRST_STRETCH, np.array(found.x)
-    assert rows < 1001 and found.status.tolist() == [1] * 4 + [0] * 7
-    np.testing.assert_array_equal(states[:rows, :8], expected.x[:rows, :8])
-    assert np.isnan(states[rows:, 4:]).all() and np.isnan(states[1:, 8:]).all()
-    check_same(co.resume(path), expected)
 
 
 @pytest.mark.parametrize(
