@@ -236,13 +236,23 @@ def towards_viewer(axes: Any) -> Floats:
 
 
 class Globe:
-    """Sphere of a given radius in flat axes of equal aspect, with labels for its three axes and a view as `VIEW`."""
+    """Sphere of a given radius in flat axes of equal aspect, with labelled directions, by default its three axes.
 
-    def __init__(self, axes: Any, names: Any, view: tuple[float, float] = VIEW, radius: float = 1.0) -> None:
+    The view is one as `VIEW`.
+    """
+
+    def __init__(
+        self,
+        axes: Any,
+        names: Any,
+        view: tuple[float, float] = VIEW,
+        radius: float = 1.0,
+        directions: npt.ArrayLike = np.eye(3),
+    ) -> None:
         self.axes, self.radius = axes, radius
         self.frame = view_frame(view)
         self._draw_ball()
-        self._draw_axes(names)
+        self._draw_axes(names, np.asarray(directions))
         axes.set_aspect("equal")
         axes.set(xlim=(-1.42 * radius, 1.42 * radius), ylim=(-1.42 * radius, 1.42 * radius))
         axes.axis("off")
@@ -273,8 +283,8 @@ class Globe:
                 self.radius * circle, near={"color": on_paper(CIRCLE_COLOUR, 0.3), "linewidth": 0.7}, far=None, zorder=1
             )
 
-    def _draw_axes(self, names: Any) -> None:
-        for direction, name in zip(np.eye(3), names, strict=True):
+    def _draw_axes(self, names: Any, directions: Floats) -> None:
+        for direction, name in zip(directions, names, strict=True):
             ends, depth = self.project(np.outer([1.0, 1.22], self.radius * direction))
             order = 2 if depth[0] > 0.0 else -1
             self.axes.annotate(
