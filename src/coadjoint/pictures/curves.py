@@ -247,12 +247,12 @@ class Globe:
         names: Any,
         view: tuple[float, float] = VIEW,
         radius: float = 1.0,
-        directions: npt.ArrayLike = np.eye(3),
+        directions: Floats | None = None,
     ) -> None:
         self.axes, self.radius = axes, radius
         self.frame = view_frame(view)
         self._draw_ball()
-        self._draw_axes(names, np.asarray(directions))
+        self._draw_axes(names, np.eye(3) if directions is None else directions)
         axes.set_aspect("equal")
         axes.set(xlim=(-1.42 * radius, 1.42 * radius), ylim=(-1.42 * radius, 1.42 * radius))
         axes.axis("off")
