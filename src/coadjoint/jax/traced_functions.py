@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
-from types import CellType, CodeType, FunctionType
 from typing import Any
 
 import jax
@@ -17,6 +16,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.kernels.tables.compiled import compiled_derivative
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.forces.torque import sample_state
+from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import SEED, first_difference, sample_points
@@ -33,9 +33,6 @@ METHODS = frozenset({"reshape", "ravel", "transpose", "swapaxes", "squeeze", "di
 FUNCTIONS = METHODS | {"moveaxis", "rollaxis", "expand_dims", "atleast_1d", "atleast_2d", "atleast_3d", "rot90"}
 FUNCTIONS |= {"split", "array_split", "hsplit", "vsplit", "dsplit", "flip", "fliplr", "flipud"}
 """Functions of NumPy that only rearrange the entries of their first argument, and return views where they can."""
-CREATORS = (np.zeros, np.empty, np.ones, np.full, np.eye, np.identity, np.array, np.diag)
-CREATORS += (np.zeros_like, np.empty_like, np.ones_like, np.full_like, np.copy)
-"""Functions of NumPy whose arrays a function may assign numbers of JAX to."""
 
 
 class Numbers(NDArrayOperatorsMixin):
@@ -177,57 +174,6 @@ def plain(value: Any) -> Any:
     return value
 
 
-class _CreatesNumbers:
-    """NumPy, whose new arrays of floats are `Numbers`."""
-
-    def __init__(self, decide: Callable[[Any], bool]) -> None:
-        self._decide = decide
-
-    def __getattr__(self, name: str) -> Any:
-        return self.of(getattr(np, name))
-
-    def of(self, function: Any) -> Any:
-        """Return a function of NumPy that creates arrays as one that creates `Numbers`; anything else unchanged."""
-        if not any(function is creator for creator in CREATORS):
-            return function
-
-        def create(*arguments: Any, **options: Any) -> Any:
-            if function is np.full and has_tracers(plain(arguments)):
-                return Numbers(jnp.full(*map(plain, arguments), **options), self._decide)
-            found = function(*arguments, **options)
-            is_floating = isinstance(found, np.ndarray) and found.dtype == np.float64
-            return Numbers(jnp.asarray(found), self._decide) if is_floating else found
-
-        return create
-
-
-def creates_numbers(function: Any, decide: Callable[[Any], bool]) -> Any:
-    """Return a copy of a function of the user, in which NumPy and functions that it calls create `Numbers`."""
-    numpy, copies = _CreatesNumbers(decide), dict[int, Any]()
-
-    def names_of(code: CodeType) -> set[str]:
-        return {*code.co_names}.union(*(names_of(one) for one in code.co_consts if isinstance(one, CodeType)))
-
-    def of(value: Any) -> Any:
-        value = getattr(value, "py_func", value)
-        if value is np:
-            return numpy
-        if not isinstance(value, FunctionType) or value.__module__.partition(".")[0] in ("numpy", "jax"):
-            return numpy.of(value)
-        if id(value) not in copies:
-            cells = tuple(CellType() for _ in value.__closure__ or ())
-            named = value.__globals__.copy()
-            copy = FunctionType(value.__code__, named, value.__name__, value.__defaults__, cells)
-            copy.__kwdefaults__, copies[id(value)] = value.__kwdefaults__, copy
-            for name in names_of(value.__code__) & {*named}:
-                named[name] = of(named[name])
-            for cell, given in zip(cells, value.__closure__ or (), strict=True):
-                cell.cell_contents = of(given.cell_contents)
-        return copies[id(value)]
-
-    return of(function)
-
-
 def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
     """Return a function for arrays of JAX, of one that is written with NumPy for Numba."""
     function = getattr(function, "py_func", function)
@@ -235,13 +181,11 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
     @wraps(function, updated=())
     def traced(*arguments: Any) -> Any:
         try:
-            return evaluated(arguments, (), lambda given, decide: given)
-        except (
-            TypeError
-        ):  # arrays that the function creates are of JAX only where they must be, since others are faster
-            return evaluated(arguments, (), creates_numbers)
+            return evaluated(arguments, (), in_place=False)
+        except TypeError:  # arrays that the function creates are of JAX only where they must be: others are faster
+            return evaluated(arguments, (), in_place=True)
 
-    def evaluated(arguments: Any, given: tuple[bool, ...], version: Callable[..., Any]) -> Any:
+    def evaluated(arguments: Any, given: tuple[bool, ...], in_place: bool) -> Any:
         # Decisions that are not given are first taken as true.
         taken: list[bool] = list(given)
         conditions: list[Any] = []
@@ -253,8 +197,9 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
             return taken[len(conditions) - 1]
 
         numbers = [Numbers(jnp.asarray(one), decide) for one in arguments]
+        called = with_new_arrays(function, lambda one: Numbers(jnp.asarray(one), decide)) if in_place else function
         try:
-            found = jnp.asarray(plain(version(function, decide)(*numbers)), dtype=jnp.float64)
+            found = jnp.asarray(plain(called(*numbers)), dtype=jnp.float64)
         except Exception as reason:
             raise TypeError(
                 f"JAX cannot trace {what} ({type(reason).__name__}: {in_one_line(str(reason), 160)}); write it with "
@@ -264,7 +209,7 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
         for k in range(len(taken) - 1, len(given) - 1, -1):
             if 2 ** (k + 1) > MOST_BRANCHES:
                 raise TypeError(f'{what} has more than {MOST_BRANCHES} branches; take backend="compiled"')
-            other = evaluated(arguments, (*taken[:k], False), version)
+            other = evaluated(arguments, (*taken[:k], False), in_place)
             found = jnp.where(conditions[k], found, other)
         return found
 

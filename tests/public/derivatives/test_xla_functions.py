@@ -200,12 +200,13 @@ def created_slope(x):
 
 def test_entries_of_new_arrays_are_assigned():
     """Of forces by the flow of NumPy, the absolute reference, as above; of a Hamiltonian by the compiled run."""
-    for system, torque, n in ((SPHERES, created, 12), (SPHERE, closure(0.2), 3)):
+    own = closure(0.2)
+    for system, torque, field, n in ((SPHERES, created, created, 12), (SPHERE, own, lambda x, t: own(x), 3)):
         ready = co.prepare(system.with_forces(co.forces.Torque(torque)), co.Splitting(), 0.1)
         x = x0 = 0.8 * np.cos(1.0 + np.arange(n))
         found = co.jax.solution(ready, (0.2, 0.5), backend="xla")(x0)
         for begin in (0.2, 0.25, 0.3, 0.35, 0.4, 0.45):
-            x = runge_kutta(lambda x, t: torque(x, t) if n == 12 else torque(x), x, begin, 0.05)
+            x = runge_kutta(field, x, begin, 0.05)
         np.testing.assert_allclose(found[-1], x, rtol=0, atol=6 * 4 * 20 * UNIT_ROUNDOFF * np.abs(x).max())
     cosh = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(potential, created_slope, curvature))
     ready, x0 = co.prepare(cosh, co.GaussLegendre(2), 0.1), np.array([0.4, 0.3, 0.2])
