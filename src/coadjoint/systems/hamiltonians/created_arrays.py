@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
-CREATORS: tuple[Callable[..., Any], ...] = (np.zeros, np.empty, np.ones, np.full, np.eye, np.identity, np.array, np.diag)
-CREATORS += (np.zeros_like, np.empty_like, np.ones_like, np.full_like, np.copy)
+CREATORS: tuple[Callable[..., Any], ...] = (
+    *(np.zeros, np.empty, np.ones, np.full, np.eye, np.identity, np.array, np.diag),
+    *(np.zeros_like, np.empty_like, np.ones_like, np.full_like, np.copy),
+)
 """Functions of NumPy whose new arrays of floats a function may fill with coordinates."""
 
 
