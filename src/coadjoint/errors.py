@@ -167,13 +167,3 @@ def in_one_line(message: str, limit: int = 400) -> str:
     line = "".join(letter if letter.isprintable() else "?" for letter in " ".join(ends.split()))
     head, tail = limit // 2 - 2, limit - limit // 2 - 3
     return line if len(line) <= limit else f"{line[:head].rstrip()} ... {line[-tail:].lstrip()}"
-
-
-class Immutable:
-    """Base class of objects that runs share: fields are set once, in constructors; private ones are caches."""
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not name.startswith("_") and name in vars(self):
-            kind = type(self).__name__
-            raise AttributeError(f"{name} of a {kind} cannot be changed, since runs share it; make another {kind}")
-        object.__setattr__(self, name, value)

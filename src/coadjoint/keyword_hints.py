@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from coadjoint.errors import nearest, unknown_name
-from coadjoint.rounding import StandardMode, call_in_standard_mode, is_standard_mode
+from coadjoint.rounding import in_standard_mode
 from coadjoint.short_repr import compact, short
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -159,15 +159,13 @@ def suggest_keywords(function: Function) -> Function:
     if isinstance(function, type):
         _decorate_class(function)
         return cast(Function, function)
-    signature = inspect.signature(function)
+    signature, compute = inspect.signature(function), in_standard_mode(function)
     is_method = next(iter(signature.parameters), "") in ("self", "cls")
 
     @functools.wraps(function)
     def wrapped_function(*args: Any, **keywords: Any) -> Any:
         try:
-            if is_standard_mode():
-                return function(*args, **keywords)
-            return call_in_standard_mode(function, *args, **keywords)
+            return compute(*args, **keywords)
         except TypeError:
             name = _called_name(function.__name__, args[0]) if is_method and args else function.__name__
             if (error := wrong_arguments(name, signature, args, keywords)) is not None:
@@ -203,13 +201,11 @@ class ExplainedCalls(ABCMeta):
             super().__init__(*args, **keywords)
             _decorate_class(cls, constructor=False)
 
+        @in_standard_mode
         def __call__(cls, *args, **keywords):
             """Construct an instance."""
             try:
-                if is_standard_mode():
-                    return super().__call__(*args, **keywords)
-                with StandardMode():
-                    return super().__call__(*args, **keywords)
+                return super().__call__(*args, **keywords)
             except TypeError as error:
                 # Errors of deeper frames are those of the class itself.
                 explained = error.__traceback__.tb_next is None and wrong_arguments(

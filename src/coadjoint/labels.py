@@ -87,27 +87,30 @@ def by_labels(
             "order is right"
         )
     array = np.asarray(data)
+    known = dict.fromkeys(axes) | dict(order or {})
     for k, along in labels.items():
-        array = np.take(array, _order(along, dims[k], axes, order or {}, what), axis=k)
+        if dims[k] in known:
+            array = np.take(array, _order(along, dims[k], known[dims[k]], what), axis=k)
     rest = [k for k, dim in enumerate(dims) if dim not in axes]
     # In the layout of other arrays, which sums in BLAS depend on.
     array = np.ascontiguousarray(array.transpose(*rest, *(dims.index(axis) for axis in axes)))
     return array[..., 0] + 1j * array[..., 1] if axes[-1] == "part" else array
 
 
-def _order(
-    given: list[Any], dim: Any, axes: Sequence[str], order: Mapping[str, Sequence[Any] | None], what: str
-) -> list[int]:
-    """Return the positions of the known labels of an axis among the given ones."""
-    if dim not in axes and dim not in order:
-        return list(range(len(given)))
-    known = order.get(dim)
-    wanted: list[Any] = list(range(len(given))) if known is None else list(known)
-    places = {label: k for k, label in enumerate(given)}
-    if not len(given) == len(wanted) == len(places) or any(label not in places for label in wanted):
-        expected = "0, 1, 2, ..." if known is None else short(wanted)
+def _order(given: list[Any], dim: Any, known: Sequence[Any] | None, what: str) -> list[int]:
+    """Return the positions of the known labels of an axis, None for 0, 1, ..., among the given ones."""
+    found = positions(range(len(given)) if known is None else known, given)
+    if found is None:
+        expected = "0, 1, 2, ..." if known is None else short(list(known))
         raise ValueError(
             f"{what} has the labels {short(given)} of {dim}; they must be {expected} in any order, or give its "
             "to_numpy() if its order is right"
         )
-    return [places[label] for label in wanted]
+    return found
+
+
+def positions(labels: Sequence[Any], given: Sequence[Any]) -> list[int] | None:
+    """Return the positions of labels among the given ones; None unless each of both is among the others, once."""
+    places = {label: k for k, label in enumerate(given)}
+    is_order = len(places) == len(given) == len(labels) and places.keys() == set(labels)
+    return [places[label] for label in labels] if is_order else None

@@ -28,35 +28,20 @@ def is_standard_mode() -> bool:
     return ONE + BELOW_ROUNDOFF == ONE - BELOW_ROUNDOFF and SUBNORMAL * ONE > 0.0
 
 
-class StandardMode:
-    """Context in which this thread computes in the standard mode; its own is restored in any case."""
-
-    def __enter__(self) -> None:
-        import ctypes
-
-        from coadjoint.kernels.library import kernels
-
-        library = kernels()
-        library.set_standard_mode.restype = mode = ctypes.c_int64
-        self._restore = functools.partial(library.restore_mode, mode(library.set_standard_mode()))
-
-    def __exit__(self, *_: Any) -> None:
-        self._restore()
-
-
-def call_in_standard_mode(function: Callable[..., Any], *args: Any, **keywords: Any) -> Any:
-    """Call a function in the standard mode, and restore that of the thread."""
-    with StandardMode():
-        return function(*args, **keywords)
-
-
 def in_standard_mode(function: Function) -> Function:
-    """Decorate a function that computes to do so in the standard floating-point mode."""
+    """Decorate a function to compute in the standard floating-point mode; afterwards the thread has its own again."""
 
     @functools.wraps(function)
     def computed(*args: Any, **keywords: Any) -> Any:
         if is_standard_mode():
             return function(*args, **keywords)
-        return call_in_standard_mode(function, *args, **keywords)
+        from coadjoint.kernels.library import kernels
+
+        library = kernels()
+        mode = library.set_standard_mode()
+        try:
+            return function(*args, **keywords)
+        finally:
+            library.restore_mode(mode)
 
     return computed  # type: ignore[return-value]

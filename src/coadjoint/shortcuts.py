@@ -26,9 +26,10 @@ SHORTCUTS = {
     "draw_phase_drift": "coadjoint.pictures.analysis_figures:draw_phase_drift",
     "draw_solution": "coadjoint.pictures.solution:draw_solution",
     "draw_structure_factor": "coadjoint.pictures.analysis_figures:draw_structure_factor",
-    "error_at_end": "coadjoint.analysis.error_estimates:error_at_end",
+    "error_at_end": "coadjoint.analysis.error_at_end:error_at_end",
     "frames_of": "coadjoint.pictures.solution:frames_of",
     "jvp": "coadjoint.runs.derivatives.of_prepared_runs:jvp",
+    "lost_invariant": "coadjoint.analysis.error_estimates:lost_invariant",
     "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",
     "parameters_of_run": "coadjoint.runs.derivatives.differentiable_run:parameters_of_run",
     "run_to_accuracy": "coadjoint.choosing.validated_run:SampledRun",
@@ -37,6 +38,7 @@ SHORTCUTS = {
     "step_errors_of_groups": "coadjoint.analysis.error_estimates:step_errors_of_groups",
     "table_of": "coadjoint.files.datasets.export:table_of",
     "vjp": "coadjoint.runs.derivatives.of_prepared_runs:vjp",
+    "warn_of_blocks": "coadjoint.analysis.error_estimates:warn_of_blocks",
     "warn_of_large_step": "coadjoint.analysis.error_estimates:warn_of_large_step",
     "write_movie": "coadjoint.files.output.output_files:write_movie",
 }
@@ -57,6 +59,8 @@ def shortcut(name: str) -> Any:
 def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package; `shown` is its name in error messages."""
     resolve, _, names = lazy_loader.attach_stub(package, file)
+    # Modules compute constants when they are imported, and their compiled files are kept.
+    resolve = in_standard_mode(resolve)
 
     def __getattr__(name: str) -> Any:
         if name not in names:
@@ -65,8 +69,7 @@ def attach(package: str, file: str, shown: str = "") -> tuple[Callable[[str], An
 
             elsewhere = unknown_function(name) if package == "coadjoint" else None
             raise elsewhere or unknown_attribute(shown or package, name, names)
-        # Modules compute constants when they are imported, and their compiled files are kept.
-        return in_standard_mode(resolve)(name)
+        return resolve(name)
 
     def __dir__() -> list[str]:
         return sorted(names)

@@ -192,6 +192,10 @@ def reject_lossy_conversion(values: Any, what: str, depth: int = 0) -> None:
             raise ValueError(f"{what} has masked entries, which have no value; fill or remove them")
     elif has_unit(values):
         raise not_numbers_error(values, what)
+    elif getattr(values, "requires_grad", False) is True:
+        raise TypeError(
+            f"{what} is a tensor with requires_grad, whose gradients would be lost; use co.torch, or give its detach()"
+        )
     else:
         reject_lost_labels(values, what)
 
@@ -290,6 +294,16 @@ def set_fields(instance: Any, **fields: Any) -> None:
     """Set fields of an object that is frozen, in its constructor."""
     for name, value in fields.items():
         object.__setattr__(instance, name, value)
+
+
+class Immutable:
+    """Base class of objects that runs share: fields are set once, in constructors; private ones are caches."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_") and name in vars(self):
+            kind = type(self).__name__
+            raise AttributeError(f"{name} of a {kind} cannot be changed, since runs share it; make another {kind}")
+        object.__setattr__(self, name, value)
 
 
 def read_path(value: Any, what: str) -> Path:

@@ -249,11 +249,12 @@ def _deviations(functions: list[Polynomial], points: Floats) -> Any:
 def suggest_step(
     system: LiePoissonSystem, method: Method | str | Mapping[str, Any], x0: npt.ArrayLike, energy: float
 ) -> float:
-    """Return the largest step at which the energy stays within a bound, from short runs.
+    """Estimate the largest step at which the energy changes by at most a given amount, from short runs.
 
-    A run by a Poisson map preserves H + h^p H_p + ..., so its energy varies as h^p H_p does along the motion, for any
-    length of the run. Choose it to control the energy error. `choose` selects scheme and step for an error of the
-    momentum over a span.
+    A run by a Poisson map preserves H + h^p H_p + ... but for terms that are small for small steps, so its energy
+    varies about as h^p H_p does along the motion. Measured is the time in which the motion turns by one radian; a
+    longer run may exceed the amount, above all near the largest step. Choose it to control the energy error. `choose`
+    selects scheme and step for an error of the momentum over a span.
 
     Parameters
     ----------

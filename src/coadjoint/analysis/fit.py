@@ -290,7 +290,7 @@ def _as_saved(name: str, value: Any, ready: PreparedRun, times: Floats) -> Any:
 
 def _read_observe(ready: PreparedRun, observe: Any) -> dict[str, Any]:
     """Validate the functions of states that a fit observes."""
-    found, known = check_observe(observe), {*OUTPUTS, *Quantities.names_of(ready, {})}
+    found, known = check_observe(observe, ready.system), {*OUTPUTS, *Quantities.names_of(ready, {})}
     for name in found:
         if name in known:
             raise ValueError(f"observe has {short(name)}, which is measured without a function; give another name")

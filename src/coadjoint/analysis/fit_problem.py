@@ -67,7 +67,7 @@ class Quantities:
         """Return the values at states (points, n) or (points, members, n), by name."""
         found: dict[str, Floats] = {}
         if self._observed is not None:
-            along = self._observed(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
+            along = self._observed.along(self._t, np.ascontiguousarray(x.reshape(len(x), -1, x.shape[-1])))
             found = {name: value.reshape(x.shape[:-1]) for name, value in along.items()}
         for name, function in self._functions.items():
             rows = zip(self._t.tolist(), x.reshape(len(x), -1, x.shape[-1]), strict=True)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +14,9 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
-from coadjoint.runs.run import Run, advance_in_turns, advance_up
+from coadjoint.runs.run import Run, advance_up
 from coadjoint.runs.start import any_momenta_of, vector_size
-from coadjoint.runs.times import Times
+from coadjoint.runs.times import STEP_SHARE, Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
 
@@ -27,8 +26,10 @@ Floats = NDArray[np.float64]
 FASTEST = 0.4
 # Least speed of a passage, relative to the mean speed; below, the steps at the points represent all.
 PASSAGE = 2.0
-# Largest number of steps between two saved points that are repeated to find the fastest one, and part of the run.
-STEPS, PART = 1000, 0.05
+# Largest number of steps that are repeated, and part of the run. Short runs, of no more steps, are repeated as a whole
+# unless every step is saved, so that what is found does not depend on the saved points; and longer ones in which the
+# energy deviates.
+STEPS, PART, SUSPECTED_STEPS = 1000, 0.05, 10000
 # Smallest number of entries of the states at the points whose steps take several threads.
 THREADED = 2**16
 # Largest number of entries of the states in repeated steps, if they are not a small part of the run.
@@ -49,22 +50,16 @@ HALVED = 8.0
 EXCESS = 2.0**14 * UNIT_ROUNDOFF
 # Rounding of a step, relative to a group at the start, above which the group is zero but for rounding.
 OF_ZERO = 1.0 / 64.0
-# Largest rounding of a group in the run, relative to its size, without a warning: half of the 2 per cent that must
-# warn, since the estimate may be half of the error.
-ROUNDED = 0.01
-# Saved points of the run that is repeated to measure rounding.
-ROUNDED_POINTS = 16
 
-# Largest number of points, and of members, at which the step is repeated.
-POINTS, MEMBERS = 5, 64
+# Largest number of points, and of members, at which the step is repeated; of members with the fastest passages.
+POINTS, MEMBERS, FASTEST_MEMBERS = 5, 64, 4
 # Largest number of entries of the states that are repeated; at least one state.
 NUMBERS = 2**20
 
 
 class WorstStep(NamedTuple):
-    """The largest error of a step, and the part of it that shorter steps reduce; its chosen member, time and state."""
+    """The largest error of a step of a chosen member, as far as shorter steps reduce it, its time and state."""
 
-    error: float
     truncation: float
     m: int
     t: float
@@ -78,7 +73,7 @@ class MeasuredSteps:
     """Steps of a run at a few points: their errors, changes and rounding, by member and group of coordinates."""
 
     @ignore_overflow
-    def __init__(self, solution: Solution, prepared: Preparation | None) -> None:
+    def __init__(self, solution: Solution, prepared: Preparation | None, suspects: tuple[int, ...] = ()) -> None:
         # An archive need not know its scheme and system; that of a run with inputs has their values.
         described: Any = solution if prepared is None or prepared.takes_inputs else prepared
         method, system = described.method, described.system
@@ -92,13 +87,21 @@ class MeasuredSteps:
         self.solution, self.method, self.system = solution, method, system
         self.groups = CoordinateGroups(system)
         self.h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
-        self.members = members = sampled_members(solution, system)
-        self.points = points = sampled_points(solution, system, members)
+        size, steps = vector_size(system), abs(solution.t_span[1] - solution.t_span[0]) / solution.step
+        start = any_momenta_of(system, solution.x0)[0] if size is None else np.asarray(solution.x0).reshape(-1, size)
+        n, short = start.shape[1], (SUSPECTED_STEPS, NUMBERS) if suspects else (STEPS, REPEATED)
+        self.short = steps <= min(short[0], short[1] // n) + ROUNDING
+        most = int(NUMBERS / (n * max(1.0, steps))) if self.short else MEMBERS
+        chosen = sampled_members(solution, system, max(1, min(MEMBERS, most)))
+        self.members = members = np.union1d(chosen, np.array(suspects, dtype=np.int64))
+        self.start = start if len(start) == 1 else start[members]
         if system.is_batch and len(members) < len(system):
             prepared = prepared.sampled(members)
         # Rounding is that of this thread.
         self.alone = prepared.in_one_thread()
-        self.prepared = prepared if sum(states.size for _, states, _ in points) >= THREADED else self.alone
+        self.prepared = prepared if POINTS * self.start.size >= THREADED else self.alone
+        self._know_states(int(steps + STEP_SHARE))
+        self.points = points = self._points()
         runs: tuple[Preparation, ...] = (self.prepared, self.alone)
         states = [states for _, states, _ in points]
         if any(one.hamiltonian.timed or one.forces for one in prepared.system.distinct):
@@ -118,6 +121,39 @@ class MeasuredSteps:
         self.errors, self.changes, self.rounding_at_points = step
         self.starts, self.sizes, self.rounding = norms[0], norms.max(axis=0), self.rounding_at_points.max(axis=0)
         self.weights = self._weights()
+
+    def _know_states(self, steps: int) -> None:
+        """Set the times at which states are known, and the path of a short run of which not every step is saved."""
+        solution, t0 = self.solution, self.solution.t_span[0]
+        whole = solution.save_every == 1 and solution.t_eval is None
+        self.t, self._path = solution.t, None
+        if self.short and not (solution._in_memory and (solution.incomplete or whole)):
+            times = Times(t0, self.h, steps, 1)
+            self.t, self._path = times.saved_times, trial_states(self.prepared, self.start, times)
+            self._path[(self.t[:, None] - ends_by_events(solution)[self.members]) * self.h > 0.0] = np.nan
+        elif not solution._in_memory:
+            # Archives are not read to check steps.
+            self.t, self._path = np.array([t0]), self.start[None]
+        # Samples of forces are at whole steps.
+        elapsed = (self.t - t0) / self.h
+        sampled = any(force.sampled for one in self.system.distinct for force in one.forces)
+        self.steps_begin = (np.abs(elapsed - np.rint(elapsed)) <= STEP_SHARE) | np.array(not sampled)
+
+    def states(self, k: int) -> tuple[Floats, NDArray[np.bool_]]:
+        """Return the states (members, n) at a known time, and who has one: who has not has that of the start."""
+        if self._path is not None:
+            held = np.isfinite(self._path[k]).all(axis=1)
+            return np.where(held[:, None], self._path[k], self.start), held
+        held = np.isfinite(self.solution.x[k]).reshape(member_count(self.solution), -1).all(axis=1)
+        return states_at(self.solution, self.members, k), held[self.members]
+
+    def _points(self) -> list[tuple[float, Floats, NDArray[np.bool_]]]:
+        """Return a few times of the run, the start included, the states (members, n), and who has one."""
+        known = np.flatnonzero(self.steps_begin)
+        count = max(1, min(POINTS, NUMBERS // self.start.size, len(known) - 1))
+        chosen = known[np.linspace(0, len(known) - 1, count, endpoint=False).astype(int)[1:]].tolist()
+        start = self.solution.t_span[0], self.start, np.ones(len(self.start), dtype=bool)
+        return [start, *((float(self.t[k]), *self.states(k)) for k in chosen)]
 
     def _step(
         self, runs: tuple[Preparation, ...], states: Floats, t: float, known_rounding: Floats | None = None
@@ -178,9 +214,9 @@ class MeasuredSteps:
         return np.maximum(0.0, self.rounding_at_points - EXCESS * self.sizes)
 
     @ignore_overflow
-    def worst(self) -> WorstStep:
-        """Return the largest error of a step, relative to the change in it."""
-        solution, system, weights = self.solution, self.system, self.weights
+    def worst(self) -> tuple[float, list[WorstStep]]:
+        """Return the largest error of a step, relative to the change in it, and the worst step of each member."""
+        system, weights = self.system, self.weights
 
         def total(part: Floats) -> Floats:
             squares: Floats = (part * weights) ** 2
@@ -188,24 +224,22 @@ class MeasuredSteps:
 
         errors, changes = total(self.errors), total(self.changes)
         relative = _ratios(errors, changes)
-        with_rounding = _ratios(errors + total(self._excess()), changes) if self.lossy else relative
-        worst = int(np.argmax(relative))
-        t, states, _ = self.points[int(np.argmax(np.sum((self.errors[:, worst] * weights[worst]) ** 2, axis=1)))]
-        at_rest, mean = False, math.sqrt(errors[worst] / sum(held[worst] for _, _, held in self.points))
-        if relative[worst] > SUSPECTED:
-            one = system.of_member(int(self.members[worst]))
-            field = one.rows_of(one.vector_field(one.states_of(self.points[0][1][worst]), self.points[0][0]))
-            at_rest = bool(np.linalg.norm(self.scaled(field, worst)) * abs(self.h) <= AT_REST * mean)
-        state = states[worst : worst + 1]
-        total_error = self.step_count(worst) * mean / (self.motion_of(worst) or math.inf)
-        largest = WorstStep(float(with_rounding.max()), float(relative[worst]), worst, t, state, total_error, at_rest)
-        if solution._in_memory and len(solution.t) > 1:
-            passage, closest = self._passages()
-            found = [] if passage is None else [self._fastest_step(*passage)]
-            for fastest in filter(None, [*found, self._fastest_step(closest)]):
-                if fastest.truncation > largest.truncation:
-                    largest = fastest._replace(error=max(largest.error, fastest.error))
-        return largest
+        error = float((_ratios(errors + total(self._excess()), changes) if self.lossy else relative).max())
+        steps = []
+        for m in range(len(self.members)):
+            t, states, _ = self.points[int(np.argmax(np.sum((self.errors[:, m] * weights[m]) ** 2, axis=1)))]
+            at_rest, mean = False, math.sqrt(errors[m] / sum(held[m] for _, _, held in self.points))
+            if relative[m] > SUSPECTED:
+                one = system.of_member(int(self.members[m]))
+                field = one.rows_of(one.vector_field(one.states_of(self.start[m]), self.points[0][0]))
+                at_rest = bool(np.linalg.norm(self.scaled(field, m)) * abs(self.h) <= AT_REST * mean)
+            total_error = self.step_count(m) * mean / (self.motion_of(m) or math.inf)
+            steps.append(WorstStep(float(relative[m]), m, t, states[m : m + 1], total_error, at_rest))
+        for fastest in self._passages():
+            error = max(error, fastest.truncation)
+            if fastest.truncation > steps[fastest.m].truncation:
+                steps[fastest.m] = fastest
+        return error, steps
 
     def steps_of_turn(self, m: int) -> float:
         """Return the number of steps in which the path of a chosen member is several times the size of its motion."""
@@ -214,9 +248,23 @@ class MeasuredSteps:
         return max(1.0, math.ceil(TURN * self.motion_of(m) / mean)) if mean > 0.0 else math.inf
 
     def motion_of(self, m: int) -> float:
-        """Return the largest distance of a chosen member from its start at the points."""
+        """Return the largest distance of a chosen member from its start at the points, or in steps and half steps."""
         known = np.array([states[m] for _, states, held in self.points if held[m]])
-        return float(np.linalg.norm(self.scaled(known - known[0], m), axis=1).max())
+        distances = np.linalg.norm(self.scaled(known - known[0], m), axis=1)
+        return max(float(distances.max()), self.largest_change(m))
+
+    def largest_change(self, m: int) -> float:
+        """Return the largest change of a chosen member in a step, or half of one: the other half may undo it."""
+        return float(np.linalg.norm(self.changes[:, m] * self.weights[m], axis=1).max())
+
+    def some_states(self, member: int, count: int) -> tuple[Floats, Floats]:
+        """Return times and states (times, n) of one of the chosen `members` at so many known points at most."""
+        points = np.unique(np.linspace(0, len(self.t) - 1, count).astype(int))
+        m = int(np.searchsorted(self.members, member))
+        if self._path is None:
+            return self.t[points], np.array([self.states(k)[0][m] for k in points.tolist()])
+        known = points[np.isfinite(self._path[points, m]).all(axis=1)]
+        return self.t[known], self._path[known, m]
 
     def step_count(self, m: int) -> float:
         """Return the number of steps of a chosen member."""
@@ -224,66 +272,24 @@ class MeasuredSteps:
         end = float(ends_by_events(solution)[self.members[m]])
         return abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step
 
-    @ignore_overflow
-    def rounded_group(self) -> tuple[float, int, int] | None:
-        """Return the largest change of a group by rounding in the run of a chosen member, that member, and the group.
-
-        The change is relative to the size of the group; None if it is small.
-        """
-        # If a step loses so many digits that the run could, the run of that member is repeated, or the part of it that
-        # few steps reach, with rounding up and down in turns. Groups that are zero but for rounding are left out.
-        if not self.lossy:
-            return None
-        counts = np.array([self.step_count(m) for m in range(len(self.members))])[:, None]
-        largest = self.sizes == self.sizes.max(axis=1, keepdims=True)
-        own = largest | (self.rounding * np.sqrt(counts) < self.sizes)
-        lost = np.where(own & (self.rounding > EXCESS * self.sizes), self.rounding * counts, 0.0)
-        ratios = np.divide(lost, self.sizes, out=np.zeros_like(lost), where=self.sizes > 0.0)
-        if not ratios.max() > ROUNDED:
-            return None
-        m = int(np.argmax(ratios.max(axis=1)))
-        prepared, state = self.of_member(m), self.points[0][1][m : m + 1]
-        whole = float(counts[m, 0])
-        steps = max(1, min(math.ceil(whole * (1.0 - ROUNDING)), most_steps(self.solution, state.size, self.h)))
-        times = Times(self.solution.t_span[0], self.h, steps, max(1, steps // ROUNDED_POINTS))
-        path = trial_states(prepared, state, times)
-        rounded = np.concatenate(
-            [trial_states(prepared, state, times, partial(advance_in_turns, first=first)) for first in (1, -1)],
-            axis=1,
-        )
-        differences = self.groups.norms(rounded - path).max(axis=(0, 1))
-        sizes = self.groups.norms(path)[:, 0].max(axis=0)
-        errors = np.divide(
-            differences, sizes, out=np.zeros_like(sizes), where=own[m] & (self.starts[m] > 0.0) & (sizes > 0.0)
-        )
-        # Beyond the steps repeated, errors of rounding are taken as a random walk.
-        errors = np.nan_to_num(errors, nan=0.0, posinf=0.0) * math.sqrt(max(1.0, whole / steps))
-        # The group that loses most digits is named, others follow it.
-        group = int(np.argmax(np.where(errors > ROUNDED, ratios[m], -1.0)))
-        return (float(errors[group]), m, group) if errors[group] > ROUNDED else None
-
-    def radians_in_step(self, m: int, group: int) -> float:
-        """Return the angle by which a step turns a group if its rounding is that of the angle, otherwise 0."""
-        one, moves = self.system.of_member(int(self.members[m])), [0.0]
-        for t, states, held in self.points:
-            if held[m]:
-                field = one.rows_of(one.vector_field(one.states_of(states[m]), t))
-                moves.append(abs(self.h) * float(self.groups.norms(field[None])[0, group]))
-        by_angle = self.rounding[m, group] <= ROUNDING * max(moves)
-        return max(moves) / float(self.sizes[m, group]) if by_angle else 0.0
-
-    def _passages(self) -> tuple[tuple[int, int] | None, int]:
-        """Return the fastest passage (saved interval and member, or None), and the interval of the least change."""
+    def _passages(self) -> list[WorstStep]:
+        """Return the fastest steps of members between the known points between which they change most."""
         # Of long runs, first the fastest of many equal pieces is found.
         solution, members = self.solution, self.members
-        count = len(solution.t) - 1
+        count = len(self.t) - 1
+        if count < 1:
+            return []
         stride = min(count, max(1, count * len(members) * self.system.dim // NUMBERS))
 
         def speeds(first: int, last: int, stride: int) -> Floats:
-            """Speeds between every stride-th saved point, (intervals, members); NaN of members that have ended."""
-            states = solution.x[first : last + 1 : stride]
-            states = states.reshape(len(states), -1, states[0].size // max(1, member_count(solution)))[:, members]
-            elapsed = np.abs(np.diff(solution.t[first : last + 1 : stride]))[:, None]
+            """Speeds between every stride-th known point, (intervals, members); NaN of members that have ended."""
+            chosen = slice(first, last + 1, stride)
+            if self._path is None:
+                states = solution.x[chosen]
+                states = states.reshape(len(states), -1, states[0].size // max(1, member_count(solution)))[:, members]
+            else:
+                states = self._path[chosen]
+            elapsed = np.abs(np.diff(self.t[chosen]))[:, None]
             with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
                 found = np.linalg.norm(self.scaled(np.diff(states, axis=0), slice(None)), axis=2) / elapsed
             return np.where(np.isfinite(found), found, np.nan)
@@ -292,42 +298,31 @@ class MeasuredSteps:
         known = ~np.isnan(found)
         mean = np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         ratios = np.where(known, found / np.where(mean > 0.0, mean, np.inf), 1.0)
-        m = int(np.argmax(ratios.max(axis=0)))
-        closest = stride * int(np.argmin(ratios.sum(axis=1)))
-        if ratios[:, m].max() < PASSAGE:
-            return None, closest
-        first = stride * int(np.argmax(ratios[:, m]))
-        last = min(first + stride, count)
-        inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
-        return (first + int(np.argmax(inner)), m), closest
+        passages = []
+        for m in np.argsort(-ratios.max(axis=0), kind="stable")[:FASTEST_MEMBERS].tolist():
+            if ratios[:, m].max() >= PASSAGE:
+                first = stride * int(np.argmax(ratios[:, m]))
+                last = min(first + stride, count)
+                inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
+                k = first + int(np.argmax(inner))
+                if self.steps_begin[k]:
+                    passages.append(self._fastest_step(k, m))
+        return passages
 
-    def _fastest_step(self, k: int, m: int | None = None) -> WorstStep | None:
-        """Return the fastest step after saved point k of a chosen member, with the part of its error that counts.
-
-        By default it is the member whose fastest step is the fastest relative to its mean; None if it is no passage.
-        """
-        solution, h, chosen = self.solution, self.h, slice(None) if m is None else slice(m, m + 1)
-        members, t = self.members[chosen], float(solution.t[k])
-        states = states_at(solution, members, k)
-        steps = math.ceil(abs(float(solution.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
-        most = most_steps(solution, states.size, h)
-        if not 1 < steps <= (most if m is None else max(STEPS, most)):
-            return None if m is None else self._error_of(m, states, t)
-        path = trial_states(self.prepared if m is None else self.of_member(m), states, Times(t, h, steps, 1))
+    def _fastest_step(self, k: int, m: int) -> WorstStep:
+        """Return the fastest step after known point k of a chosen member, with the part of its error that counts."""
+        h, t, state = self.h, float(self.t[k]), self.states(k)[0][m : m + 1]
+        steps = math.ceil(abs(float(self.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
+        if not 1 < steps <= max(STEPS, most_steps(self.solution, state.size, h)):
+            return self._error_of(m, state, t)
+        path = trial_states(self.of_member(m), state, Times(t, h, steps, 1))
         # Steps after the end of a member are not in the run.
-        left = (ends_by_events(solution)[members] - t) / h
-        path[np.arange(steps + 1)[:, None] - 1.0 > np.where(np.isnan(left), np.inf, left)] = np.nan
+        left = (ends_by_events(self.solution)[self.members[m]] - t) / h
+        path[np.arange(steps + 1) - 1.0 > (math.inf if math.isnan(left) else left)] = np.nan
         with np.errstate(over="ignore", invalid="ignore"):
-            lengths = np.nan_to_num(
-                np.linalg.norm(self.scaled(np.diff(path, axis=0), chosen), axis=2), nan=0.0, posinf=0.0
-            )
-        mean = lengths.mean(axis=0)
-        ratios = lengths.max(axis=0) / np.where(mean > 0.0, mean, np.inf)
-        fastest = int(np.argmax(ratios))
-        if m is None and ratios[fastest] < PASSAGE:
-            return None
-        j, m = int(np.argmax(lengths[:, fastest])), fastest if m is None else m
-        return self._error_of(m, path[j, fastest][None], t + j * h)
+            lengths = np.linalg.norm(self.scaled(np.diff(path[:, 0], axis=0), m), axis=1)
+        j = int(np.argmax(np.nan_to_num(lengths, nan=0.0, posinf=0.0)))
+        return self._error_of(m, path[j], t + j * h)
 
     def of_member(self, m: int) -> Preparation:
         """Return the run of a chosen member in one thread."""
@@ -338,7 +333,7 @@ class MeasuredSteps:
         step = self._step((self.of_member(m),), state, t, self.rounding[m : m + 1])
         errors, changes = np.sum((step[:2] * self.weights[m]) ** 2, axis=2)
         error = FASTEST * float(_ratios(errors, changes)[0])
-        return WorstStep(error, error, m, t, state.copy())
+        return WorstStep(error, m, t, state.copy())
 
 
 def most_steps(solution: Solution, numbers: int, h: float) -> int:
@@ -369,31 +364,13 @@ def states_at(solution: Solution, members: NDArray[np.int64], k: int) -> Floats:
     return any_momenta_of(solution.system, states)[0][members]
 
 
-def sampled_members(solution: Solution, system: Any) -> NDArray[np.int64]:
+def sampled_members(solution: Solution, system: Any, most: int) -> NDArray[np.int64]:
     """Return the members whose steps are repeated: the first few of each system, or of systems at equal distances."""
     if not system.is_batch:
-        return np.arange(min(member_count(solution), MEMBERS))
+        return np.arange(min(member_count(solution), most))
     order = np.argsort(system.owners, kind="stable")
     owners = system.owners[order]
     count = int(owners[-1]) + 1
-    chosen = np.isin(owners, np.linspace(0, count - 1, min(count, MEMBERS)).astype(np.int64))
-    first = np.arange(len(order)) - np.searchsorted(owners, owners) < max(1, MEMBERS // count)
+    chosen = np.isin(owners, np.linspace(0, count - 1, min(count, most)).astype(np.int64))
+    first = np.arange(len(order)) - np.searchsorted(owners, owners) < max(1, most // count)
     return np.sort(order[chosen & first])
-
-
-def sampled_points(
-    solution: Solution, system: Any, members: NDArray[np.int64]
-) -> list[tuple[float, Floats, NDArray[np.bool_]]]:
-    """Return a few times of a run, the start included, the states (members, n) of some members, and who has one."""
-    size = vector_size(system)
-    start = any_momenta_of(system, solution.x0)[0] if size is None else np.asarray(solution.x0).reshape(-1, size)
-    start = start if len(start) == 1 else start[members]
-    count = max(1, min(POINTS, NUMBERS // start.size, len(solution.t) - 1))
-    points = [(solution.t_span[0], start, np.ones(len(start), dtype=bool))]
-    if not solution._in_memory:
-        return points  # archives are not read to check steps
-    for k in np.linspace(0, len(solution.t) - 1, count, endpoint=False).astype(int)[1:].tolist():
-        # Steps of members that have ended or failed are left out.
-        held = np.isfinite(solution.x[k]).reshape(member_count(solution), -1).all(axis=1)
-        points.append((float(solution.t[k]), states_at(solution, members, k), held[members]))
-    return points

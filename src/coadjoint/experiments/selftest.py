@@ -109,14 +109,14 @@ CERTIFIED_STEPS = 100  # enough for a drift to show beside rounding, in a second
 MAX_NAME_LENGTH = 32  # characters of the name of a scheme
 CHECK_DESCRIPTIONS = {
     "symmetry": "a step back undoes a step",
-    "reversibility": "reversible as the motion",
+    "reversibility": "reversibility",
     "poisson": "Poisson bracket",
     "energy": "energy",
     "casimir": "Casimirs",
-    "group": "group elements are in the group",
+    "group": "group elements off the group",
     "spatial momentum": "spatial momentum",
-    "reference": "limit of small steps",
-    "attitude": "limit of group elements",
+    "reference": "off the limit of small steps",
+    "attitude": "off the limit of group elements",
 }
 """Reported properties of certificates, by the beginning of their row keys."""
 
@@ -177,7 +177,7 @@ def orders() -> Iterator[Finding]:
                 errors.append(float(abs(solution.x[-1] - references()[key]).max()))
                 work = solution.stats.evaluations / solution.stats.steps
                 floor = max(floor, rounding(system, solution.stats.steps, work))
-            # Errors at the round-off floor have no slope; the result is exact.
+            # Errors at the round-off floor have no slope.
             slopes[key] = math.inf if errors[1] <= floor else math.log2(errors[0] / errors[1])
         measurable = [key for key, slope in slopes.items() if slope < math.inf]
         if measurable:
@@ -186,7 +186,7 @@ def orders() -> Iterator[Finding]:
                 f"order of {_scheme_name(method)}", slopes[worst], method.order - ORDER_TOLERANCE, worst, least=True
             )
         elif slopes:
-            exact = "exact but for rounding"
+            exact = "within rounding at the smaller step"
             yield Finding(
                 f"order of {_scheme_name(method)}", math.inf, method.order - ORDER_TOLERANCE, exact, least=True
             )

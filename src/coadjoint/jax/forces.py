@@ -106,7 +106,7 @@ class ForceReaders:
 
     def function(self, torque: Any, arguments: str) -> Flow:
         """Return the integral of a torque of the time by Gauss quadrature, or a step of an explicit method."""
-        field = self._traced(torque, arguments)
+        field = self._traced(torque, arguments).at
 
         def of_time(_: Any, x: Any, t: Any, tau: Any, member: Any) -> Any:
             pairs = zip(NODES, WEIGHTS, strict=True)
@@ -144,7 +144,7 @@ class ForceReaders:
 
     def flow(self, function: Any) -> Flow:
         """Return a flow that is given."""
-        traced = self._traced(function, "x, t, tau")
+        traced = self._traced(function, "x, t, tau").at
         return lambda _, x, t, tau, member: traced(jnp.append(x, tau), t)
 
     def mode_rates(self, *_: Any) -> Flow:

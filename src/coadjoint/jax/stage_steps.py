@@ -105,7 +105,7 @@ class StageField:
         if len(self.monomials):
             slopes = jax.grad(lambda x: energy @ jnp.append(x, 1.0)[self.monomials].prod(axis=1))(x)
         for coordinates, gradient in self._gradients:
-            slopes = slopes.at[coordinates].add(gradient(padded[coordinates], t))
+            slopes = slopes.at[coordinates].add(gradient.at(padded[coordinates], t))
         return self.product(x, slopes)
 
     def product(self, x: Any, u: Any) -> Any:

@@ -243,7 +243,7 @@ def _angles(table: Table, gradients: Mapping[int, TracedFunction], first: int, l
         if others is not None:
             theta = theta + others.times(jnp.append(x, 1.0)[coordinate[other]].prod(axis=1))
         for start, own, gradient in of_user:
-            theta = theta.at[start : start + len(own)].add(gradient(x[own], t))
+            theta = theta.at[start : start + len(own)].add(gradient.at(x[own], t))
         return tau * theta
 
     return constants, at

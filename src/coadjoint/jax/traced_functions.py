@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial, wraps
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -216,26 +216,17 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
     return traced
 
 
-class TracedFunction:
+class TracedFunction(NamedTuple):
     """A function of numbers y and the time as operations of JAX, with the `reference` as compiled, None for one of JAX.
 
-    The numbers are those of a state at some `coordinates`; for `flows`, behind them, the length of a step.
+    The numbers are those of a state at some `coordinates`; for a flow, behind them, the length of a step.
     """
 
-    def __init__(
-        self,
-        function: Callable[[Any, Any], Any],
-        reference: Callable[[], Reference] | None,
-        coordinates: Any,
-        what: str,
-        is_flow: bool = False,
-    ) -> None:
-        self._function, self.reference = function, reference
-        self.coordinates, self.what, self.is_flow = coordinates, what, is_flow
-
-    def __call__(self, y: Any, t: Any) -> Any:
-        """Return the values of the function."""
-        return self._function(y, t)
+    at: Callable[[Any, Any], Any]
+    reference: Callable[[], Reference] | None
+    coordinates: Any
+    what: str
+    is_flow: bool = False
 
 
 def gradient_of(term: FunctionTerm) -> TracedFunction:
@@ -262,7 +253,7 @@ def gradient_of(term: FunctionTerm) -> TracedFunction:
 def sample_states(system: Any, x0: Floats | None) -> Sequence[Floats]:
     """Return states near x0, (n,) or (members, n), and at distances up to its size; without x0 those of any system."""
     if x0 is None:
-        return [sample_state(x, system) if system.has_attitude else x for x in sample_points(system.dim)]
+        return [sample_state(x, system) for x in sample_points(system.dim)]
     rows, groups = x0.reshape(-1, x0.shape[-1]), CoordinateGroups(system)
     rows = rows[np.linspace(0, len(rows) - 1, len(DISTANCES)).astype(np.int64)]
     sizes = groups.norms(rows)
@@ -279,7 +270,7 @@ def compare_with_compiled(
     if not compared:
         return
     references = [one.reference() for one in compared if one.reference is not None]
-    together = jax.jit(lambda numbers, t: [one(y, t) for one, y in zip(compared, numbers, strict=True)])
+    together = jax.jit(lambda numbers, t: [one.at(y, t) for one, y in zip(compared, numbers, strict=True)])
     for x in states:
         numbers = [np.append(x[one.coordinates], [length] * one.is_flow) for one in compared]
         for t in times:

@@ -122,7 +122,9 @@ def _build_advice(level: str) -> str:
 def kernels() -> ctypes.CDLL:
     """Return the library for the highest level of this processor that is built, or that of ``COADJOINT_LEVEL``."""
     level = level_in_use()
-    return _load("_kernels" if level is None else f"_kernels_v{level}")
+    library = _load("_kernels" if level is None else f"_kernels_v{level}")
+    library.set_standard_mode.restype, library.restore_mode.argtypes = ctypes.c_int64, [ctypes.c_int64]
+    return library
 
 
 @functools.cache

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import accumulate
@@ -198,14 +198,20 @@ class Forced(Wrapper):
         if np.ndim(x) > 1 and system.unforced.has_matrices:
             return np.asarray(system.unforced.from_vector(self.step(system, system.unforced.to_vector(x), t, h)))
         y = np.array(x)  # steps and flows of the user may write into their states
+        for position, part, begin, length in self.parts_of_step(system, t, h):
+            if position is None:
+                y = np.asarray(part.step(system.unforced, y, begin, length))
+            else:
+                y = part.flow_of_order(system.unforced, y, begin, length, self.order)
+        return y
+
+    def parts_of_step(self, system: Any, t: Any, h: Any) -> Iterator[tuple[int | None, Any, Any, Any]]:
+        """Yield the position of a force (None: the Hamiltonian part), its flow or scheme, when it begins, how long."""
         for begin, length in substeps_of(self.fractions, t, h):
             half = 0.5 * length
-            for _, force in system.flows:
-                y = force.flow_of_order(system.unforced, y, begin, half, self.order)
-            y = np.asarray(self.inner.step(system.unforced, y, begin, length))
-            for _, force in reversed(system.flows):
-                y = force.flow_of_order(system.unforced, y, begin + half, half, self.order)
-        return y
+            yield from ((position, flow, begin, half) for position, flow in system.flows)
+            yield None, self.inner, begin, length
+            yield from ((position, flow, begin + half, half) for position, flow in reversed(system.flows))
 
     def tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its derivative: the product of those of the flows and of the base."""
@@ -218,22 +224,15 @@ class Forced(Wrapper):
     def _with_tangent(self, system: Any, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any], list[str]]:
         self.properties(system)
         plain, y, P, by = system.unforced, np.asarray(x, dtype=np.float64), np.eye(system.dim), []
-
-        def chain_tangent(force: Force, time: float, half: float) -> None:
-            nonlocal y, P
-            flow = flow_of_force(force, plain, y, time, half, self.order)
-            y, P = flow.end, flow.tangents(P.T).T
-            by.append(flow.by)
-
-        for begin, length in substeps_of(self.fractions, t, h):
-            half = 0.5 * length
-            for _, force in system.flows:
-                chain_tangent(force, begin, half)
-            by.append(self.inner.tangent_by(plain, y, begin, length))
-            y, derivative = self.inner.tangent(plain, y, begin, length)
-            P = derivative @ P
-            for _, force in reversed(system.flows):
-                chain_tangent(force, begin + half, half)
+        for position, part, begin, length in self.parts_of_step(system, t, h):
+            if position is None:
+                by.append(part.tangent_by(plain, y, begin, length))
+                y, derivative = part.tangent(plain, y, begin, length)
+                P = derivative @ P
+            else:
+                flow = flow_of_force(part, plain, y, begin, length, self.order)
+                y, P = flow.end, flow.tangents(P.T).T
+                by.append(flow.by)
         return y, P, by
 
     def work(self, system: Any, group: Representation = None) -> Work:

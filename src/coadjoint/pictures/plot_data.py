@@ -76,7 +76,8 @@ class PlottedRun:
         self.chosen = computed[spread(len(computed), MAX_MEMBERS)] if chosen is None else chosen
         self.system: Any = solution.system.of_member(int(self.chosen[0]))
         self.unforced: Any = self.system.unforced
-        self.gallery_entry: GalleryEntry | None = gallery_entry_of(self.unforced.name)
+        entry = gallery_entry_of(self.unforced.name)
+        self.gallery_entry: GalleryEntry | None = None if entry is None else entry.of(self.unforced)
         self.t = solution.t
         self.x = self.select(states[:, 0] if self.single else states)
 

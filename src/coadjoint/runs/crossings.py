@@ -228,8 +228,8 @@ def _function_of(event: Event, name: str, plain_system: Any, coordinates: Sequen
     number = coordinate_of(g, name, coordinates, n)
     if number is not None:
         return Quadratic(0.0, linear=np.eye(1, n, number)[0])
+    check_names(g, coordinates, f"the event {name}")
     if is_formula(g):
-        check_names(g, coordinates, f"the event {name}")
         return g
     function, start = with_time(g, name), plain_system.states_of(x0) if matrices else x0
     value = function(start.copy(), t0)

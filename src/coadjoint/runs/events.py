@@ -38,8 +38,9 @@ class Event:
     Parameters
     ----------
     g : int, str, Polynomial, Quadratic, or callable
-        A coordinate by its number from 0 or by its name, as in datasets; a polynomial of the coordinates; or a pure
-        function of x or of (x, t) that returns a number.
+        A coordinate by its number from 0 or by its name, as in datasets (x0 for a basis element e0, which is a name of
+        it too); a polynomial or `formula` of the coordinates; or a pure function of x or of (x, t) that returns a
+        number.
     direction : {0, 1, -1}
         1: g rises through zero in the direction in which the run goes; -1: it falls; 0: both.
     count : int, optional

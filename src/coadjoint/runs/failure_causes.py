@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import in_one_line
-from coadjoint.methods.forced import Forced, substeps_of
+from coadjoint.methods.forced import Forced
 from coadjoint.methods.spherical_midpoint import spins_of
 from coadjoint.runs.partial_steps import PartialSteps, noises_of
 from coadjoint.short_repr import short
@@ -23,22 +23,19 @@ UNIT = 1e-6  # deviation of the length of a spin from 1 that is taken for roundi
 BLOWN_UP = 1e100  # size of a state beyond which cubes of its numbers overflow: no function is the cause
 MOST_TEXT = 200  # characters of the message of an exception
 CORRECT = "correct the function, or end t_span before"
-
-
 Cause = tuple[str, str]
-"""What gave what at which time, and what to do; empty if all is finite."""
-NONE: Cause = ("", "")
+"""What gave what at which time, and what to do."""
 
 
-def cause_of_failure(run: Run, member: int, step: int) -> Cause:
-    """Return the cause of a failed step."""
+def cause_of_failure(run: Run, member: int, step: int) -> Cause | None:
+    """Return the cause of a failed step; None if a number overflowed, or none is found."""
     system, times = run.start.system.of_member(member), run.times
     try:
         with np.errstate(all="ignore"):
             x = _state_before(run, member, step)
             return cause_in_step(system, run.plan.method, x, float(times.t0 + (step - 1) * times.h), float(times.h))
     except Exception:  # a search for a cause does not hide the failure itself
-        return NONE
+        return None
 
 
 def _state_before(run: Run, member: int, step: int) -> NDArray[np.float64]:
@@ -75,62 +72,54 @@ def hint_of_spins(system: Any, x: NDArray[np.float64]) -> str:
     return f"; spins are unit vectors, and those of x0 have lengths of {least:.3g} to {most:.3g}: divide them by these"
 
 
-def cause_in_step(system: Any, method: Any, x: NDArray[Any], t: float, h: float) -> Cause:
+def cause_in_step(system: Any, method: Any, x: NDArray[Any], t: float, h: float) -> Cause | None:
     """Return the cause of a failure in a step from x at time t."""
     plain, y = system.unforced, np.array(x, dtype=np.float64)
     if not np.abs(y).max() < BLOWN_UP:
-        return NONE
+        return None
     if not system.forces:
-        cause = _of_energy(plain, y, t, h)
-        return cause if any(cause) else _of_step(method, plain, y, t, h)
+        return _of_energy(plain, y, t, h) or _of_step(method, plain, y, t, h)
+    for label, force in zip(system.labels, system.forces, strict=True):
+        failure = _attempt(force.law.field, plain, y, t)[1] if force.sampled else ""
+        if failure:
+            return f"the law of {label} {failure} at t = {t:g}", CORRECT
     scheme = method if isinstance(method, Forced) else Forced(method)
-    for begin, length in substeps_of(scheme.fractions, t, h):
-        half = 0.5 * length
-        for label, force in zip(system.labels, system.forces, strict=True):
-            failure = _attempt(force.law.field, plain, y, begin)[1] if force.sampled else ""
-            if failure:
-                return f"the law of {label} {failure} at t = {begin:g}", CORRECT
-        for flows, start in ((system.flows, begin), (system.flows[::-1], begin + half)):
-            for k, force in flows:
-                y, cause = _of_force(force, system.labels[k], plain, y, start, half, scheme.order)
-                if any(cause):
-                    return cause
-            if start == begin:
-                cause = _of_energy(plain, y, begin, length)
-                cause = cause if any(cause) else _of_step(scheme.inner, plain, y, begin, length)
-                if any(cause):
-                    return cause
-                y = np.asarray(scheme.inner.step(plain, y, begin, length))
-    return NONE
+    for position, part, begin, length in scheme.parts_of_step(system, t, h):
+        if position is None:
+            cause = _of_energy(plain, y, begin, length) or _of_step(part, plain, y, begin, length)
+            y = y if cause else np.asarray(part.step(plain, y, begin, length))
+        else:
+            y, cause = _of_force(part, system.labels[position], plain, y, begin, length, scheme.order)
+        if cause or not np.abs(y).max() < BLOWN_UP:  # a state that a flow has blown up is no cause
+            return cause
+    return None
 
 
 def _of_force(
     force: Any, label: str, plain: Any, y: NDArray[Any], t: float, tau: float, order: int
-) -> tuple[NDArray[Any], Cause]:
+) -> tuple[NDArray[Any], Cause | None]:
     """Return the state after the flow of a force, and the cause if it fails."""
     after, failure = _attempt(force.flow_of_order, plain, y, t, tau, order)
     if not failure:
-        return after, NONE
-    for time in (t, t + 0.5 * tau, t + tau):
-        found = None if force.random else _attempt(force.field, plain, y, time)[1]
+        return after, None
+    for time in () if force.random else (t, t + 0.5 * tau, t + tau):
+        found = _attempt(force.field, plain, y, time)[1]
         if found:
-            t, failure = time, found
-            break
-    else:
-        if after is not None and not np.isnan(after).any():  # it overflows
-            return after, NONE
+            return y, (f"{label} {found} at t = {time:g}", CORRECT)
+    if after is not None and not np.isnan(after).any():  # it overflows
+        return after, None
     return y, (f"{label} {failure} at t = {t:g}", CORRECT)
 
 
-def _of_step(method: Any, plain: Any, y: NDArray[Any], t: float, h: float) -> Cause:
+def _of_step(method: Any, plain: Any, y: NDArray[Any], t: float, h: float) -> Cause | None:
     """Return the cause if a step of a scheme of the user raises."""
     if type(method).__module__.startswith("coadjoint."):
-        return NONE
+        return None
     after, failure = _attempt(method.step, plain, y, t, h)
-    return (f"the step of {type(method).__name__} {failure} at t = {t:g}", CORRECT) if after is None else NONE
+    return (f"the step of {type(method).__name__} {failure} at t = {t:g}", CORRECT) if after is None else None
 
 
-def _of_energy(plain: Any, y: NDArray[Any], t: float, h: float) -> Cause:
+def _of_energy(plain: Any, y: NDArray[Any], t: float, h: float) -> Cause | None:
     """Return the cause if the Hamiltonian part fails within a step."""
     positions = getattr(plain, "positions", None)
     if positions is not None and len(plain.bodies):
@@ -142,7 +131,7 @@ def _of_energy(plain: Any, y: NDArray[Any], t: float, h: float) -> Cause:
         failure = _attempt(plain.hamiltonian.gradient, y, time)[1]
         if failure:
             return f"the gradient of the energy of {plain.name} {failure} at t = {time:g}", CORRECT
-    return NONE
+    return None
 
 
 def _attempt(call: Callable[..., Any], *arguments: Any) -> tuple[Any, str]:

@@ -10,7 +10,6 @@ from typing import Any, Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import Immutable
 from coadjoint.kernels.loop import concurrent_members, matrix_rows
 from coadjoint.memory import UNCHECKED_BYTES
 from coadjoint.methods.forced import check_steps, effective_scheme
@@ -54,7 +53,7 @@ from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_system
-from coadjoint.validation import read_bool, read_integer
+from coadjoint.validation import Immutable, read_bool, read_integer
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
@@ -125,7 +124,7 @@ class Preparation(Immutable):
         self._watching = watching and not system.has_matrices
         self._representations = representations_of(cast(Any, system), self.scheme, attitude)
         self.initial_attitude = read_attitude(attitude, self.system)
-        self.observe = check_observe({} if observe is None else observe)
+        self.observe = check_observe({} if observe is None else observe, self.system)
         self._threads = workers or concurrent_members(matrix_rows(system))
         self.cache = _Cache(self.step)
         self._vector_size = vector_size(self.system)
@@ -319,9 +318,19 @@ class Preparation(Immutable):
                 self.cache.observed = observed_quantities(self.system.of_member(0), self.observe, start.momenta[0])
         return self.cache.observed
 
-    def warn_of_large_step(self, solution: Solution) -> None:
-        """Warn if the step is too large for a run of this system, or if rounding is."""
-        shortcut("warn_of_large_step")(solution, self)
+    def warn_of_large_step(self, solution: Solution) -> bool:
+        """Warn if the step is too large for a run of this system, or if rounding is; return whether the step is."""
+        return bool(shortcut("warn_of_large_step")(solution, self))
+
+    def warn_of_blocks(self, solution: Solution, lost: list[list[Any]]) -> None:
+        """Warn of the invariants that blocks of an ensemble have lost, if any has."""
+        if lost:
+            shortcut("warn_of_blocks")(solution, self, lost)
+
+
+def lost_invariant(solution: Solution) -> Any:
+    """Return the invariant that deviates most in a step of a run, relative to its size."""
+    return shortcut("lost_invariant")(solution)
 
 
 def trial_run(

@@ -273,16 +273,15 @@ class Run:
         if member in self.failure_reasons:
             message = f"in step {step}, {self.failure_reasons[member]}{members}"
         else:
-            reason, advice = self._cause(member, step) if status in ("OVERFLOWED", "UNDEFINED") else ("", "")
-            reason = reason or failure_text(status, self.plan.method, residual, bool(self.loops.accounts))
-            advice = advice or self._advice(member, step, status)
+            from coadjoint.runs.failure_causes import cause_of_failure
+
+            cause = cause_of_failure(self, member, step) if status in ("OVERFLOWED", "UNDEFINED") else None
+            reason, advice = cause or (
+                failure_text(status, self.plan.method, residual, bool(self.loops.accounts)),
+                self._advice(member, step, status),
+            )
             message = f"in step {step}, at t = {self._shown(when)}, {reason}{members}; {advice}"
         return IntegrationError(message, step=step, time=when, residual=residual, partial=partial)
-
-    def _cause(self, member: int, step: int) -> tuple[str, str]:
-        from coadjoint.runs.failure_causes import cause_of_failure
-
-        return cause_of_failure(self, member, step)
 
     def _advice(self, member: int, step: int, status: str) -> str:
         # The step of a run does not affect adaptive schemes.
@@ -290,17 +289,14 @@ class Run:
         advice = "end t_span before" if own_steps else f"take a smaller step than {abs(self.times.h):g}"
         if status == "PARALLEL":
             return advice + ", or make the vectors orthonormal more often: give a smaller renormalize_every"
-        advice += self._hint(member)
+        from coadjoint.runs.failure_causes import hint_of_spins
+
+        advice += hint_of_spins(self.start.system.of_member(member), self.start.momenta[member])
         if step > 1 and not own_steps and self._grown(member):
             advice += (
                 "; if that fails near the same time, the motion itself grows without bound there: end t_span before"
             )
         return advice
-
-    def _hint(self, member: int) -> str:
-        from coadjoint.runs.failure_causes import hint_of_spins
-
-        return hint_of_spins(self.start.system.of_member(member), self.start.momenta[member])
 
     def _shown(self, when: float) -> str:
         """Format the time of a step, with the digits that distinguish it from the step before."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import Immutable, IntegrationError
+from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
 from coadjoint.memory import check_available_memory
@@ -25,7 +25,7 @@ from coadjoint.runs.times import Times
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
-from coadjoint.validation import read_number
+from coadjoint.validation import Immutable, read_number
 
 
 class Stepper(Immutable):
@@ -65,7 +65,6 @@ class Stepper(Immutable):
     def __repr__(self) -> str:
         return f"stepper({self.system!r}, {self.method!r}, {self.h!r})"
 
-    @in_standard_mode
     def _prepared_with(self, attitude: bool | str) -> PreparedRun:
         prepared = self._prepared.get(attitude)
         if prepared is None:

@@ -57,8 +57,8 @@ def coordinates_of(system: Any) -> tuple[str, ...]:
 
 def names_for(system: Any, function: Any) -> tuple[str, ...] | None:
     """Return the names of the coordinates if a function is a text, or may have been written in names; else None."""
-    is_written = isinstance(function, str) or hasattr(function, "_written_names") or hasattr(function, "summands")
-    return coordinate_names(system) if is_written else None
+    written = getattr(function, "_written_names", None) is not None or hasattr(function, "summands")
+    return coordinate_names(system) if written or isinstance(function, str) else None
 
 
 def states_by_label(system: Any, x: Any, what: str = "x") -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -109,6 +109,9 @@ class GalleryEntry:
         Names of the coordinates, such as ``("E", "P", "D")``; by default those of the basis.
     quantity : str
         Physical quantity of the coordinates, for the label of their axis.
+    variant : callable, optional
+        Function of a system of this name that returns the fields that depend on its parameters, such as ``{"pictures":
+        ...}``.
 
     Raises
     ------
@@ -132,6 +135,7 @@ class GalleryEntry:
     save_every: int = 1
     coordinates: tuple[str, ...] | Callable[[int], tuple[str, ...]] = ()
     quantity: str = "momentum"
+    variant: Callable[[Any], Mapping[str, Any]] | None = None
 
     def __post_init__(self) -> None:
         set_fields(
@@ -160,6 +164,21 @@ class GalleryEntry:
         x0 = self.x0() if callable(self.x0) else self.x0
         # Complex matrices are validated by the run.
         return np.array(x0) if np.iscomplexobj(x0) else read_finite(x0, "x0")
+
+    def of(self, system: Any) -> GalleryEntry:
+        """Return the entry with the pictures of a system, whose parameters may be others.
+
+        Parameters
+        ----------
+        system : System
+            Of this name.
+
+        Returns
+        -------
+        GalleryEntry
+        """
+        changes = {} if self.variant is None else self.variant(system)
+        return replace(self, **changes) if changes else self
 
     def names(self, dim: int) -> tuple[str, ...]:
         """Return the names of `dim` coordinates; empty if they have none.

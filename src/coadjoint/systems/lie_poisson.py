@@ -86,8 +86,9 @@ class LiePoissonSystem(System):
     algebra : LieAlgebra
         The algebra, on whose dual x lies; ``J_ij(x) = sum_k c_ij^k x_k``.
     hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian, Hamiltonian, function or text
-        The energy. A function of x is a `Hamiltonian`; a text is a `formula` in the names of the coordinates, or in
-        x1, x2, ... if none of these is the name of another coordinate.
+        The energy. A function of x is a `Hamiltonian`; a text is a `formula` in the names of the coordinates, which are
+        those of the basis (of e0, e1, ... both e0 and x0), or in x1, x2, ... if none of these is the name of another
+        coordinate.
     sign : {+1, -1}
         +1 for right-invariant systems (the convention of Reich, 1993), -1 for left-invariant (body) systems.
     casimirs : mapping, optional

@@ -16,6 +16,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import KINDS, coordinate_names, numberless
 from coadjoint.systems.evaluation import ignore_overflow
+from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.user_functions import check_places, check_skew, evaluate, sample_points, takes_time
 from coadjoint.validation import is_integer, is_real, read_integer, read_list, read_title, set_fields
@@ -129,11 +130,17 @@ def read_invariants(argument: Any, system: Any, kind: str) -> dict[str, Any]:
         )
     result: dict[str, Any] = {}
     for name, invariant in argument.items():
+        if getattr(invariant, "_written_names", None) is not None:
+            check_names(invariant, coordinate_names(system), f"the {kind} {short(name)}")
         if name == "energy":
             article = "an" if kind[0] in "aeiou" else "a"
             raise ValueError(
                 f"{article} {kind} is called 'energy', which is the name of the Hamiltonian; choose another name"
             )
+        if isinstance(invariant, Hamiltonian) and not invariant.timed:
+            term: Any
+            (term,) = invariant.bind(n).terms()
+            invariant = Invariant(term.value, term.gradient)
         if not isinstance(invariant, Polynomial | Quadratic | Invariant):
             if not callable(invariant):
                 raise TypeError(
@@ -148,8 +155,6 @@ def read_invariants(argument: Any, system: Any, kind: str) -> dict[str, Any]:
             )
         if isinstance(invariant, Polynomial) and invariant.dim != n:
             raise ValueError(f"the {kind} {short(name)} has {invariant.dim} variables but the system has dimension {n}")
-        if isinstance(invariant, Polynomial):
-            check_names(invariant, coordinate_names(system), f"the {kind} {short(name)}")
         result[str(name)] = invariant.bind(n) if isinstance(invariant, Quadratic) else invariant
     return result
 

@@ -262,11 +262,26 @@ def evaluate(
             result = function(x, SAMPLE_TIME) if timed else function(x)
             if result is None:
                 raise TypeError("it returns None")
+            if isinstance(result, bool | np.bool_):
+                raise TypeError("it returns a truth value, as a comparison does")
             return np.asarray(result, dtype=np.float64) if convert else result
         except (ArithmeticError, ValueError, TypeError, IndexError) as reason:
             if failures is not None:
                 failures.append(reason)
             return None
+
+
+def numbers_at_samples(function: Callable[..., Any], n: int, timed: bool) -> list[Any]:
+    """Return the values of a Hamiltonian at sample points; raise TypeError if one is there, and no single number."""
+    found, failures = [], list[Exception]()
+    for x in sample_points(n):
+        found.append(evaluate(function, x, timed, convert=False, failures=failures))
+        returned = str(failures[0]) if failures and str(failures[0]).startswith("it returns") else ""
+        if np.ndim(found[-1]):
+            returned = f"it returns an array of the shape {np.shape(found[-1])}"
+        if returned:
+            raise TypeError(f"the Hamiltonian is {short(function)}, and {returned}; let it return one number")
+    return found
 
 
 def first_difference(

@@ -1,9 +1,11 @@
 """Runs that went wrong are warned of, and no others: over the registry of systems, and where steps show nothing."""
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import coadjoint as co
 from coadjoint.systems.registry import gallery_entry_of
@@ -53,12 +55,16 @@ def example(name):
     return system, np.array(entry.start(), dtype=float).reshape(-1, *system.shape)[0], entry.step
 
 
-@pytest.mark.thinned(16)
+@pytest.mark.thinned(48)
+@pytest.mark.parametrize("saved", ["every step", "every 50th", "blocks"])
 @pytest.mark.parametrize("method", METHODS, ids=str)
 @pytest.mark.parametrize("times", [1, 4, 16, 64])
 @pytest.mark.parametrize("name", long_where(COMPILED, NAMES))
-def test_errors_over_a_turn_are_warned_of_and_no_others(name, times, method):
-    """Of 60 steps of so many times the step of the gallery, or as many as move by four times the size of the motion."""
+def test_errors_over_a_turn_are_warned_of_and_no_others(name, times, method, saved):
+    """Of 60 steps of so many times the step of the gallery, or as many as move by four times the size of the motion.
+
+    What is saved, and where members are computed, does not matter.
+    """
     system, x0, step = example(name)
     h, steps = times * step, 60
     try:
@@ -67,6 +73,12 @@ def test_errors_over_a_turn_are_warned_of_and_no_others(name, times, method):
         path, size = np.cumsum(np.linalg.norm(np.diff(scaled(fine), axis=0), axis=1)), motion_of(fine)
         steps = max(1, int(np.searchsorted(path, 4.0 * size)))
         sol, found = told(lambda: co.integrate(system, x0, (0, steps * h), h, method))
+        if saved == "every 50th":
+            assert told(lambda: co.integrate(system, x0, (0, steps * h), h, method, save_every=50))[1] == found
+        if saved == "blocks":
+            members = np.tile(x0, (3, *(1,) * x0.ndim))
+            many = lambda: co.integrate_ensemble(system, members, (0, steps * h), h, method, members_per_block=2)  # noqa: E731
+            assert len(told(many)[1]) == len(found)
     except co.IntegrationError:  # refused, which is no silence
         return
     error = error_of(sol, fine[: steps + 1])
@@ -97,7 +109,7 @@ RESTS = {
 }
 
 
-@pytest.mark.parametrize("name", RESTS)
+@pytest.mark.parametrize("name", long_where(["pendulum"], RESTS))
 @pytest.mark.parametrize("push", [0.0, 1e-15])
 def test_equilibria_are_not_warned_of(name, push):
     """Of steps with which rounding alone moves them."""
@@ -120,8 +132,8 @@ def test_a_controlled_attitude_near_its_target_is_not_warned_of(period):
         x0 = sat.state([angle, 0, 0, 1])
         return told(lambda: co.integrate(sat, x0, (0, span), step, save_every=round(0.5 / step)))
 
-    for angle, span in ((0.0, 10), (1e-12, 100), (1e-6, 100), (1e-6, 10), (1e-3, 100)):
-        (coarse, found), (fine, _) = (run(angle, span, step) for step in (0.5, 2**-6))
+    for angle, span in ((0.0, 10), (1e-12, 100), (1e-6, 10), (1e-3, 50)):
+        (coarse, found), (fine, _) = (run(angle, span, step) for step in (0.5, 2**-5))
         motion = np.abs(fine.x[:, :12] - fine.x[0, :12]).max()
         assert np.abs(coarse.x - fine.x)[:, :12].max() <= OVER_RUN * motion + 1e-14 and found == []
 
@@ -150,6 +162,28 @@ def test_molecules_that_collide_between_the_measured_points(t0, direction, step,
     assert len(found) == wrong
 
 
+@pytest.mark.thinned(3)
+@pytest.mark.parametrize("every", [1, 50, 400])
+@pytest.mark.parametrize(("far", "steps"), [(0.6, 100), (6.0, 1200)])
+def test_collisions_between_saved_points(far, steps, every):
+    """Attitudes are wrong by more than 20 degrees after an impact, in long runs too; in small steps they are not."""
+    pair, v = co.systems.rigid_molecules(count=2), 5.0
+    turned = Rotation.from_euler("xyz", [[10, 20, 30], [-40, 50, 160]], degrees=True)
+    x0 = pair.state([[0, 0, 0], [far, 0.02, 0.01]], [[v / 2, 0, 0], [-v / 2, 0, 0]], turned)
+    run = (0, 0.4 * far / 0.6)
+    h = run[1] / steps
+    sol, found = told(lambda: co.integrate(pair, x0, run, h, save_every=every))
+    ends = [
+        told(lambda k=k: co.integrate(pair, x0, run, h / k, co.Splitting(4), save_every=k * steps))[0] for k in (20, 40)
+    ]
+    wrong, reference = (
+        np.degrees((a.rotation[-1].inv() * ends[1].rotation[-1]).magnitude()).max() for a in (sol, ends[0])
+    )
+    assert reference < 0.1 and wrong > 10.0 and len(found) == 1
+    assert told(lambda: co.integrate(pair, x0, run, h / 20, co.Splitting(4), save_every=20 * every))[1] == []
+
+
+@cache
 def two_bodies(eccentricity, unit=1.0):
     """Two bodies at the apocentre of an orbit with the period 2 pi, masses in a unit."""
     pair = co.systems.gravitating_bodies([np.array([1e-9] * 3) * unit] * 2, (unit, 1e-3 * unit), 1.0 / unit)
@@ -157,6 +191,7 @@ def two_bodies(eccentricity, unit=1.0):
     return pair, pair.state([[0, 0, 0], [1 + eccentricity, 0, 0]], velocities=[[0, 0, 0], [0, speed, 0]])
 
 
+@pytest.mark.thinned(9)
 @pytest.mark.parametrize("every", [1, 100])
 @pytest.mark.parametrize("unit", [1.0, 1e-7, 1e20])
 @pytest.mark.parametrize(("eccentricity", "wrong"), [(0.9, True), (0.93, True), (0.3, False)])
@@ -172,6 +207,19 @@ def test_orbits_whose_pericentre_is_lost(eccentricity, wrong, unit, every):
         lambda: co.integrate(pair, members, (0, 2 * np.pi), 2 * np.pi / 100, co.Splitting(2), save_every=every)
     )[1]
     assert bool(many) == wrong == any("member 1" in text for text in many)
+
+
+def test_blocks_of_an_ensemble_return_what_they_lose(tmp_path):
+    """Of long runs only the start is measured before they are computed, at the apocentres."""
+    pair, starts = two_bodies(0.3)[0], np.array([two_bodies(e)[1] for e in (0.3, 0.3, 0.3, 0.9, 0.93, 0.3)])
+    run, blocks = ((0, 24 * np.pi), 2 * np.pi / 100, co.Splitting(2)), {"members_per_block": 2, "save_every": 100}
+    many, found = told(lambda: co.integrate_ensemble(pair, starts, *run, archive=tmp_path / "many.zarr", **blocks))
+    lost = np.flatnonzero(many.drift()["energy"].members > 1.0)
+    assert lost.tolist() == [3, 4] and len(found) == 1
+    assert "member 4 (and of at least 1 others): energy" in found[0]
+    assert told(lambda: co.integrate_ensemble(pair, starts, *run, archive=tmp_path / "many.zarr", **blocks))[1] == []
+    assert told(lambda: co.integrate_ensemble(pair, starts[:3], *run, **blocks))[1] == []
+    assert told(lambda: co.integrate(pair, starts, *run, save_every=100))[1][0][:80] == found[0][:80]
 
 
 def magnets(x, t):

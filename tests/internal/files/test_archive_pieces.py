@@ -1,5 +1,7 @@
 """Archives with small chunks, commits between two reads, and large arrays."""
 
+import os
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ import coadjoint as co
 from coadjoint.files.archives import archived_solution, stored_arrays
 from coadjoint.files.archives.archive import Archive
 from coadjoint.files.archives.folder import ArchiveError
+from coadjoint.runs import piecewise_run
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from refusals import refused
 from same_runs import check_same
@@ -129,3 +132,27 @@ def test_blocks_of_several_chunks(tmp_path, rows, span, options):
     for row in range(-(-len(found.t) // 8)):
         (path / "x" / f"c.{row}.1.0").unlink()
         check_same(co.resume(path), expected)
+
+
+def test_points_without_a_marker_are_not_shown(tmp_path, monkeypatch):
+    """They are in the chunk of committed ones, which is written again before its marker, and every few steps here."""
+    monkeypatch.setattr(piecewise_run, "TAKING_INTERVAL", 0.0)
+    monkeypatch.setattr(piecewise_run, "TAKING_RATIO", 0.0)
+    states, path, span = np.random.default_rng(3).standard_normal((11, 3)), tmp_path / "many.zarr", (0.0, 1000 * STEP)
+    expected, replace, markers = co.integrate(BODY, states, span, STEP), os.replace, []
+
+    def stopped(source, target, **folders):
+        markers.append(os.path.basename(target) == "block-000001")
+        if markers[-1] and sum(markers) == 2:
+            raise KeyboardInterrupt
+        replace(source, target, **folders)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(os, "replace", stopped)
+        co.integrate_ensemble(BODY, states, span, STEP, archive=path, members_per_block=4)
+    found = co.open_archive(path)
+    rows, x = 1 + piecewise_run.FIRST_STRETCH, np.array(found.x)
+    assert rows < 1001 and found.status.tolist() == [1] * 4 + [0] * 7
+    np.testing.assert_array_equal(x[:rows, :8], expected.x[:rows, :8])
+    assert np.isnan(x[rows:, 4:]).all() and np.isnan(x[1:, 8:]).all()
+    check_same(co.resume(path), expected)

@@ -188,10 +188,10 @@ ON_SO4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.eye(6) + 0.5 * n
 @pytest.mark.parametrize(
     ("parts", "system", "said"),
     [
-        ("free_body", co.systems.paper_a37(2.0, (1.0, 1.5, 0.3)), "no three coordinates that span so(3)"),
-        ("free_body", co.LiePoissonSystem(SO3, co.Quadratic([0.0, 0.0, 1.0])), "quadratic in at least two of them"),
-        ("free_body", co.LiePoissonSystem(SO3, co.Polynomial({(4, 0, 0): 1.0})), "no three coordinates"),
-        ("free_body", co.LiePoissonSystem(scaled(1.0, 1.0, -1.0), co.Quadratic([1.0, 2.0, 3.0])), "no three"),
+        ("free_body", co.systems.paper_a37(2.0, (1.0, 1.5, 0.3)), "no rigid body that turns freely"),
+        ("free_body", co.LiePoissonSystem(SO3, co.Quadratic([0.0, 0.0, 1.0])), "quadratic in at least two components"),
+        ("free_body", co.LiePoissonSystem(SO3, co.Polynomial({(4, 0, 0): 1.0})), "no rigid body"),
+        ("free_body", co.LiePoissonSystem(scaled(1.0, 1.0, -1.0), co.Quadratic([1.0, 2.0, 3.0])), "no rigid body"),
         ("bonds", co.systems.spin_lattice("chain", 3, tensor=(1.0, 1.0, 0.9)), "no isotropic coupling"),
         ("bonds", ON_E3, "no isotropic coupling"),
         ("bonds", ON_SO4, "no isotropic coupling"),

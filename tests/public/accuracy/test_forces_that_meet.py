@@ -135,7 +135,7 @@ def test_a_constant_disturbance_is_held_by_a_sampled_spring(first):
     """Where stiffness times the error is the disturbance, 0.05, for any step and any order of the forces."""
     pair = [F.Sampled(F.Pointing(1.0, 1.5), period=0.5), F.Torque((0.05, 0.0, 0.0))]
     sat = co.systems.body((1.0, 1.0, 1.0)).with_forces(*(pair if first else pair[::-1]))
-    for h in (0.5, 0.25, 0.125):
+    for h in (0.5, 0.125):
         angle = co.integrate(sat, sat.state(), (0, 60), h).rotation[-1].as_rotvec()
         # Deviations decay as exp(-0.7 t) or faster.
         np.testing.assert_allclose(angle, (np.arcsin(0.05), 0.0, 0.0), rtol=0, atol=1e-12)

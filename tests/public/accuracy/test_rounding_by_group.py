@@ -110,7 +110,7 @@ def test_errors_at_the_end_are_those_of_the_groups(ratio):
         error = np.linalg.norm(sol.x[-1, part] - motion[-1, part]) / size
         assert error / 10 < estimate[name] < 10 * error
     assert list(estimate) == list(GROUPS) and estimate["z"] == UNIT_ROUNDOFF
-    assert sol.error_estimate() == pytest.approx(max(estimate["p"], estimate["r"]), rel=0.5)
+    assert sol.error_estimate() == max(estimate.values())
 
 
 @pytest.mark.parametrize(("ratio", "warned"), [(1e8, False), (1e14, False), (2e15, True)])
@@ -278,7 +278,8 @@ def test_momenta_beside_large_positions(offset, warned, method):
     for name, error in zip(("p1", "p2"), rounded, strict=True):
         total = np.hypot(error, by_step[name])
         assert total / 10 < errors[name] < 10 * total
-    assert sol.error_estimate() < 1e-7
+    # A momentum of which each step loses most digits does not count; the other is as wrong.
+    assert sol.error_estimate() == pytest.approx(max(errors.values()), rel=0.5)
     assert warned is None or (rounded.max() > 0.02) == warned
 
 

@@ -79,8 +79,9 @@ def test_with_forces_it_is_that_of_steps_in_the_direction_of_the_run(span):
 def test_where_a_state_rests_or_returns():
     """After a whole turn of a spin the state is the same again, but not after half of it. Rounding does not count."""
     spin = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.0, 0.0, 0.0], linear=[0.0, 0.0, 1.0]))
-    sol = co.integrate(spin, (1.0, 0.0, 0.3), (0, 20 * np.pi), 2 * np.pi, co.GaussLegendre(8))
-    assert sol.step_error() < 1e-3
+    run = (1.0, 0.0, 0.3), (0, 20 * np.pi), 2 * np.pi, co.GaussLegendre(8)
+    for every in (1, 5):
+        assert quiet(lambda every=every: co.integrate(spin, *run, save_every=every)).step_error() < 1e-3
     for x0, step in (((0.0, 0.0, 2.0), 0.1), ((0.0, 0.0, 0.0), 0.1), ((1e-15, 0.0, 2.0), 0.01)):
         assert co.integrate(BODY, x0, (0, 1), step).step_error() == 0.0
 
@@ -133,9 +134,23 @@ def test_of_matrices_forces_and_archives(tmp_path):
     for system, x0 in ((fluid, W), (damped, X0)):
         coarse, fine = (co.integrate(system, x0, (0, 2), h).step_error() for h in (0.1, 0.05))
         assert 3.0 < coarse / fine < 5.0  # order two, relative to a change of order one
-    # Of archives only the start is measured.
-    stored = co.integrate(BODY, X0, (0, 20), 0.1, archive=tmp_path / "run.zarr")
+    # Of long runs in archives only the start is measured, and no state is read.
+    stored = co.integrate(BODY, X0, (0, 200), 0.1, archive=tmp_path / "run.zarr")
     assert stored.step_error() == pytest.approx(error_of_step(BODY, [X0], co.Splitting(), 0.1), rel=0.15)
+    short = co.integrate(BODY, X0, (0, 20), 0.1, archive=tmp_path / "short.zarr", save_every=7)
+    assert short.step_error() == co.integrate(BODY, X0, (0, 20), 0.1).step_error()
+
+
+@pytest.mark.parametrize("count", [8, 1200])
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_with_samples_only_whole_steps_are_measured(count, shift):
+    """A law that is sampled in the middle of a step would act on a state that it never sees."""
+    law = co.forces.Sampled(co.forces.Pointing(0.5, 2.4), period=0.5)
+    body = co.systems.body((4.0, 5.5, 7.2)).with_forces(co.forces.Torque((0.012, -0.02, 0.009)), law)
+    x0, span = body.state([0.1, 0.1, 0.7, 0.7]), (3.0, 3.0 + 0.25 * count)
+    times = np.linspace(3.0, 5.0, 9)[:-1] + shift
+    sol = co.integrate(body, x0, span, 0.25, t_eval=times)
+    assert sol.step_error() < 2.0 * co.integrate(body, x0, (3.0, 5.0), 0.25).step_error() < 0.01
 
 
 @pytest.mark.parametrize("system, x0", [(BODY, X0), (TOP, TOP_X0), (SEVEN, np.arange(1.0, 7.0) / 4)])

@@ -47,10 +47,10 @@ def test_a_check_of_the_step_changes_no_bits_of_the_blocks(rate):
 
 
 class Stop:
-    """Files of an archive from which on writing fails; the names of those that were written."""
+    """Writing fails at a file of an archive, the first time or later; the names of those that were written."""
 
-    def __init__(self, patched, name, error):
-        self.written, self.error = [], error
+    def __init__(self, patched, name, error, after=0):
+        self.written, self.error, self.after = [], error, after
         self.patched, self.name, self.replace = patched, name, os.replace
 
     def __enter__(self):
@@ -60,7 +60,7 @@ class Stop:
 
     def replaced(self, source, target, **folders):
         name = os.path.basename(target)
-        if name == self.name:
+        if name == self.name and self.written.count(name) == self.after:
             raise self.error
         self.replace(source, target, **folders)
         self.written.append(name)

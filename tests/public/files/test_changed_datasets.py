@@ -1,5 +1,7 @@
 """Datasets without a checksum, as other programs change them: read by dimensions and labels, or refused."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import xarray
@@ -28,6 +30,7 @@ RUNS = {
     "events": lambda: co.integrate(BODY, X, (0, 9), 0.125, events=co.Event("x2", terminal=True)),
     "t_eval": lambda: co.integrate(BODY, X, (0, 2), 0.125, t_eval=[0.3, 0.31, 1.9]),
 }
+RUNS = {name: cache(run) for name, run in RUNS.items()}
 WRITERS = {
     "netcdf": lambda data, path: data.to_netcdf(path, engine="h5netcdf"),
     "zarr": lambda data, path: data.to_zarr(path),
@@ -104,6 +107,7 @@ CHANGED = {
     "x of other members": ("members", lambda data: data.assign(x=data.x.rename(member="other")), ["x"]),
     "no drift": ("one", lambda data: data.drop_vars("drift"), ["drift", "missing"]),
     "a tenth of numbers": ("one", lambda data: data.isel(tenth=slice(3)), ["tenth"]),
+    "tenths as text": ("one", lambda data: data.assign_coords(tenth=data.tenth.astype(str)), ["tenth", "'1'"]),
 }  # fmt: skip
 
 

@@ -260,6 +260,23 @@ t_span = [0.5, 1.0]
 step = 0.25
 """
 BALL, TORUS = co.systems.sphere_euler(N=4), co.systems.torus_euler(N=5)
+GRID = np.cos(np.arange(35.0)).reshape(5, 7)
+
+
+def test_modes_and_grids_in_files(files, tmp_path, monkeypatch):
+    """Of a file `.npy` beside the configuration; rows that are no modes are refused."""
+    monkeypatch.chdir(tmp_path)
+    state = BALL.from_modes({(3, 2): 0.5 - 1j})
+    for kind, key, array in (
+        ("from_grid", "values", BALL.to_grid(state)),
+        ("from_modes", "modes", BALL.mode_array(state)),
+    ):
+        np.save(tmp_path / "given.npy", array)
+        text = FLUID.format(system="sphere_euler", N=4, initial=f'kind = "{kind}"\n{key} = "given.npy"')
+        np.testing.assert_allclose(files.run(text).x0, state, rtol=0, atol=1e-14)
+    for modes, word in (("[[3, 2]]", "imaginary"), ("[[3, 2, 1.0], [3, 2, 2.0]]", "twice"), ("3", "imaginary")):
+        text = FLUID.format(system="sphere_euler", N=4, initial=f'kind = "from_modes"\nmodes = {modes}')
+        assert word in str(files.refused(text, by="run"))
 
 
 @pytest.mark.parametrize(
@@ -275,8 +292,14 @@ BALL, TORUS = co.systems.sphere_euler(N=4), co.systems.torus_euler(N=5)
             BALL,
             BALL.blobs([(0.1, 0.2), (-0.3, 2.0)], [1.0, -1.0], 0.5),
         ),
+        (
+            'kind = "from_modes"\nmodes = [[3, 2, 0.5, -1.0], [2, 0, 1.0]]',
+            BALL,
+            BALL.from_modes({(3, 2): 0.5 - 1j, (2, 0): 1.0}),
+        ),
+        (f'kind = "from_grid"\nvalues = {GRID.tolist()}', TORUS, TORUS.from_grid(GRID)),
     ],
-    ids=["random", "random-torus", "jet", "jet-torus", "rossby-haurwitz", "blobs"],
+    ids=["random", "random-torus", "jet", "jet-torus", "rossby-haurwitz", "blobs", "modes", "grid-torus"],
 )
 def test_named_states_are_those_of_the_methods(files, initial, system, state):
     """With and without forces."""

@@ -125,6 +125,7 @@ def drawn_run(name: str, count: int) -> Any:
     return made(x - np.swapaxes(x, 1, 2) if x.ndim == 3 else x, system, method=co.Splitting(), step=0.01)
 
 
+@pytest.mark.thinned(1)  # the second of two parts may be the only one that is right
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("name", sorted(MADE))
 def test_components_are_those_of_each_part(name, count):
@@ -137,7 +138,12 @@ def test_components_are_those_of_each_part(name, count):
     assert len(found) == len(wanted)
     for values, expected in zip(found.values(), wanted.values() if isinstance(wanted, dict) else wanted, strict=True):
         np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
-    assert len(run.plot().axes) >= 2  # all declared pictures, or those that are possible
+
+
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("name", sorted(MADE))
+def test_all_declared_pictures_are_drawn_or_those_that_are_possible(name, count):
+    assert len(drawn_run(name, count).plot().axes) >= 2
 
 
 @pytest.mark.parametrize("count", COUNTS)
@@ -194,6 +200,9 @@ def test_variables_and_integrals_are_those_of_each_body(count):
         found = np.array([values[k] for values in run.observed.values()])
         for component in (*total, *p.sum(axis=0)[: len(found) - 3]):
             assert np.isclose(found, component, rtol=1e-12, atol=1e-12).any()
+    for name, values in (("position", run.positions), ("velocity", run.velocities)):
+        assert data[name].dims == ("time", "body", "axis") and data[name].attrs["units"] == "1"
+        np.testing.assert_array_equal(data[name], values)
     np.testing.assert_array_equal(run.positions[1], run.x[1, 15 * count : 18 * count].reshape(count, 3))
     np.testing.assert_allclose(run.velocities[0], v, rtol=1e-14)
 
@@ -297,3 +306,59 @@ def test_bodies_without_a_controller_have_none_of_its_pictures():
     for kind in ("pointing error", "torques", "wheel speeds", "gimbal angles"):
         with pytest.raises(co.plotting.CannotShow):
             run.plot([kind])
+
+
+POINT, ROD, BODY = (0.0, 0.0, 0.0), (0.0, 0.3, 0.3), (0.3, 0.35, 0.4)
+
+
+@pytest.mark.parametrize(
+    "shapes", [(POINT,), (POINT,) * 2, (POINT,) * 3, (POINT,) * 5, (BODY, POINT, ROD), (POINT, BODY)]
+)
+@pytest.mark.parametrize("name", ["bodies", "gravitating_bodies"])
+def test_points_have_paths_and_no_attitudes_in_pictures(name, shapes):
+    count, turning = len(shapes), [k for k, one in enumerate(shapes, 1) if any(one)]
+    system = S.get(name, inertias=shapes, masses=masses(count))
+    x = np.random.default_rng(count).normal(size=(7, system.dim))
+    run = made(x, system, method=co.Splitting(), step=0.01)
+    lines, r = lines_of(declared(run, "components")), positions_of(x, count)
+    if name == "gravitating_bodies" and turning:
+        assert list(lines) == [f"libration[{k}]" for k in turning if k > 1]
+    elif name == "gravitating_bodies" and count > 1:
+        for (label, values), (wanted, expected) in zip(lines.items(), distances(x, count).items(), strict=True):
+            assert label == wanted
+            np.testing.assert_allclose(values, expected, rtol=1e-12)
+    else:
+        first = x[:, 12 * (turning[0] - 1) :][:, :3] if turning else r[:, 0]
+        np.testing.assert_array_equal(np.array(list(lines.values())).T, first)
+    titles = [panel.get_title() for panel in run.plot().axes]
+    assert any("libration" in label for label in lines) == (name == "gravitating_bodies" and bool(turning))
+    if turning:
+        assert not any("path" in title or "centre of mass" in title for title in titles)
+        return
+    centre = masses(count) @ r / masses(count).sum() if name == "gravitating_bodies" and count > 1 else 0.0 * r[:, 0]
+    paths = [line.get_xydata() for line in declared(run, "phase portrait").lines[::2]]
+    for k, path in enumerate(paths):
+        np.testing.assert_allclose(path, (r[:, k] - centre)[:, :2], rtol=1e-12, atol=1e-12)
+    assert len(paths) == count and not any("relative to the first" in title for title in titles)
+
+
+def test_molecules_are_drawn_by_their_shapes():
+    """Linear ones by their line, atoms by their paths."""
+    nitrogen, argon = ((-0.055, 0, 0), (0.055, 0, 0)), ((0, 0, 0),)
+    lj = [((0.3, 0.33),) * 2, ((1.0, 0.34),)]
+    both = S.rigid_molecules([nitrogen, argon], [(0, 0), (0,)], lj, [(14.0, 14.0), (40.0,)], [2, 1])
+    run = made(np.random.default_rng(1).normal(size=(7, both.dim)), both, method=co.Splitting(), step=0.01)
+    assert [line.get_label() for line in declared(run, "directions").lines if "mol" in str(line.get_label())] == [
+        "molecule 1",
+        "molecule 2",
+    ]
+    along = {f"molecule {k + 1}": [f"{axis}1[{k + 1}]" for axis in "XYZ"] for k in range(2)}
+    for one, other in zip(
+        declared(run, "directions").lines, shown(run, Picture("directions", vectors=along)).lines, strict=True
+    ):
+        np.testing.assert_allclose(abs(np.array(one.get_xydata())), abs(np.array(other.get_xydata())), atol=1e-12)
+    atoms = S.rigid_molecules(argon, (0,), lj[1], (40.0,), 3)
+    run = made(np.random.default_rng(2).normal(size=(7, atoms.dim)), atoms, method=co.Splitting(), step=0.01)
+    assert len(declared(run, "phase portrait").lines) == 6 and "directions" not in " ".join(
+        panel.get_title() for panel in run.plot().axes
+    )

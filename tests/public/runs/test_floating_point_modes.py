@@ -10,6 +10,7 @@ import pytest
 import coadjoint as co
 from exported_table import Interface, exported_library
 from float_modes import MODES, control, float_mode
+from long import long_beyond
 from own_schemes import Plain
 
 STARTS = np.random.default_rng(0).standard_normal((40, 3))
@@ -108,6 +109,21 @@ def test_bits_do_not_depend_on_the_mode_of_the_caller(call, mode):
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("options", [{}, {"save_every": 7}])
+def test_what_a_solution_computes_later_has_the_same_bits(options, mode):
+    """A prepared run warns once, so that later ones have not computed their times when they return."""
+    ready = prepared(attitude=True)
+
+    def later():
+        sol = ready.run(X0, (0.7, 3.7), **options)
+        return sol.t, sol.x, sol.attitude, sol.energy, sol.drift()["energy"]
+
+    wanted = bits_of(later())
+    with float_mode(mode):
+        assert bits_of(later()) == wanted
+
+
+@pytest.mark.parametrize("mode", MODES)
 def test_exported_digits(tmp_path, mode):
     export = exported(tmp_path)
     wanted, table = export()[0], (tmp_path / "run.json").read_text()
@@ -116,7 +132,7 @@ def test_exported_digits(tmp_path, mode):
     assert (tmp_path / "run.json").read_text() == table
 
 
-@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("mode", long_beyond(1, MODES))
 def test_a_package_that_is_imported_in_a_mode(mode):
     """Constants of its modules are those of any other process."""
     source = (
@@ -136,19 +152,20 @@ def test_a_package_that_is_imported_in_a_mode(mode):
     assert len(found) == 1
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_c_interface(tmp_path, mode):
+def test_the_c_interface(tmp_path):
     interface, ready = Interface(exported_library(tmp_path)), prepared()
     table = co.export_table(ready, tmp_path / "run.json").read_text()
+    wanted = ready.run(X0, (0.0, 1.0)).x[1:].tobytes()
 
     def states():
         run = interface.run(table)
         run.x = np.array(X0)
         return run.save(10)
 
-    with float_mode(mode):
-        found = states()
-    assert found.tobytes() == ready.run(X0, (0.0, 1.0)).x[1:].tobytes()
+    for mode in MODES:
+        with float_mode(mode):
+            found = states()
+        assert found.tobytes() == wanted, mode
 
 
 class InPython(Plain):

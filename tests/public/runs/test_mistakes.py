@@ -18,6 +18,19 @@ COADJOINT = co.integrate(co.systems.kirchhoff_body(), np.ones(6), SPAN, 0.1, att
 CUBE = co.LiePoissonSystem(SO3, co.Polynomial({(1, 1, 1): 1.0}))
 
 
+class Tensor:
+    """As torch.tensor(..., requires_grad=True), which NumPy refuses to convert."""
+
+    requires_grad = True
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("Can't call numpy() on Tensor that requires grad.")
+
+
+def helper(y):
+    return np.sin(y)
+
+
 def run(*args, **kwargs):
     return co.integrate(BODY, *args, **kwargs)
 
@@ -123,6 +136,17 @@ MISTAKES = {
         lambda: co.LieAlgebra.from_brackets(3, {(0, 1): {1: 1.0}, (1, 2): {0: 1.0}}),
         "Jacobi",
         "(0, 1, 2)",
+    ),
+    "an energy that is a vector": (lambda: with_energy(lambda x: x), "shape (3,)", "one number"),
+    "an energy that is nothing": (lambda: with_energy(lambda x: None), "None", "one number"),
+    "an energy that is a comparison": (lambda: with_energy(lambda x: x[0] > 0), "truth value", "one number"),
+    "a comparison with a gradient": (lambda: with_energy(co.Hamiltonian(lambda x: x[0] > 0, np.ones_like)), "truth"),
+    "a helper that is not compiled": (lambda: full(events=co.Event(lambda x: helper(x[0]))), "helper", "@numba.njit"),
+    "a tensor with gradients": (lambda: run(Tensor(), SPAN, 0.1), "x0", "requires_grad", "co.torch"),
+    "a modified Hamiltonian of a scheme without flows": (
+        lambda: co.modified_hamiltonian(BODY, co.GaussLegendre(2)),
+        "GaussLegendre(stages=2)",
+        "modified_field",
     ),
     "a file as an archive": (lambda: co.resume(__file__), __file__, "folder"),
 }

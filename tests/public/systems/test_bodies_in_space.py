@@ -429,3 +429,13 @@ def test_a_torque_in_the_frame_of_a_body_is_an_input_and_a_parameter():
     members = co.batch([S.body((1.0, 2.0, third)).with_forces(co.forces.Torque((0, 0, third))) for third in (2.5, 2.6)])
     ends = co.integrate(members, members[0].state(), (0, 1), 0.125).x[-1]
     np.testing.assert_allclose(ends[:, 2], (2.5, 2.6), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("torque", [lambda t: (0.1, 0.2, -0.3), lambda x, A: [0.1, 0.2, -0.3]])
+def test_a_torque_in_the_frame_of_a_body_may_be_a_tuple_or_a_list(torque):
+    system, constant = PUSHED["body"]
+    x0 = system.state(angular_velocity=(0.3, -0.2, 0.4))
+    found, wanted = (
+        co.integrate(system.with_forces(co.forces.Torque(one)), x0, (0, 1), 0.25).x[-1] for one in (torque, constant)
+    )
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=2.0**-48)

@@ -295,3 +295,32 @@ def test_pickled_functions_of_jax():
     H = co.Hamiltonian(by_jax).bind(6)
     H.gradient(X0)
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(H)).gradient(X0), H.gradient(X0))
+
+
+def differs_from_differences(system, x0, direction, step):
+    """Return the error of the tangent of a run against central differences of runs, relative to its size."""
+    prepared, eps = co.prepare(system, co.Splitting(), step=step), 1e-5
+    _, tangents = prepared.jvp(x0, (0, 10 * step), {"x0": direction}, save_every=10)
+    plus, minus = (prepared.run(x0 + e * direction, (0, 10 * step), save_every=10).x[-1] for e in (eps, -eps))
+    change = (plus - minus) / (2 * eps)
+    return np.abs(tangents.x[-1] - change).max() / np.abs(change).max()
+
+
+@pytest.mark.long
+def test_hessians_of_more_than_a_thousand_entries():
+    """Numba takes tuples of 1000: 33 coordinates have 1089 second derivatives. Differences are right to eps^2."""
+    n = 33
+    kinetic = co.Quadratic(np.r_[np.ones(n), np.zeros(n + 1)])
+    potential = co.Hamiltonian(lambda x: np.sin(x[33:66].sum() / 16))
+    system = co.LiePoissonSystem(co.algebras.heisenberg(n), kinetic + potential, sign=-1)
+    draw = np.random.default_rng(3).standard_normal((2, 2 * n))
+    assert differs_from_differences(system, np.r_[draw[0], 1.0], np.r_[draw[1], 0.0], 0.1) < 1e-8
+
+
+@pytest.mark.long
+def test_tangents_of_a_rod_and_a_point_that_attract_each_other():
+    """The gradient of their potential is divided into two vectors of 24 derivatives each."""
+    pair = co.systems.gravitating_bodies([(0, 1.0, 1.0), (0, 0, 0)], (1.0, 1.0))
+    x0 = pair.state([[1.0, 0, 0], [-1, 0.2, 0.1]], [[0, 0.5, 0], [0, -0.5, 0.1]])
+    direction = np.r_[np.random.default_rng(1).standard_normal(pair.dim - 1), 0.0]
+    assert differs_from_differences(pair, x0, direction, 0.05) < 1e-8

@@ -100,6 +100,15 @@ def test_the_frame_is_subtracted_once():
             np.testing.assert_allclose(spectrum(given)[1], spectrum(W)[1], rtol=0, atol=ROUNDED * size**2)
         assert SPHERE.energy(given) == pytest.approx(SPHERE.energy(W), rel=1e-12)
     assert SPHERE.to_grid(relative).shape == wanted.shape, "without a warning"
+    several = np.stack([W, 2.0 * W])
+    each = SPHERE.relative(several)
+    for given in (several, np.stack([*each]), np.concatenate([each[:1], each[1:]]), np.where(True, each, each)):
+        spectra, alone = SPHERE.enstrophy_spectrum(given)[1], SPHERE.enstrophy_spectrum(several)[1]
+        np.testing.assert_allclose(spectra, alone, rtol=0, atol=4 * ROUNDED * size**2)
+    mean = np.average(np.stack([*each]), axis=0, weights=[1.0, 3.0])
+    np.testing.assert_allclose(
+        SPHERE.to_grid(mean), SPHERE.to_grid(1.75 * W, absolute=False), rtol=0, atol=4 * ROUNDED * size
+    )
     # With the frame it is none: the enstrophy of the frame is 2/3 of that of its largest value.
     frame = SPHERE.enstrophy_spectrum(relative - relative + SPHERE.planetary, absolute=True)[1].sum()
     assert frame == pytest.approx(2 * np.pi / 3 * (2 * OMEGA) ** 2, rel=1e-12)

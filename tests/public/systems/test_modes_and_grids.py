@@ -242,3 +242,17 @@ def test_without_ducc0(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with refused(ImportError, "ducc0", "coadjoint[fluids]"):
         SPHERE.to_grid(SPHERE.random(1))
+
+
+def test_modes_that_a_grid_does_not_resolve_are_zero():
+    """Orders above (columns - 1)/2 of a sphere, and from half the number of points on a torus; lower ones are exact."""
+    sphere, torus = co.systems.sphere_euler(N=8), co.systems.torus_euler(N=9)
+    state = sphere.from_modes({(l, m): 1.0 + 0.5j * (m > 0) for l in range(1, 8) for m in range(min(l, 2) + 1)})
+    found = sphere.modes(sphere.from_grid(sphere.to_grid(state, (9, 5))))
+    assert max(m for _, m in found if abs(found[_, m]) > 1e-13) == 2
+    wanted = sphere.modes(state)
+    assert max(abs(found.get(mode, 0.0) - wanted[mode]) for mode in wanted) < 1e-13
+    waves = {(1, 0): 0.5, (2, 1): 0.25j, (-1, 2): 1.0}
+    coarse = torus.modes(torus.from_grid(torus.to_grid(torus.from_modes(waves), (5, 5))))
+    assert all(abs(c - coarse[mode]) < 1e-14 for mode, c in waves.items())
+    assert all(max(map(abs, mode)) <= 2 for mode, c in coarse.items() if abs(c) > 1e-13)

@@ -170,3 +170,37 @@ def test_a_top_with_wheels_is_a_body_under_gravity():
     # Rounding of 400 steps of some ten operations each, of one sign.
     assert np.ptp(vertical) < 400 * 16 * U * np.abs(sol.angular_momentum).max()
     assert np.abs(wheeled.wheel_speeds(sol.x[-1])).max() > 1.0
+
+
+def test_rates_of_damping_in_body_frames_are_those_of_angular_momenta():
+    """Exponentials of balls, whose momenta are otherwise constant, and the bits of rates of all coordinates."""
+    rates, omega = np.array([[0.1, 0.2, 0.3], [0.0, 0.5, -0.1]]), np.array([0.3, -0.4, 0.5])
+    S = co.systems
+    pair = S.gravitating_bodies([(1.0, 1.0, 1.0), (2.0, 2.0, 2.0)], (1.0, 2.0))
+    at = pair.state([[1, 0, 0], [-1, 0, 0.0]], [[0, 1, 0], [0, -0.5, 0.0]], angular_velocities=[omega, omega])
+    ball, wheeled = S.body((2.0, 2.0, 2.0)), S.body((2.0, 2.5, 3.0), wheels=[(0.1, 0.2, 0.2)])
+    orbiting = S.satellite_on_orbit((1.0, 2.0, 2.5), 1.1)
+    starts = ball.state(None, omega), wheeled.state(None, omega, wheel_speeds=[9.0]), orbiting.state(None, omega)
+    top = S.heavy_top(), np.array([0.3, -0.4, 0.5, 0.6, 0.0, 0.8])
+    for system, x0 in (*zip((ball, wheeled, orbiting), starts, strict=True), top, (pair, at)):
+        rate = rates if system is pair else rates[0]
+        places = np.add.outer([0, 12], range(3)) if system is pair else np.arange(3)
+        each = np.zeros(system.dim)
+        each[places] = rate
+        ideal = system is ball or system is pair
+        short, whole = (
+            co.integrate(
+                system.with_forces(co.forces.LinearDamping(one)),
+                x0,
+                (0, 2),
+                0.125,
+                co.Splitting(parts="free_body" if ideal else "auto"),
+            )
+            for one in (rate, each)
+        )
+        np.testing.assert_array_equal(short.x, whole.x)
+        if ideal:
+            np.testing.assert_allclose(short.x[-1][places], x0[places] * np.exp(-2 * rate), rtol=0, atol=1e-14)
+    for system, wrong in ((ball, (0.1, 0.2)), (ball, rates), (pair, rates[0]), (top[0], np.ones((6, 3)))):
+        with pytest.raises(ValueError, match=r"rate of LinearDamping has the shape .* in body frames"):
+            system.with_forces(co.forces.LinearDamping(wrong))

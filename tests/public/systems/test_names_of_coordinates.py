@@ -194,3 +194,86 @@ def test_names_of_texts_in_sums_and_of_systems_without_an_algebra():
     np.testing.assert_array_equal(system.hamiltonian.gradient(np.ones(4)), [1.0, 1.0, 0.0, 0.0])
     with refused(ValueError, "x1", "basis"):
         co.PoissonSystem(J, co.Polynomial("x1^2", dim=4), name="sklyanin")
+
+
+def test_sums_multiples_and_forms_keep_the_names_they_are_written_in(tmp_path):
+    """A polynomial of degree two is a quadratic form within a sum; x1 is the third coordinate of the basis."""
+    basis, H = BASES[2], co.Hamiltonian(lambda x: np.cos(x[1]))
+    square = co.Polynomial("x1^2", dim=3)
+    form, wave = co.Quadratic.from_polynomial(square), co.formula("sin(x1)", dim=3)
+    written = {
+        "sums": (square + H, H - square, (square + H) / 2, -(H + square), square + H + co.Quadratic(1.0)),
+        "forms": (form, -form, form / 3, form + co.Quadratic(1.0), form.to_polynomial(), form.with_linear([1.0, 0, 0])),
+        "others": (square**2 + H, wave + square, pickle.loads(pickle.dumps(square + wave)), (H + square).bind(3)),
+    }
+    for functions in written.values():
+        for function in functions:
+            with refused(ValueError, "x1, x2, x3", "x3, h, x1"):
+                so3(basis, function)
+    system = so3(basis)
+    for refusal in (
+        lambda: so3(basis, integrals={"C": wave}),
+        lambda: so3(basis, casimirs={"C": form}),
+        lambda: so3(basis, casimirs={"C": co.Invariant(wave)}),
+        lambda: co.integrate(system, (1, 2, 3), (0, 1), 0.1, events=co.Event(wave)),
+        lambda: co.integrate(system, (1, 2, 3), (0, 1), 0.1, observe={"C": square + wave}),
+    ):
+        with refused(ValueError, "x1, x2, x3", "x3, h, x1"):
+            refusal()
+    with refused(ValueError, "x2, x1, x3", "x1, x2, x3"):
+        PERMUTED + co.formula("sin(x2)", dim=3)
+    right = co.Polynomial("x1^2", basis=basis) + H
+    np.testing.assert_array_equal(so3(basis, right).hamiltonian.gradient([1.0, 0.0, 3.0]), [0.0, 0.0, 6.0])
+
+
+@pytest.mark.parametrize("basis", [BASES[0], ("e1", "e2", "e3"), ("h", "e7", "f")])
+def test_basis_elements_name_their_coordinates_everywhere(basis, tmp_path, monkeypatch, capsys):
+    """The coordinate of e0 is called x0, and e0 is the same one in formulas, polynomials, events and files."""
+    monkeypatch.chdir(tmp_path)
+    system, element = so3(basis), basis[1]
+    names = names_of(system)
+    assert names == tuple(name.replace("e", "x") for name in basis)
+    for name in (element, names[1]):
+        for text in (f"{name}^2/2", f"cos({name})"):
+            for H in (text, co.formula(text, basis=basis), co.formula(text, basis=names)):
+                assert np.flatnonzero(so3(basis, H).hamiltonian.gradient([0.4, 0.5, 0.6])).tolist() == [1]
+        text = f"{name} - 0.25"
+        observe = {"p": co.Polynomial(text, basis=basis), "f": co.formula(f"sin({name})", basis=basis)}
+        events = [co.Event(name, name="one"), co.Event(co.Polynomial(name, basis=names), name="two")]
+        run = co.integrate(system, (0.9, 0.7, -1.1), (0, 8), 0.05, observe=observe, events=events)
+        np.testing.assert_array_equal(run.observed["p"], run.x[:, 1] - 0.25)
+        np.testing.assert_allclose(run.observed["f"], np.sin(run.x[:, 1]), rtol=1e-15)
+        assert len(run.events["one"]) == len(run.events["two"]) == np.count_nonzero(np.diff(np.sign(run.x[:, 1]))) > 0
+        triples = [np.roll(basis, -k).tolist() for k in range(3)]
+        stored = ConfigurationFiles(tmp_path, capsys).run(f"""
+algebra = {{basis = {list(basis)}, brackets = {[f"[{a}, {b}] = {c}" for a, b, c in triples]}}}
+hamiltonian = {{formula = "{basis[0]}^2/2 + {name}^2 + 2*{basis[2]}^2"}}
+casimirs = {{own = "{" + ".join(f"{e}^2" for e in basis)}"}}
+observe = {{p = "{text}"}}
+initial = {{x = [0.9, 0.7, -1.1]}}
+run = {{t_span = [0, 8], step = 0.05}}
+events = {{one = {{g = "{name}"}}, two = {{g = "{name} - 0.0"}}}}""")
+        np.testing.assert_array_equal(stored.observed["p"], run.observed["p"])
+        assert len(stored.events["one"]) == len(stored.events["two"]) == len(run.events["one"])
+    np.testing.assert_array_equal(
+        so3(basis, integrals={"C": co.formula("+".join(f"{e}^2" for e in basis), basis=basis)})
+        .integrals["C"]
+        .gradient(np.ones(3)),
+        2 * np.ones(3),
+    )
+
+
+def test_an_unknown_name_lists_the_known_ones():
+    for refusal in (
+        lambda: so3(BASES[0], "y^2"),
+        lambda: co.Polynomial("y^2", basis=BASES[0]),
+        lambda: co.formula("sin(y)", basis=names_of(so3(BASES[0]))),
+        lambda: co.integrate(so3(BASES[0]), (1, 2, 3), (0, 1), 0.1, events=co.Event("y")),
+    ):
+        with refused(ValueError, "y", "1", "2"):
+            refusal()
+    with refused(ValueError, "'y', which is not a known name", "x1, x2", "parameters a"):
+        co.formula("a*y", dim=2, parameters={"a": 1.0})
+    with refused(ValueError, "e1, e0, e2"):  # e1 is the second element, not the first
+        so3(BASES[0], co.Polynomial("e1^2", basis=("e1", "e0", "e2")))
+    assert str(co.formula("e1*x1^2", dim=3, parameters={"e1": 7})) == "7*x1^2"  # parameters come first

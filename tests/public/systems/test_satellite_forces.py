@@ -515,3 +515,11 @@ def test_the_smallest_impulse_fires_and_any_smaller_one_does_not():
         sat = S.body((1.0, 1.0, 1.0), attitude=False).with_forces(jets)
         end = sat.flows[0][1].flow(sat, sat.state(), 0.0, PERIOD)
         np.testing.assert_array_equal(end[:3], fires * PERIOD * torque)
+
+
+@pytest.mark.parametrize("period", [1e-300, 1e-11, 0.04, 0.15, 0.2 + 1e-9])
+def test_periods_of_other_than_whole_numbers_of_steps_are_refused(period):
+    """Also those that are zero steps up to rounding."""
+    sat = co.systems.body((1.0, 2.0, 2.5)).with_forces(co.forces.Sampled(co.forces.Pointing(0.5, 1.5), period))
+    with refused(ValueError, "period of Sampled", "whole number of steps"):
+        co.integrate(sat, sat.state(), (0.0, 1.0), 0.1)

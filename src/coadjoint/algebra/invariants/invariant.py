@@ -73,6 +73,11 @@ class Invariant:
 
     _term_count: ClassVar[int] = 1
 
+    @property
+    def _written_names(self) -> tuple[str, ...] | None:
+        """Those of its function."""
+        return getattr(self.value, "_written_names", None)
+
     def _transformed(self, change: Callable[[Polynomial], Polynomial], restricted: bool = False) -> Any:
         """Return None: in other coordinates a function of the user is not known."""
         return None

@@ -14,6 +14,7 @@ from coadjoint.algebra.polynomials.monomials import (
     MAX_SHOWN_NAMES,
     coordinate_names,
     names_clash,
+    numbers_by_name,
     read_coefficient,
 )
 from coadjoint.errors import in_one_line
@@ -256,9 +257,10 @@ class FormulaTree:
 
 def names_in(text: str, dim: int, names: Sequence[str] | None) -> Sequence[str] | None:
     """Return the names of the coordinates in a text: the given ones, or None if x1, x2, ... in it are their numbers."""
-    if names is None or list(names) == (numbered := coordinate_names(dim)):
+    if names is None:
         return None
-    is_numbered = set(names).difference(numbered).isdisjoint(NAME.findall(text))
+    numbered, known = coordinate_names(dim), numbers_by_name(names, numbered=False)
+    is_numbered = known.keys().isdisjoint(set(NAME.findall(text)).difference(numbered))
     return None if is_numbered and not names_clash(names, numbered) else names
 
 
@@ -267,20 +269,21 @@ def coordinates_and_parameters(
 ) -> Callable[[str], Monomial | None]:
     """Return the function from the names in a formula to coordinates and numbers; ``pi`` has its usual value."""
     numbers = {} if parameters is None else read_parameters(parameters, names or ())
-    if names is None:
-        return names_and_parameters(text, dim, "x", {"pi": math.pi} | numbers)
-    places = {name: k for k, name in reversed(list(enumerate(names)))}
+    numbered = names_and_parameters(text, dim, "x" if names is None else "", {"pi": math.pi} | numbers)
+    places = {} if names is None else numbers_by_name(names, numbered=False)
 
     def value_of(name: str) -> Monomial:
-        if name in places:
+        if name in places and name not in numbers:
             return Monomial(1, {places[name]: 1})
-        if name not in numbers and name != "pi":
+        value = numbered(name)
+        if value is None:
+            known = in_one_line(", ".join(names or coordinate_names(dim)), MAX_SHOWN_NAMES)
+            others = f", and the parameters {in_one_line(', '.join(numbers), MAX_QUOTED)}" if numbers else ""
             raise ValueError(
-                f"{short(text, MAX_QUOTED)} has {short(name, MAX_QUOTED)}; the coordinates are "
-                f"{in_one_line(', '.join(names), MAX_SHOWN_NAMES)}"
-                + (f", and the parameters {in_one_line(', '.join(numbers), MAX_QUOTED)}" if numbers else "")
+                f"{short(text, MAX_QUOTED)} has {short(name, MAX_QUOTED)}, which is not a known name; the coordinates "
+                f"are {known}{others}"
             )
-        return Monomial(numbers.get(name, math.pi), {})
+        return value
 
     return value_of
 
@@ -303,7 +306,7 @@ def names_and_parameters(
     """Return the function from the names in a formula to numbers, and to coordinates: a letter and their number."""
 
     def value_of(name: str) -> Monomial | None:
-        if name[:1] != letter or not name[1:].isdecimal():
+        if not letter or name[:1] != letter or not name[1:].isdecimal():
             return Monomial(numbers[name], {}) if name in numbers else None
         index = int(name[1:]) if len(name) <= MAX_DIGITS else 0
         if not 1 <= index <= dim:

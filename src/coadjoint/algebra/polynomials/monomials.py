@@ -224,20 +224,35 @@ def names_clash(first: Sequence[str], second: Sequence[str]) -> bool:
     return any(numbers.get(name, k) != k for k, name in enumerate(second))
 
 
-def numbers_by_name(names: Sequence[str]) -> dict[str, int]:
-    """Return the number of a coordinate by its name, and by x1, x2, ... if none of these names another coordinate."""
-    numbered = coordinate_names(len(names))
-    known = names if names_clash(names, numbered) else (*numbered, *names)
-    return {name: k % len(names) for k, name in enumerate(known)}
+def numbers_by_name(names: Sequence[str], numbered: bool = True) -> dict[str, int]:
+    """Return the number of a coordinate by its name, or that of its basis element; `numbered`, also by x1, x2, ...
+
+    Names of a kind of which one is that of another coordinate are left out.
+    """
+    elements = [re.sub(r"^x(?=\d)", "e", name) for name in names]
+    known: dict[str, int] = {}
+    for kind in (names, names_of_basis(names), elements, coordinate_names(len(names)) if numbered else ()):
+        if all(known.get(name, k) == k for k, name in enumerate(kind)):
+            known.update((name, k) for k, name in enumerate(kind))
+    return known
 
 
 def check_names(function: Any, names: Sequence[str], what: str) -> None:
     """Raise ValueError if a function is written in names of which the system uses one for another coordinate."""
     for part in getattr(function, "summands", (function,)):
         written = getattr(part, "_written_names", None)
-        if written is not None and names_clash(written, names):
+        if written is not None and names_clash(names_of_basis(written), names_of_basis(names)):
             given, right = (in_one_line(", ".join(each), MAX_SHOWN_NAMES) for each in (written, names))
             raise ValueError(f"{what} is written in {given}; the coordinates are {right}: write it in these, by basis=")
+
+
+def joined_names(functions: Iterable[Any]) -> tuple[str, ...] | None:
+    """Return the names that a sum or product of functions is written in; raise ValueError if they contradict."""
+    found: tuple[str, ...] | None = None
+    for function in functions:
+        check_names(function, found or (), "a summand")
+        found = getattr(function, "_written_names", None) or found
+    return found
 
 
 def read_names(names: Any, dim: int) -> tuple[str, ...]:

@@ -17,10 +17,10 @@ from coadjoint.algebra.polynomials.monomials import (
     Coefficient,
     Exponents,
     ProductSum,
-    check_names,
     coordinate_names,
     differentiated,
     exponents_of,
+    joined_names,
     latex,
     plain,
     read_coefficient,
@@ -183,9 +183,7 @@ class Polynomial:
         result = Polynomial._from_valid(monomials, self._dim)
         for p in (self, *others):
             result._names = result._names or p._names
-            if p._written_names is not None:
-                check_names(p, result._written_names or (), "a polynomial")
-                result._written_names = p._written_names
+        result._written_names = joined_names((self, *others))
         return result
 
     def __repr__(self) -> str:

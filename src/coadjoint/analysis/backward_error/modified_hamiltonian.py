@@ -272,7 +272,10 @@ def modified_hamiltonian(
     order = read_integer(
         order, "order", 1, MAX_POWER, reason="the words in the free algebra double in number with each power"
     )
-    program = scheme.program(system)
+    try:
+        program = scheme.program(system)
+    except TypeError as reason:
+        raise TypeError(f"{reason}, or take co.modified_field(system, method)") from None
     if system.hamiltonian.timed:
         raise ValueError(
             f"the Hamiltonian of {system.name} depends on time, so no function of x is conserved; "

@@ -153,11 +153,10 @@ class Archive:
         """Raise ArchiveError if there are more chunks than checksums, or in format 1 files: Python loops over them."""
         with self.opened() as folder:
             for name, array in self.arrays.items():
-                counts = tuple(-(-size // step) for size, step in zip(array.shape, array.chunk, strict=True))
-                if (self.has_blocks and is_computed(name, array)) or not (expected := prod(counts)):
+                if self.axis_of_blocks(name) is not None or not (expected := prod(array.chunk_counts)):
                     continue
                 if self.attributes[VERSION_ATTRIBUTE] == FORMAT:
-                    if self.sums.get(name, np.zeros(0)).shape != counts:
+                    if self.sums.get(name, np.zeros(0)).shape != array.chunk_counts:
                         raise ArchiveError(f"{self.path}: {name} has {expected} chunks, and checksums of other ones")
                 elif isinstance(folder, ArchiveFolder) and expected > MAX_LOST_CHUNKS + len(self._names(folder, name)):
                     raise ArchiveError(f"{self.path}: most of the {expected} chunks of {name} are missing")
@@ -191,6 +190,15 @@ class Archive:
         except FileNotFoundError:
             return None
 
+    def intact_marker(self, folder: Folder, block: MemberBlock, only_head: bool = False) -> Marker | None:
+        """Return `read_marker`, also None if it is damaged: the block is computed again."""
+        try:
+            return self.read_marker(folder, block, only_head)
+        except ArchiveUnreadable:
+            raise
+        except ArchiveError:
+            return None
+
     def read_heads(self, whole_markers: bool = False) -> list[dict[str, Any]]:
         """Return the progress of each block; empty for blocks that have not begun, or whose marker is damaged."""
         if not self.has_blocks:
@@ -198,12 +206,7 @@ class Archive:
         heads = []
         with self.opened() as folder:
             for block in self.blocks:
-                try:
-                    marker = self.read_marker(folder, block, not whole_markers)
-                except ArchiveUnreadable:
-                    raise
-                except ArchiveError:
-                    marker = None
+                marker = self.intact_marker(folder, block, not whole_markers)
                 heads.append(marker.head if marker else {})
         return heads
 
@@ -219,19 +222,22 @@ class Archive:
             self._progress[number] = marker and (marker.head["rows"], sums_among(marker.numbers))
         return self._progress[number]
 
+    def axis_of_blocks(self, name: str) -> int | None:
+        """Return the axis of an array along which the blocks of an ensemble write it; None if they do not."""
+        array = self.arrays[name]
+        return array.dims.index(MEMBER) if self.has_blocks and is_computed(name, array) else None
+
     def place_of(self, name: str, indices: tuple[int, ...]) -> tuple[int, ...]:
         """Return the place of a chunk among the checksums of its array, those of its block if a block writes it."""
-        array = self.arrays[name]
-        if not (self.has_blocks and is_computed(name, array)):
-            return indices
-        return tuple(0 if dim == MEMBER else k for dim, k in zip(array.dims, indices, strict=True))
+        axis = self.axis_of_blocks(name)
+        return indices if axis is None else (*indices[:axis], 0, *indices[axis + 1 :])
 
     def committed(self, folder: Folder, name: str, indices: tuple[int, ...]) -> tuple[int, int | None]:
         """Return how many rows of a chunk are committed, and their checksum, None in format 1."""
-        array, sums = self.arrays[name], self.sums
+        array, sums, axis = self.arrays[name], self.sums, self.axis_of_blocks(name)
         rows = array.shape[0]
-        if self.has_blocks and is_computed(name, array):
-            of_block = self._progress_of(folder, indices[array.dims.index(MEMBER)])
+        if axis is not None:
+            of_block = self._progress_of(folder, indices[axis])
             if of_block is None:
                 return 0, None
             rows, sums = of_block if array.grows else (rows, of_block[1])
@@ -324,13 +330,10 @@ class Archive:
     def lost_chunks(self, folder: Folder) -> Iterator[tuple[str, tuple[int, ...]]]:
         """Yield the name of the array and the indices of committed chunks that are missing, at most one of a block."""
         for name, array in self.arrays.items():
-            files = self._names(folder, name)
-            of_blocks = self.has_blocks and is_computed(name, array)
-            for k in range(len(self.blocks)) if of_blocks else (None,):
-                if k is not None and not self.heads[k]:
-                    continue
-                for indices in array.chunk_indices(None if k is None else array.dims.index(MEMBER), k):
-                    rows = self.heads[k]["rows"] if k is not None and array.grows else array.shape[0]
+            files, axis = self._names(folder, name), self.axis_of_blocks(name)
+            for k, head in enumerate([{"rows": array.shape[0]}] if axis is None else self.heads):
+                rows = head.get("rows", 0) if array.grows or not head else array.shape[0]
+                for indices in array.chunk_indices(axis, k):
                     if indices[0] * array.chunk[0] >= rows:
                         break
                     if chunk_file(indices) not in files:

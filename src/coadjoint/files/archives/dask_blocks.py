@@ -80,7 +80,11 @@ class SilentWorkers:
     def __init__(self, client: Any) -> None:
         self._client, self._heard, self._asked = client, dict[str, tuple[Any, float]](), -math.inf
         self.silent: set[str] = set()
-        self.others: list[str] = []
+
+    @property
+    def elsewhere(self) -> dict[str, list[str]]:
+        """Option of the client by which tasks and data go to other workers."""
+        return {"workers": [address for address in self._heard if address not in self.silent]} if self.silent else {}
 
     def find(self) -> set[str]:
         """Update the sets of workers from time to time; return those that are newly silent, with a warning."""
@@ -96,14 +100,13 @@ class SilentWorkers:
             for address, seen in heard.items()
         }
         self.silent = {address for address, (_, since) in self._heard.items() if now - since > limit}
-        self.others = [address for address in self._heard if address not in self.silent]
         for address in self.silent - before:
             warnings.warn(
                 f"the worker {address} has not answered for {limit:g} s; its members are computed by other workers",
                 RuntimeWarning,
                 stacklevel=2,
             )
-        if self.silent and not self.others:
+        if self.silent and not self.elsewhere["workers"]:
             raise TimeoutError(f"no worker has answered for {limit:g} s")
         return self.silent - before
 
@@ -122,8 +125,7 @@ def _run_round(
     run, shared_tables = identity_of(store.attributes), not prepared.system.is_batch
     try:
         silent.find()
-        where = {"workers": silent.others} if silent.silent else {}
-        scatter = partial(client.scatter, prepared, broadcast=True, hash=False, **where)
+        scatter = partial(client.scatter, prepared, broadcast=True, hash=False, **silent.elsewhere)
         shared_run: Any = within_limit(scatter) if shared_tables else None
     except (OSError, CancelledError) as lost:
         # A worker that dies while it receives the tables fails this request, but not the cluster.
@@ -135,8 +137,7 @@ def _run_round(
         prepared_run = shared_run if shared_tables else prepared.among(block.first, block.last)
         key = f"coadjoint-{token}-{block.number}-{attempt}"
         arguments = archive, block, prepared_run, shared_tables, run, threads
-        elsewhere = {"workers": silent.others} if silent.silent else {}
-        return client.submit(run_block, *arguments, key=key, pure=False, **elsewhere)
+        return client.submit(run_block, *arguments, key=key, pure=False, **silent.elsewhere)
 
     tasks = {submitted(block, 0): block for block in remaining}
     unfinished: list[MemberBlock] = []

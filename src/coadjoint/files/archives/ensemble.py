@@ -19,12 +19,7 @@ import numpy as np
 
 from coadjoint import __version__
 from coadjoint.errors import IntegrationError
-from coadjoint.files.archives.archive import (
-    FINISHED,
-    MemberBlock,
-    is_computed,
-    total_progress,
-)
+from coadjoint.files.archives.archive import FINISHED, MemberBlock, total_progress
 from coadjoint.files.archives.archived_solution import closing, open_archive, raise_if_failed
 from coadjoint.files.archives.folder import ArchiveError, open_folder, read_archive_path, timeout
 from coadjoint.files.archives.new_archive import PlannedRun, create_archive
@@ -260,7 +255,7 @@ def run_in_blocks(
 
 def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int | None, progress: bool) -> Solution:
     """Begin or continue the archive, and run its unfinished blocks."""
-    began, prepared, is_new = time.perf_counter(), planned.prepared, not path.exists()
+    began, prepared, is_new, warned = time.perf_counter(), planned.prepared, not path.exists(), False
     if pool.client is not None and pool.client.status != "running":
         raise ValueError(f"the client is {pool.client.status}; give one that is connected to a scheduler")
     if is_new:
@@ -270,7 +265,7 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
     with closing(store, prepared.system):
         if is_new:
             # A copy, since loops of half a step are not sent to workers.
-            prepared.in_one_thread().warn_of_large_step(open_archive(path, prepared.system))
+            warned = prepared.in_one_thread().warn_of_large_step(open_archive(path, prepared.system))
             remaining = store.blocks
         else:
             check_archive(store)
@@ -286,10 +281,13 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
             elif remaining:
                 on_processes(min(pool.worker_count, len(remaining)), store, remaining, planned, pool.threads, progress)
         try:
-            finish_ensemble(store, began)
+            heads = finish_ensemble(store, began)
         except OSError as reason:
             raise _unwritten(store, reason) from reason
-    return raise_if_failed(open_archive(path, prepared.system))
+    solution = raise_if_failed(open_archive(path, prepared.system))
+    if remaining and not warned:
+        prepared.warn_of_blocks(solution, [head["lost"] for head in heads if "lost" in head])
+    return solution
 
 
 def _run_serially(store: ArchiveStore, remaining: list[MemberBlock], prepared: PreparedRun, progress: bool) -> None:
@@ -372,15 +370,16 @@ def unfinished_blocks(store: ArchiveStore) -> list[MemberBlock]:
     """Return the unfinished blocks; those of which committed chunks are lost begin again."""
     blocks, lost, store.heads = store.blocks, set[int](), store.read_heads(whole_markers=True)
     for name, indices in store.lost_chunks(store.folder):
-        if is_computed(name, store.arrays[name]):
-            lost.add(indices[store.arrays[name].dims.index(MEMBER)])
+        axis = store.axis_of_blocks(name)
+        if axis is not None:
+            lost.add(indices[axis])
     for number in lost:
         store.folder.remove(HIDDEN_FOLDER, blocks[number].marker)
     return [block for block in blocks if block.number in lost or not store.heads[block.number].get(FINISHED)]
 
 
-def finish_ensemble(store: ArchiveStore, began: float) -> None:
-    """Mark the ensemble as finished in the root, with the time since its call began."""
+def finish_ensemble(store: ArchiveStore, began: float) -> list[dict[str, Any]]:
+    """Mark the ensemble as finished in the root, with the time since its call began; return the heads of its blocks."""
     heads = store.read_heads()
     attributes = total_progress(heads)
     attributes["elapsed"] = float(store.attributes.get("elapsed", 0.0)) + time.perf_counter() - began
@@ -396,3 +395,4 @@ def finish_ensemble(store: ArchiveStore, began: float) -> None:
     store.commit(attributes, {TIME: store.arrays[TIME].shape[0]}, store.states)
     for block in store.blocks:
         store.folder.remove(HIDDEN_FOLDER, block.lock_file)
+    return heads

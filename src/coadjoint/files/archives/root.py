@@ -62,8 +62,8 @@ def root_content(arrays: Mapping[str, StoredArray], attributes: Mapping[str, Any
 
 def _digest(attributes: Mapping[str, Any], metadata: Mapping[str, Any]) -> str:
     """Return the checksum of attributes and array metadata: SHA-256 of their JSON, in the order of the names."""
-    content = {"attributes": {k: v for k, v in attributes.items() if k != ROOT_DIGEST}, "metadata": metadata}
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    content = json.dumps({"attributes": attributes, "metadata": metadata}, sort_keys=True)
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, StoredArray], dict[str, Any]]:
@@ -93,9 +93,8 @@ def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, S
             f"{FORMAT}; install a later version"
         )
     with reading(path, f"the metadata in {ROOT_FILE}"):
-        if (version == FORMAT or ROOT_DIGEST in attributes) and attributes.pop(ROOT_DIGEST, "") != _digest(
-            attributes, metadata
-        ):
+        is_checked, checksum = version == FORMAT or ROOT_DIGEST in attributes, attributes.pop(ROOT_DIGEST, "")
+        if is_checked and checksum != _digest(attributes, metadata):
             raise ValueError("the checksum does not match")
         return _arrays_of(metadata), attributes
 

@@ -208,7 +208,7 @@ def observed_again(archive: Solution, system: Any, observe: Mapping[str, Any] | 
     elif "system" in fingerprints:
         raise _missing_error(path, "system", fingerprints)
     if observe is not None:
-        observe = check_observe(observe)
+        observe = check_observe(observe, archive.inputs()["system"] if observe else None)
         if list(observe) != observed["names"]:
             raise ArchiveError(f"{path}: the run observes {observed['names']}, but observe has {list(observe)}")
         _check_same(path, "observe", observe, fingerprints, observe)

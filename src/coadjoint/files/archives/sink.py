@@ -15,8 +15,11 @@ from coadjoint.files.archives.store import ArchiveStore, unwritten_archive
 from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import summary_variables, time_coordinate, time_variables
 from coadjoint.runs.piecewise_run import PiecewiseRun
+from coadjoint.runs.preparation import lost_invariant
 from coadjoint.runs.results.solution import Solution
 
+LOST = 1e300
+"""Largest deviation of an invariant, relative to its size, that is stored."""
 BLOCKS, MIN_STATE_BYTES = 64, 2**24
 """A run has about 64 blocks, if their states take at most a quarter of the archive, or 16 MB."""
 
@@ -85,6 +88,8 @@ class ArchiveSink:
             "first_failed": block.first + int(failed.argmax()) if failed.any() else -1,
             "rows": run.first + run.points_held,
         }
+        if run.is_over and (lost := lost_invariant(piece)).large:
+            self.head["lost"] = [*lost._replace(ratio=min(lost.ratio, LOST), member=block.first + lost.member)]
         if "failed_reason" in self.head:
             # Members are numbered within the block here; the ensemble adds the member that failed.
             failed_members = f" for {failed.sum()} of {len(failed)} members (first: member {failed.argmax()})"

@@ -51,7 +51,7 @@ from coadjoint.files.archives.archive import (
     digest_of_marker,
     sums_among,
 )
-from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder, ArchiveUnreadable, Folder, open_folder
+from coadjoint.files.archives.folder import ArchiveError, ArchiveFolder, Folder, open_folder
 from coadjoint.files.archives.root import (
     FORMAT,
     GROUP_METADATA,
@@ -260,12 +260,7 @@ class ArchiveStore(Archive):
 
     def begin_block(self, block: MemberBlock) -> Marker | None:
         """Return the marker from which a block resumes; None if it begins, also if its marker is damaged."""
-        try:
-            marker = self.read_marker(self.folder, block)
-        except ArchiveUnreadable:
-            raise
-        except ArchiveError:
-            marker = None
+        marker = self.intact_marker(self.folder, block)
         self._progress[block.number] = marker and (marker.head["rows"], sums_among(marker.numbers))
         return marker
 

@@ -131,10 +131,15 @@ class StoredArray(NamedTuple):
             if all(slice_.start < slice_.stop for slice_ in outside):
                 yield indices, tuple(inside), tuple(outside)
 
-    def chunk_indices(self, axis: int | None = None, index: int | None = None) -> Iterator[tuple[int, ...]]:
+    @property
+    def chunk_counts(self) -> tuple[int, ...]:
+        """Number of chunks along each axis."""
+        return tuple(-(-size // step) for size, step in zip(self.shape, self.chunk, strict=True))
+
+    def chunk_indices(self, axis: int | None, index: int) -> Iterator[tuple[int, ...]]:
         """Yield the indices of all chunks, or of those with an index along an axis, along time in order."""
-        along = [range(-(-size // step)) for size, step in zip(self.shape, self.chunk, strict=True)]
-        if axis is not None and index is not None:
+        along = [*map(range, self.chunk_counts)]
+        if axis is not None:
             along[axis] = range(index, index + 1)
         return itertools.product(*along)
 

@@ -299,6 +299,21 @@ def check_named(name: str, file: File) -> None:
         raise ConfigurationError(f"{name}: initial.kind: only ready-made systems have named states; give x")
 
 
+def _numbers_of_field(value: Any, folder: Path, key: str) -> Any:
+    """Return modes from rows ``[l, m, real]`` or ``[l, m, real, imaginary]``, values as given, or those of a file."""
+    if isinstance(value, str):
+        return array_of_file(folder / value, value)
+    if key == "values":
+        return value
+    rule = "give a list of [number, number, real] or [number, number, real, imaginary], or a file .npy"
+    rows = value if isinstance(value, list) else [value]
+    if not all(isinstance(row, list) and len(row) in (3, 4) for row in rows):
+        raise ValueError(f"modes is {short(value)}; {rule}")
+    if len({(row[0], row[1]) for row in rows}) < len(rows):
+        raise ValueError(f"modes has a mode twice, {short(value)}; give each once")
+    return {(row[0], row[1]): row[2] if len(row) == 3 else complex(row[2], row[3]) for row in rows}
+
+
 def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
     """Return the state named in ``states_by_name`` of its system, or None if the file names none."""
     from coadjoint.files.configuration.parsing import keys_by_table, unknown_key
@@ -315,10 +330,12 @@ def state_by_name(name: str, table: InitialTable, system: Any) -> Any:
         if key not in parameters:
             elsewhere = {table: keys for table, keys in keys_by_table().items() if table != "[initial]"}
             raise ConfigurationError(f"{name}: initial.{key}: {unknown_key(key, parameters, elsewhere)}")
-    arguments = dict(table.parameters)
+    arguments, folder = dict(table.parameters), Path(name).parent
     if isinstance(arguments.get("path"), str):
-        arguments["path"] = str(Path(name).parent / arguments["path"])
+        arguments["path"] = str(folder / arguments["path"])
     with section(name, "initial"):
+        for key in {"modes", "values"} & arguments.keys():
+            arguments[key] = _numbers_of_field(arguments[key], folder, key)
         required = [key for key, parameter in parameters.items() if parameter.default is inspect.Parameter.empty]
         check_parameters(table.kind, arguments, parameters, required)
         try:

@@ -58,12 +58,10 @@ def parse_toml(name: str, text: str) -> dict[str, Any]:
 
     def number(literal: str) -> float:
         value = float(literal)
-        if math.isfinite(value):  # others are refused by their keys
-            try:
-                return parse_decimal(literal)
-            except ValueError as reason:
-                raise _syntax_error(name, text, text.find(literal), str(reason)) from None
-        return value
+        try:
+            return parse_decimal(literal) if math.isfinite(value) else value  # others are refused by their keys
+        except ValueError as reason:
+            raise _syntax_error(name, text, text.find(literal), str(reason)) from None
 
     try:
         return tomllib.loads(text, parse_float=number)

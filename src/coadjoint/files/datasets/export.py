@@ -14,10 +14,12 @@ from coadjoint.errors import IntegrationError, OneLineError
 from coadjoint.files.datasets.named_axes import axes_attribute, axes_of_system, in_order, stacked, unstacked
 from coadjoint.files.datasets.variables import (
     CONVENTIONS,
+    FORMULAS,
     OBSERVED_NAMES,
     angular_motion_variables,
     coordinates_of,
     event_variables,
+    formulas_of,
     parameters_of,
     start_variables,
     state_of,
@@ -28,7 +30,7 @@ from coadjoint.files.datasets.variables import (
 from coadjoint.files.datasets.writers import with_checksum
 from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.reconstruction import events_of, not_stored
-from coadjoint.files.records.records import event_record, record_of, system_of
+from coadjoint.files.records.records import event_record, invariants_record, record_of, system_of
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.labels import STATE_DIMENSIONS
 from coadjoint.methods import registry
@@ -49,7 +51,6 @@ if TYPE_CHECKING:
 
 
 REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
-
 ENDED_ATTRIBUTE, TAKEN_ATTRIBUTE = "ended_after", "steps_taken"
 """Attribute with the number of steps after which an event ended the run."""
 
@@ -107,7 +108,8 @@ def dataset_of(solution: Solution, grid: Any = None) -> xarray.Dataset:
 def attributes_of(solution: Solution) -> dict[str, Any]:
     """Return the attributes of the dataset of a solution."""
     record = record_of(solution.system)
-    missing = [*record.get("not_stored", []), *(f"observed: {name}" for name in solution.observed)]
+    formulas = invariants_record(getattr(solution.observed, "formulas", {}))
+    missing = record.get("not_stored", []) + [f"observed: {name}" for name in solution.observed if name not in formulas]
     times = times_of(solution.asked_span, solution.step, 1)
     attributes: dict[str, Any] = {
         "Conventions": CONVENTIONS,
@@ -137,11 +139,12 @@ def attributes_of(solution: Solution) -> dict[str, Any]:
         attributes[ENDED_ATTRIBUTE] = solution.stats.steps
     attributes |= axes_attribute(axes_of_system(solution.system))
     if solution.observed:
-        attributes[OBSERVED_NAMES] = json.dumps(list(solution.observed))
+        attributes |= {OBSERVED_NAMES: json.dumps(list(solution.observed)), FORMULAS: json.dumps(formulas)}
     if solution.events is not None:
-        attributes["events"], functions = event_record(solution.events.asked, solution.events.names)
+        asked, dim = solution.events.asked, solution.system.dim
+        attributes["events"], functions = event_record(asked, solution.events.names, dim)
         missing += [f"event: {name}" for name in functions]
-        if any(event.terminal for event in solution.events.asked) and functions:
+        if any(event.terminal for event in asked) and functions:
             attributes["events_not_stored"] = ", ".join(functions)
     if missing:
         attributes["not_stored"] = "functions are not stored: " + ", ".join(missing)
@@ -309,6 +312,7 @@ def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = Non
     if events is None:
         events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
     return {
+        "observe": formulas_of(attributes, system),
         "system": system,
         "x0": x0,
         "t_span": (start, end),
@@ -334,7 +338,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     Returns
     -------
     Solution
-        The solution, without observed quantities, and without Casimirs and events that are functions.
+        The solution, without observed quantities, Casimirs and events that are functions.
 
     Raises
     ------
@@ -355,7 +359,7 @@ def rebuild(dataset: xarray.Dataset) -> Solution:
     with as_value_errors(Entry(None, "the run of this dataset")):
         if element is None:
             return integrate(**inputs)
-        prepared = {name: inputs.pop(name) for name in ("system", "method", "step", "attitude", "watch")}
+        prepared = {name: inputs.pop(name) for name in ("system", "method", "step", "attitude", "watch", "observe")}
         return PreparedRun(**prepared).run(**inputs, attitude=element)
 
 

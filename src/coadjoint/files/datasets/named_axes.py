@@ -12,7 +12,7 @@ import numpy as np
 from coadjoint.files.records.entries import parsed
 from coadjoint.files.records.reconstruction import Axes, axes_of_record
 from coadjoint.files.records.records import axes_record
-from coadjoint.labels import COMPLEX_PARTS
+from coadjoint.labels import COMPLEX_PARTS, positions
 from coadjoint.short_repr import short
 from coadjoint.systems.batch import SUFFIX, Axis
 
@@ -93,9 +93,10 @@ def in_order(dataset: xarray.Dataset, dim: str, labels: Sequence[Any]) -> xarray
     found = dataset[dim].values.tolist() if dim in dataset.coords else list(labels)
     if found == list(labels):
         return dataset
-    if sorted(map(str, found)) != sorted(map(str, labels)) or len(set(found)) < len(found):
+    order = positions(labels, found)
+    if order is None:
         raise ValueError(f"the coordinate {dim} is {short(found)}; the run has {short(list(labels))}")
-    return dataset.isel({dim: [found.index(label) for label in labels]})
+    return dataset.isel({dim: order})
 
 
 def _by_names(dataset: xarray.Dataset, axes: Sequence[str]) -> xarray.Dataset:

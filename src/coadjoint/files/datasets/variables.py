@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from coadjoint.files.datasets.named_axes import unstacked
 from coadjoint.files.datasets.writers import CHECKSUM, with_checksum
+from coadjoint.files.records.entries import parsed
+from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import record_of, safe_name
 from coadjoint.labels import COMPLEX_PARTS, STATE_DIMENSIONS
 from coadjoint.memory import check_available_memory
@@ -70,13 +72,19 @@ if TYPE_CHECKING:
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
-
 CONVENTIONS = "CF-1.11"
 TIME = "time"
-OBSERVED_NAMES = "observed"
-"""Attribute with the names of the observed quantities in the order of the run."""
+OBSERVED_NAMES, FORMULAS = "observed", "observed_formulas"
+"""Attributes with the observed quantities: their names in the order of the run, and those that are no functions."""
 SIZES = "drift_scale"
 """Variable with the sizes of the invariants of a run with functions, which are not stored."""
+
+
+def formulas_of(attributes: Mapping[Any, Any], system: Any) -> dict[str, Any]:
+    """Return the observed formulas of a stored run, in the order of the run."""
+    formulas = invariants_of(parsed(attributes[FORMULAS], FORMULAS), system.dim) if FORMULAS in attributes else {}
+    names = parsed(attributes.get(OBSERVED_NAMES, "[]"), OBSERVED_NAMES).texts()
+    return {name: formulas[name] for name in names if name in formulas}
 
 
 def cf_attributes(long_name: str) -> dict[str, Any]:
@@ -109,7 +117,7 @@ def time_variables(solution: Solution) -> Variables:
 
 
 def angular_motion_variables(solution: Solution) -> Variables:
-    """Return attitudes and angular velocities and momenta of bodies in their frames, and rotors; else nothing."""
+    """Return the motion of bodies: attitudes, angular velocities, momenta, centres, and rotors; else nothing."""
     variables: Variables = {}
     dims, systems = ("time", *_member(solution)), [one.unforced for one in solution.system.distinct]
     if not all(hasattr(one, "angular_velocity") for one in systems):
@@ -121,6 +129,9 @@ def angular_motion_variables(solution: Solution) -> Variables:
 
     for name in ("angular_velocity", "angular_momentum"):
         add(name, getattr(solution, name), "axis", f"{name.replace('_', ' ')} in the body frame")
+    if all(hasattr(one, "positions") for one in systems):
+        add("position", solution.positions, "axis", "position of the centre of mass in space")
+        add("velocity", solution.velocities, "axis", "velocity of the centre of mass in space")
     if all(one.has_attitude for one in systems):
         rotations: Any = solution._of_bodies("attitudes", "attitude")
     else:

@@ -176,21 +176,18 @@ def _matrices_of(record: Entry, dim: int) -> NDArray[np.float64]:
     return matrices
 
 
-def invariants_of(record: Entry, dim: int) -> dict[str, Polynomial | Quadratic]:
-    """Return polynomials and quadratic forms by name."""
+def invariants_of(record: Entry, dim: int) -> dict[str, Any]:
+    """Return polynomials, quadratic forms and formulas by name."""
     return {
         name: _form_of(entry, dim) if entry.is_table else _polynomial_of(entry, dim)
         for name, entry in record.table().items()
     }
 
 
-def _form_of(record: Entry, dim: int) -> Quadratic:
-    kind = record["kind"]
-    if kind.text() not in ("quadratic", "polynomial"):
-        raise kind.invalid_error("'quadratic' or 'polynomial'")
+def _form_of(record: Entry, dim: int) -> Any:
     form: Any = _hamiltonian_of(record, dim)
     with as_value_errors(record):
-        return form if kind.value == "quadratic" else Quadratic.from_polynomial(form)
+        return Quadratic.from_polynomial(form) if isinstance(form, Polynomial) and form.degree < 3 else form
 
 
 def _polynomial_of(record: Entry, dim: int) -> Polynomial:

@@ -24,11 +24,11 @@ from coadjoint.systems.batch import Axis, Batch
 from coadjoint.systems.coefficients import linear_of
 from coadjoint.systems.forces import registry as described
 from coadjoint.systems.forces.base import Force
-from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, formula_of
+from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian, formula_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.hamiltonians.sum_of_hamiltonians import SumOfHamiltonians
-from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summable
 from coadjoint.systems.hamiltonians.terms import FunctionTerm, QuadraticTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import ParsedFunction
 from coadjoint.systems.lie_poisson import LiePoissonSystem
@@ -97,7 +97,7 @@ def _lie_poisson_entries(system: LiePoissonSystem, missing: list[str]) -> dict[s
 
 def functions_among(invariants: Mapping[str, Any]) -> list[str]:
     """Return the names of the invariants that are functions, which cannot be stored."""
-    return [name for name, value in invariants.items() if not isinstance(value, Polynomial | Quadratic)]
+    return [name for name, value in invariants.items() if _invariant_record(value) is None]
 
 
 def _algebra_record(algebra: LieAlgebra) -> dict[str, Any]:
@@ -122,15 +122,18 @@ def _matrices_record(matrices: NDArray[np.float64]) -> dict[str, Any]:
 
 
 def invariants_record(casimirs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return polynomials as monomials, and quadratic forms as for a Hamiltonian; functions are omitted."""
-    records: dict[str, Any] = {}
-    for name, value in casimirs.items():
-        match value:
-            case Polynomial():
-                records[name] = _monomials(value)
-            case Quadratic():
-                records[name] = _form_record(value)
-    return records
+    """Return polynomials as monomials, and others as Hamiltonians; functions are omitted."""
+    records = {name: _invariant_record(value) for name, value in casimirs.items()}
+    return {name: record for name, record in records.items() if record is not None}
+
+
+def _invariant_record(value: Any) -> Any:
+    """Return a polynomial as monomials, and a quadratic form or formula as a Hamiltonian; None for other functions."""
+    if isinstance(value, Polynomial):
+        return _monomials(value)
+    missing: list[str] = []
+    record = _hamiltonian_record(value, missing) if isinstance(value, HamiltonianLike) else None
+    return None if missing else record
 
 
 def _batch_entries(batch: Batch, missing: list[str]) -> dict[str, Any]:
@@ -289,26 +292,26 @@ def _stream_entries(key: str, stream: Any, missing: list[str]) -> dict[str, Any]
     return {} if record is None else {key: record(stream)}
 
 
-def event_record(events: Sequence[Event], names: Sequence[str]) -> tuple[str, list[str]]:
+def event_record(events: Sequence[Event], names: Sequence[str], dim: int) -> tuple[str, list[str]]:
     """Return events as JSON, and the names of events whose g is a function; these have a null g."""
     tables, missing = {}, []
     for event, name in zip(events, names, strict=True):
-        g = _crossed_record(event.g)
+        g = _crossed_record(event.g, dim)
         if g is None:
             missing.append(name)
         tables[name] = {"g": g, "direction": event.direction, "count": event.count, "terminal": event.terminal}
     return json.dumps(tables), missing
 
 
-def _crossed_record(g: Any) -> Any:
-    """Return the function of an event as a coordinate, text, monomials or a quadratic form; None for other ones."""
+def _crossed_record(g: Any, dim: int) -> Any:
+    """Return the function of an event as a coordinate, text, monomials or a Hamiltonian; None for other ones."""
     match g:
         case Polynomial():
             text, names = text_of(g.monomials, default_names(g.dim)), default_names(g.dim)
             # A coordinate alone would be read as a name, which may be that of another coordinate of the system.
             return _monomials(g) if text in names else text
-        case Quadratic():
-            return _form_record(g)
+        case Summable():
+            return _invariant_record(as_hamiltonian(g, dim))
         case int() | str():
             return g
     return None

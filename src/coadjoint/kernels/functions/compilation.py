@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 import inspect
+import re
 import types
 import warnings
 from collections import namedtuple
@@ -211,7 +212,9 @@ def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
 
 
 def numba_error_text(error: Exception) -> str:
-    """Return the informative lines of a Numba error, joined to one line."""
+    """Return the informative lines of a Numba error, joined to one line; of a call of a Python function, its name."""
+    if helper := re.search(r"Untyped global name '(\w+)'[^\n]*\s*[^\n]*<class 'function'>", str(error)):
+        return f"it calls the Python function {helper[1]}; compile that one too, by the decorator @numba.njit"
     lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
     informative = [
         line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
@@ -234,14 +237,27 @@ def _value(inner: Any, size: int, scalar: bool, timed: bool) -> Callable[..., No
 
 
 def _array(inner: Any, size: int, results: int, timed: bool) -> Callable[..., None]:
-    def call(y: Any, t: float, out: Any) -> None:
+    def fill(y: Any, t: float, out: Any) -> None:
         for k in range(results):
             out[k] = np.nan
         x = carray(y, (size,))
+        values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
+        for k in range(results):
+            out[k] = values[k]
+
+    return not_a_number_after_errors(fill)
+
+
+def not_a_number_after_errors(fill: Callable[..., None]) -> Callable[..., None]:
+    """Return a function that fills numbers, the first of them by NaN if it raises.
+
+    A block of `try` takes Numba much longer than the same statements outside it: this one has a single call.
+    """
+    filled = numba.njit(**_INTERNAL_OPTIONS)(fill)
+
+    def call(y: Any, t: float, out: Any) -> None:
         try:
-            values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
-            for k in range(results):
-                out[k] = values[k]
+            filled(y, t, out)
         except Exception:
             out[0] = np.nan
 

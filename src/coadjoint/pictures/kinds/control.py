@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.pictures.curves import draw_over_time
-from coadjoint.pictures.kinds.quantities import MAX_LINES
+from coadjoint.pictures.kinds.quantities import first_lines
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, kind
 from coadjoint.runs.results.solution_attributes import are_rotations
@@ -71,10 +71,8 @@ def torques(drawn: PlottedRun) -> Paint:
     indices = np.arange(len(drawn.t)) if held else spread(len(drawn.t), MAX_TIMES)
     by_member = [_commands(drawn.system_of(m), drawn.x[m, indices], drawn.t[indices]) for m in range(len(drawn.x))]
     series = {name: np.stack([commands[name] for commands in by_member]) for name in by_member[0]}
-    lines = dict(list(series.items())[:MAX_LINES])
-    shown = f" ({len(lines)} of {len(series)})" if len(lines) < len(series) else ""
-    names = list(dict.fromkeys(getattr(force, "command_name", "torque") for force in controllers(drawn.system)))
-    label = " and ".join(names)
+    lines, shown = first_lines(series)
+    label = " and ".join(dict.fromkeys(getattr(force, "command_name", "torque") for force in controllers(drawn.system)))
     return lambda axes: draw_over_time(axes, drawn.t[indices], lines, drawn.dense, label, label + shown, drawn)
 
 
@@ -111,9 +109,8 @@ def _of_rotors(drawn: PlottedRun, name: str, rotors: str, letter: str, title: st
     if not len(getattr(drawn.unforced, rotors, ())):
         raise CannotShow(f"{drawn.unforced.name} has no {rotors}; co.systems.body({rotors}=...) has them")
     by_member = [getattr(drawn.system_of(m).unforced, name)(x) for m, x in enumerate(drawn.x)]
-    values = np.stack(by_member)[..., :MAX_LINES]
+    values = np.stack(by_member)
     if name == "gimbal_angles":
         values = np.unwrap(values, axis=1)
-    lines = {f"${letter}_{i + 1}$": values[..., i] for i in range(values.shape[-1])}
-    shown = f" ({len(lines)} of {by_member[0].shape[-1]})" if len(lines) < by_member[0].shape[-1] else ""
+    lines, shown = first_lines({f"${letter}_{i + 1}$": values[..., i] for i in range(values.shape[-1])})
     return lambda axes: draw_over_time(axes, drawn.t, lines, drawn.dense, title, title + shown, drawn)

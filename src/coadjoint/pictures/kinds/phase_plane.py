@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -78,8 +78,9 @@ def phase_portrait(
     def paint(axes: Any) -> Update:
         shades, update, several = MemberColours(saved), PathUpdate(saved, axes, title), len(shown) > 1
         # (members, k, curves)
-        series = (array if curves is not None else array[..., None] for array in values)
-        for (m, i), (x, y) in zip(np.ndindex(len(drawn.x), len(shown)), _paths(*series), strict=True):
+        series = [array if curves is not None else array[..., None] for array in values]
+        for m, i in np.ndindex(len(drawn.x), len(shown)):
+            x, y = (array[m, :, i] for array in series)
             times, shown_x, shown_y = drawn.t[drawn.curve_indices], x, y
             if cyclic > 0.0:
                 x = _wrap(x, cyclic)
@@ -111,12 +112,6 @@ def _evaluate(drawn: PlottedRun, chosen: Any) -> Floats:
     x = drawn.x[:, drawn.curve_indices]
     with np.errstate(all="ignore"):  # nonfinite values are not drawn
         return np.asarray(chosen(x)) if callable(chosen) else x[..., drawn.index_of(chosen)]
-
-
-def _paths(across: Floats, up: Floats) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the points (k,) of the curves of each member, from arrays (members, k, curves)."""
-    for x, y in zip(across, up, strict=True):
-        yield from zip(x.T, y.T, strict=True)
 
 
 def _wrap(values: Floats, cyclic: float) -> Floats:

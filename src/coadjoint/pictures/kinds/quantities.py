@@ -276,11 +276,16 @@ def _paint(drawn: PlottedRun, name: str, letter: str, frame: str) -> Paint:
     return _paint_lines(drawn, vectors_by_name, title, f"{title} in the frame of {where}")
 
 
+def first_lines(series: Mapping[str, Floats]) -> tuple[dict[str, Floats], str]:
+    """Return the first `MAX_LINES` series, and a text for the title if there are more."""
+    lines = dict(list(series.items())[:MAX_LINES])
+    return lines, f" ({len(lines)} of {len(series)})" if len(lines) < len(series) else ""
+
+
 def _paint_lines(drawn: PlottedRun, series: Mapping[str, Floats], ylabel: str, title: str) -> Paint:
     """Return what draws the first `MAX_LINES` series (members, k) over time."""
-    lines, note = from_start(dict(list(series.items())[:MAX_LINES]))
-    shown = f" ({len(lines)} of {len(series)})" if len(lines) < len(series) else ""
-
+    first, shown = first_lines(series)
+    lines, note = from_start(first)
     return lambda axes: draw_over_time(axes, drawn.t, lines, drawn.dense, ylabel + note, title + shown)
 
 

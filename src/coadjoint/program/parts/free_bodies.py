@@ -45,8 +45,8 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
     chosen = {} if form is None else _select_triples(system.algebra, form)
     if form is None or not chosen:
         raise NotSplittable(
-            "no three coordinates that span so(3) have an energy that is quadratic in at least two of them; take "
-            'parts="auto"'
+            'it has no rigid body that turns freely, as parts="free_body" needs: an energy quadratic in at least two '
+            'components of an angular momentum, which points do not have; take parts="auto"'
         )
     bodies = [_body(form, triple, scale) for triple, scale in chosen.items()]
     body = Parts.concatenate(bodies).joined(np.zeros(len(bodies), dtype=np.int64))

@@ -35,7 +35,8 @@ def quadratic_atoms(term: QuadraticTerm, algebra: LieAlgebra, separate: bool) ->
     atoms = [_coupled(term, plain, label[plain])]
     owner = [label[plain][run_starts(label[plain])]]
     if np.any(squared):
-        squares, cluster = _square_atoms(term, members[squared[label[members]]], label)
+        central = np.diff(algebra.neighbours()[0]) == 0
+        squares, cluster = _square_atoms(term, members[squared[label[members]]], label, central)
         atoms, owner = [*atoms, squares], [*owner, cluster]
     return Parts.concatenate(atoms).take(np.argsort(np.concatenate(owner), kind="stable"))
 
@@ -156,7 +157,9 @@ def _coupled(term: QuadraticTerm, members: Integers, label: Integers) -> Parts:
     return Parts.linear(units, values_at(term.linear, members), weights.with_target(units.coordinate), row, source=0)
 
 
-def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tuple[Parts, Integers]:
+def _square_atoms(
+    term: QuadraticTerm, members: Integers, label: Integers, central: NDArray[np.bool_]
+) -> tuple[Parts, Integers]:
     """Build one part per completed square; also return the label of its set."""
     ends = np.append(np.flatnonzero(run_starts(label[members])), len(members))
     local_index = np.zeros(len(term.linear), dtype=np.int64)
@@ -169,9 +172,10 @@ def _square_atoms(term: QuadraticTerm, members: Integers, label: Integers) -> tu
         start, entries = matrix.start[first : last + 1], slice(*matrix.start[[first, last]])
         block = SparseRows(start - start[0], local[entries].astype(np.uint32), matrix.value[entries])
         # Sets that repeat, as in a lattice, have equal squares, which are computed once.
-        key = tuple(column.tobytes() for column in (*block, linear[first:last]))
+        own = central[members[first:last]]
+        key = tuple(column.tobytes() for column in (*block, linear[first:last], own))
         if key not in cache:
-            cache[key] = _without_rounding(sparse_squares(block, linear[first:last]), block.value)
+            cache[key] = _without_rounding(sparse_squares(block, linear[first:last], own), block.value)
         squares.append(cache[key])
     counts = np.array([len(square.weights) for square in squares])
     forms = SparseRows.concatenate([square.forms for square in squares])

@@ -252,7 +252,12 @@ def _join_as_chosen(system: LiePoissonSystem, choice: Sequence[Sequence[int]], a
         return atoms
     begins = atoms.forms.start[atoms.angle[:-1]]
     sets = set_of_coordinate[atoms.forms.coordinate]
-    first, last = np.minimum.reduceat(sets, begins), np.maximum.reduceat(sets, begins)
+    # Central coordinates, which have no flow, may be in any set but that of what they are coupled with.
+    central = np.diff(system.algebra.neighbours()[0])[atoms.forms.coordinate] == 0
+    alone = np.logical_and.reduceat(central, begins)
+    free = central & ~alone[atoms.part_of_angle[atoms.forms.owner]] & (sets < len(choice))
+    first = np.minimum.reduceat(np.where(free, len(choice), sets), begins)
+    last = np.maximum.reduceat(np.where(free, -1, sets), begins)
     wrong = np.flatnonzero((first < last) | (last == len(choice)))
     if len(wrong):
         entries = slice(*atoms.forms.start[atoms.angle[[wrong[0], wrong[0] + 1]]])

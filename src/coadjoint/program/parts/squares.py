@@ -30,6 +30,7 @@ MAX_RATIONAL_SIZE = 16
 DENSE_ROW = 16
 
 Form = dict[int, float]
+Mask = NDArray[np.bool_]
 
 
 class Squares(NamedTuple):
@@ -44,14 +45,18 @@ class Squares(NamedTuple):
     pivots: NDArray[np.int64]
 
 
-def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
-    """Complete the square for any symmetric matrix (Lagrange's reduction), rational as eigenvectors are not."""
+def complete_squares(matrix: NDArray[Any], linear: NDArray[Any], central: NDArray[np.bool_] | None = None) -> Squares:
+    """Complete the square for any symmetric matrix (Lagrange's reduction), rational as eigenvectors are not. Those of
+    `central` coordinates, a mask, which generate no flow, come last, so that no flow is a difference of larger ones.
+    """
     size = len(linear)
     exact = matrix.dtype == np.float64 and size <= MAX_RATIONAL_SIZE
     lift = np.vectorize(Fraction, otypes=[object]) if exact else np.copy
     residual, b = lift(matrix), lift(linear)
+    chosen = np.ones(size, dtype=bool) if central is None else ~central
     # Each of n pivots rounds an entry three times.
-    floor = 0 if exact or matrix.dtype == object else 4.0 * size * UNIT_ROUNDOFF * np.max(np.abs(matrix), initial=0.0)
+    rounding = 0 if exact or matrix.dtype == object else 4.0 * size * UNIT_ROUNDOFF
+    floor = rounding and rounding * np.max(np.abs(matrix[np.ix_(chosen, chosen)]), initial=0.0)
     forms: list[NDArray[Any]] = []
     weights: list[Any] = []
     betas: list[Any] = []
@@ -62,11 +67,20 @@ def complete_squares(matrix: NDArray[Any], linear: NDArray[Any]) -> Squares:
         if 4 * remaining <= 3 * len(active):
             rest = np.flatnonzero(~np.isin(active, [p for _, *pair in steps for p in pair]))
             active, residual = active[rest], residual[np.ix_(rest, rest)]
-        best = int(np.argmax(np.abs(np.diagonal(residual))))
-        row, column = divmod(int(np.argmax(np.abs(residual))), len(active))
-        largest = abs(residual[row, column])
+        within = chosen[active]
+        pivotal = residual if within.all() else np.where(np.multiply.outer(within, within), residual, 0 * residual)
+        best = int(np.argmax(np.abs(np.diagonal(pivotal))))
+        row, column = divmod(int(np.argmax(np.abs(pivotal))), len(active))
+        largest = abs(pivotal[row, column])
         if largest <= floor:
-            break
+            if chosen.all():
+                break
+            if exact:  # drop what the rounding of the entries leaves of squares without a flow
+                least = 4.0 * size * UNIT_ROUNDOFF * float(np.max(np.abs(matrix)))
+                rounded = np.multiply.outer(~within, ~within) & np.asarray(np.abs(residual) <= least, dtype=bool)
+                residual = np.where(rounded, 0 * residual, residual)
+            chosen[:], floor = True, rounding and rounding * np.max(np.abs(matrix))
+            continue
         is_single = abs(residual[best, best]) * MIN_PIVOT_RATIO.denominator >= largest * MIN_PIVOT_RATIO.numerator
         local_pivots = [best] if is_single else [row, column]
         completed = _square(residual, best) if is_single else _pair(residual, row, column)
@@ -121,14 +135,14 @@ def _split_linear(b: Any, forms: Sequence[Any]) -> list[Any]:
     return [(b0 * m1 - b1 * m0) / determinant, (p0 * b1 - p1 * b0) / determinant]
 
 
-def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> Squares:
+def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64], central: Mask | None = None) -> Squares:
     """Complete the square of linear.x + x.M.x/2 for sparse symmetric M, with the numbers of `complete_squares`."""
     size = len(linear)
     if size > MAX_RATIONAL_SIZE and len(matrix.value) < DENSE_ROW * size:
-        return _Reduction(matrix, linear).squares()
+        return _Reduction(matrix, linear, central).squares()
     dense = np.zeros((size, size))
     dense[matrix.owner, matrix.coordinate] = matrix.value
-    squares = complete_squares(dense, linear)
+    squares = complete_squares(dense, linear, central)
     row, column = np.nonzero(squares.forms != 0)
     start = np.searchsorted(row, np.arange(len(squares.forms) + 1)).astype(np.int64)
     return squares._replace(forms=SparseRows(start, column.astype(np.uint32), squares.forms[row, column]))
@@ -137,18 +151,25 @@ def sparse_squares(matrix: SparseRows, linear: NDArray[np.float64]) -> Squares:
 class _Reduction:
     """Residual matrix of `complete_squares`, with the same operations in the same order."""
 
-    def __init__(self, matrix: SparseRows, linear: NDArray[np.float64]) -> None:
+    def __init__(self, matrix: SparseRows, linear: NDArray[np.float64], central: Mask | None = None) -> None:
         self.rows: list[Form] = [{} for _ in linear]
         owner: Integers = matrix.owner
         for i, j, value in zip(owner.tolist(), matrix.coordinate.tolist(), matrix.value.tolist(), strict=True):
             self.rows[i][j] = value
         self.linear: list[float] = linear.tolist()
-        self.diagonal = [(-abs(row[i]), i) for i, row in enumerate(self.rows) if i in row]
-        self.entries = [(-abs(v), i, j) for i, row in enumerate(self.rows) for j, v in row.items() if i <= j]
+        self.matrix = matrix
+        self._choose(np.ones(len(linear), dtype=bool) if central is None else ~central)
+
+    def _choose(self, chosen: Mask) -> None:
+        """Take pivots among these coordinates."""
+        self.chosen, rows = chosen, [(i, self.rows[i]) for i in np.flatnonzero(chosen).tolist()]
+        self.diagonal = [(-abs(row[i]), i) for i, row in rows if i in row]
+        self.entries = [(-abs(v), i, j) for i, row in rows for j, v in row.items() if i <= j and chosen[j]]
         heapify(self.diagonal)
         heapify(self.entries)
         # Each of n pivots rounds an entry three times.
-        self.floor = 4.0 * len(linear) * UNIT_ROUNDOFF * float(np.max(np.abs(matrix.value), initial=0.0))
+        values = self.matrix.value[chosen[self.matrix.owner] & chosen[self.matrix.coordinate]]
+        self.floor = 4.0 * len(chosen) * UNIT_ROUNDOFF * float(np.max(np.abs(values), initial=0.0))
 
     def squares(self) -> Squares:
         forms: list[Form] = []
@@ -187,7 +208,10 @@ class _Reduction:
         while self.entries and not self._current(*self.entries[0]):
             heappop(self.entries)
         if not self.entries or -self.entries[0][0] <= self.floor:
-            return None
+            if self.chosen.all():
+                return None
+            self._choose(np.ones_like(self.chosen))
+            return self._pivots()
         largest, i, j = self.entries[0]
         while self.diagonal and not self._current(*self.diagonal[0], self.diagonal[0][1]):
             heappop(self.diagonal)
@@ -230,10 +254,10 @@ class _Reduction:
             self.rows[p] = {}
         for a in touched:
             row = self.rows[a]
-            for b in touched:
-                if a <= b and row.get(b):
+            for b in touched if self.chosen[a] else ():
+                if a <= b and row.get(b) and self.chosen[b]:
                     heappush(self.entries, (-abs(row[b]), a, b))
-            if row.get(a):
+            if row.get(a) and self.chosen[a]:
                 heappush(self.diagonal, (-abs(row[a]), a))
 
 

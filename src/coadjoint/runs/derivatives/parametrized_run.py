@@ -132,8 +132,7 @@ class ParametrizedRun:
             solution = run.run(x0, attitude=attitude, **arguments)
         except IntegrationError:
             return
-        run.cache.checks_step = True
-        run.check_first_step(solution)
+        run.in_one_thread().warn_of_large_step(solution)
 
     @property
     def has_batch(self) -> bool:

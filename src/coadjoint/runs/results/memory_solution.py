@@ -13,7 +13,7 @@ from coadjoint.kernels.loop import Layout, NamedArrays
 from coadjoint.keyword_hints import NamedValues
 from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.loops.loops import GroupCorrection
-from coadjoint.runs.results.quantities import Observed
+from coadjoint.runs.results.quantities import Observed, ObservedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.start import Start, start_without_groups
@@ -206,9 +206,10 @@ def solution_of_run(run: Run, saved_points: int, observed: Observed | None, **fi
     )
     if observed is not None:
         # Observed quantities do not use the accounts that may follow the coordinates.
-        series = observed(solution.t, solution._points("x"))
-        named = {name: solution._without_member_axis(values) for name, values in series.items()}
-        vars(solution)["observed"] = NamedValues(named)
+        series = observed.along(solution.t, solution._points("x"))
+        named = ObservedValues({name: solution._without_member_axis(values) for name, values in series.items()})
+        named.formulas = observed.formulas
+        vars(solution)["observed"] = named
     return solution
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +15,13 @@ from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import in_one_line
 from coadjoint.kernels.tables.recording import values_along
+from coadjoint.keyword_hints import NamedValues
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
+from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula_of
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
+from coadjoint.systems.hamiltonians.summable import PolynomialHamiltonian, Summable
 from coadjoint.systems.hamiltonians.terms import built_in
 from coadjoint.systems.system import System
 from coadjoint.systems.user_functions import takes_time, with_time
@@ -29,8 +32,21 @@ if TYPE_CHECKING:
     from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 Floats = NDArray[np.float64]
-Observed = Callable[[Floats, Floats], dict[str, Floats]]
-"""Function of times (k,) and points (k, members, n) that returns the values (k, members) of quantities by name."""
+
+
+class Observed(NamedTuple):
+    """Function of times (k,) and points (k, members, n) that returns the values (k, members) of quantities by name."""
+
+    along: Callable[[Floats, Floats], dict[str, Floats]]
+    formulas: Mapping[str, Any]
+    """Those of the quantities that are no functions of Python."""
+
+
+class ObservedValues(NamedValues[Floats]):
+    """Observed quantities by name, with the formulas among them."""
+
+    formulas: Mapping[str, Any] = MappingProxyType({})
+
 
 # An energy below this fraction of the sum of its absolute terms is small by cancellation. That of a near-parabolic
 # orbit, which determines its period, is larger. Casimirs have the size of their terms, as do their rounding errors.
@@ -43,8 +59,14 @@ SUMMED_NUMBERS = 2**18
 
 
 def is_formula(quantity: Any) -> bool:
-    """Whether a quantity is a formula of coordinates, not a function of the user."""
-    return isinstance(quantity, Polynomial | Quadratic)
+    """Whether a quantity is a formula or a Hamiltonian of the coordinates, not a plain function of the user."""
+    return isinstance(quantity, Polynomial | Summable)
+
+
+def is_text(quantity: Any) -> bool:
+    """Whether a quantity is made of numbers and text alone: a polynomial, a quadratic form, a formula, or a sum."""
+    summands = getattr(quantity, "summands", (quantity,))
+    return all(isinstance(one, Polynomial | Quadratic | PolynomialHamiltonian) or formula_of(one) for one in summands)
 
 
 def observed_quantities(system: System, observe: Mapping[str, Any], x0: Floats) -> Observed:
@@ -64,12 +86,13 @@ def observed_quantities(system: System, observe: Mapping[str, Any], x0: Floats) 
                 f"observe[{short(name)}] returns {short(value)} at the start; it must return one real number"
             )
     if matrices is not None:
-        return partial(_of_matrices, matrices, dict(observe))
+        return Observed(partial(_of_matrices, matrices, dict(observe)), {})
     wrapped = {
         name: quantity if is_formula(quantity) or isinstance(quantity, Invariant) else Invariant(quantity)
         for name, quantity in observe.items()
     }
-    return partial(_along, watch_tables(system, wrapped), list(observe))
+    formulas = {name: quantity for name, quantity in observe.items() if is_text(quantity)}
+    return Observed(partial(_along, watch_tables(system, wrapped), list(observe)), formulas)
 
 
 def _along(watch: CompiledTables, names: Sequence[str], t: Floats, points: Floats) -> dict[str, Floats]:
@@ -120,8 +143,8 @@ def _check_matrix_functions(system: MatrixSystem, observe: Mapping[str, Any]) ->
             )
 
 
-def check_observe(observe: Any) -> dict[str, Any]:
-    """Validate `observe` and return a copy."""
+def check_observe(observe: Any, system: Any) -> dict[str, Any]:
+    """Validate `observe` and return a copy, with Hamiltonians bound to the dimension of the system."""
     if not isinstance(observe, Mapping) or not all(isinstance(name, str) for name in observe):
         raise TypeError(f"observe is {short(observe)}; it must map names to Polynomials or functions of x")
     for name, quantity in observe.items():
@@ -129,7 +152,12 @@ def check_observe(observe: Any) -> dict[str, Any]:
             raise TypeError(
                 f"observe[{short(name)}] is {short(quantity)}; it must be a Polynomial or a function, or a Quadratic"
             )
-    return dict(observe)
+    free = (
+        {}
+        if not observe or system.has_matrices
+        else {name: H for name, H in observe.items() if isinstance(H, Summable)}
+    )
+    return {**observe, **{name: as_hamiltonian(H, system.dim) for name, H in free.items()}}
 
 
 def _value_at(quantity: Any, name: str, x0: Floats) -> Any:

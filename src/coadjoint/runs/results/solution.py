@@ -208,7 +208,7 @@ class Solution(SolutionOutput):
 
     @suggest_keywords
     def error_estimate(self, by_group: bool = False) -> Any:
-        """Return the estimated error of the last state, relative to the largest momentum during the run.
+        """Return the estimated error of the last state, relative in the same way as `accuracy`.
 
         Choose it to know how accurate a run is; conserved invariants do not show it. It is computed once, by a second
         run of 1.5 times as many steps. If both agree to rounding, a third run of 1.75 times as many steps is compared.
@@ -220,16 +220,15 @@ class Solution(SolutionOutput):
         Parameters
         ----------
         by_group : bool
-            Return the errors of the groups of coordinates that brackets do not turn into each other, such as angular
-            momentum, momentum and position, or each spin. Choose it where their sizes differ: the error of a small
-            group is no part of that of the whole state. Without structure constants all coordinates are one group.
+            Return the errors of all groups of coordinates that brackets do not turn into each other, such as angular
+            momentum, momentum and position, or each spin. Without structure constants all coordinates are one group.
 
         Returns
         -------
         float, or ndarray of shape (members,)
-            Error relative to the same scale as `accuracy`; NaN for members without a last state, which have not run
-            yet, have failed, or were ended by an event. With `by_group` a dict: name of the group, made of those of its
-            coordinates -> the error of the group, relative to its largest size during the run.
+            The largest error of a group of coordinates, relative to its largest size during the run; NaN for members
+            without a last state, which have not run yet, have failed, or were ended by an event. With `by_group` a
+            dict: name of the group, made of those of its coordinates -> its error.
 
         Raises
         ------
@@ -265,9 +264,10 @@ class Solution(SolutionOutput):
         """Return the error of a step, relative to the change of the state in it: a cheap test of the step.
 
         At five points of the run a step is compared with two half steps; and so is the fastest step that the saved
-        points show, such as a pericentre, whose error counts 0.4 times. Above 0.02 the scheme does not follow the
-        motion, whatever its invariants; `integrate` warns if the error over the run is more than 5 per cent of the
-        motion (docs/accuracy.md). For the error at the end see `error_estimate`.
+        points show, such as a pericentre, whose error counts 0.4 times. Above 0.02 the scheme does not follow a motion
+        that turns or oscillates, whatever its invariants; near equilibria and on slow ramps, where a step changes as
+        little as it errs, the number is large in runs that are right. `integrate` warns if the error over the run is
+        more than 5 per cent of the motion (docs/accuracy.md). For the error at the end see `error_estimate`.
         Groups of coordinates count relative to their sizes, such as momentum and position, or each spin; those that
         start at zero relative to the size of the state. The rounding of a step counts if it loses many digits of a
         group.
@@ -302,7 +302,7 @@ class Solution(SolutionOutput):
 
     @cached_property
     def _errors_at_end(self) -> NDArray[np.float64]:
-        """Estimated errors at the end of the state and of its groups of coordinates, (1 + groups, members)."""
+        """Estimated errors at the end, the largest and those of groups of coordinates, (1 + groups, members)."""
         return shortcut("error_at_end")(self)
 
     @cached_property

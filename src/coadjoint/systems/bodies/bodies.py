@@ -14,9 +14,9 @@ from coadjoint.systems.bodies.body import (
     axis_products,
     bodies_algebra,
     central_coordinate,
-    momenta_of_bodies,
     momentum_in_space,
 )
+from coadjoint.systems.bodies.body_pictures import momenta_of_bodies, pictures_beside_points
 from coadjoint.systems.bodies.body_systems import (
     Bodies,
     joined,
@@ -175,15 +175,10 @@ def _tumbling() -> Floats:
         step=0.05,
         caption="Two free bodies: the angular momentum of each, as seen from its body, moves on a sphere; that of the "
         "asymmetric body flips between the poles of its middle axis, that of the symmetric one moves on a circle.",
-        pictures=(
-            Picture(
-                "directions",
-                vectors=momenta_of_bodies,
-                title="angular momenta in the body frames",
-            ),
-        ),
+        pictures=(Picture("directions", vectors=momenta_of_bodies, title="angular momenta in the body frames"),),
         components=Picture("components", chosen=(0, 1, 2), quantity="angular momentum of the first body"),
         quantity="state",
+        variant=pictures_beside_points,
     ),
 )
 def bodies(

@@ -32,7 +32,6 @@ from coadjoint.systems.system_checks import KnownInvariants
 from coadjoint.validation import as_tuples, read_bool, read_integer
 
 AXES = ("X", "Y", "Z")
-MAX_DRAWN_BODIES = 8  # as many as there are colours
 SECOND_AXIS = ("Y1", "Y2", "Y3")
 MAX_RECORDED_BODIES = 64
 """Largest number of bodies whose axes are recorded as Casimirs in every run."""
@@ -82,39 +81,6 @@ def bodies_algebra(count: int) -> LieAlgebra:
     )
     name = f"{count} so(3) ⋉ R^(3 x 3) + heisenberg({3 * count})"
     return LieAlgebra._from_valid(g.triples, g.dim, basis, name, None, {})
-
-
-def drawn_bodies(dim: int, first: int = 1) -> range:
-    """Return the numbers from `first` on, counted from 1, of the bodies that default pictures show."""
-    return range(first, min(dim // (PER_BODY + 6), MAX_DRAWN_BODIES) + 1)
-
-
-def momenta_of_bodies(dim: int) -> dict[str, list[str]]:
-    """Return the coordinates of the angular momentum of each drawn body, by name."""
-    return {f"body {k}": [f"L{i}[{k}]" for i in (1, 2, 3)] for k in drawn_bodies(dim)}
-
-
-def relative_positions(x: Any) -> Any:
-    """Return the positions of the other drawn bodies relative to the first, (..., bodies - 1, 3)."""
-    count = x.shape[-1] // (PER_BODY + 6)
-    r = x[..., (PER_BODY + 3) * count : (PER_BODY + 6) * count].reshape(*x.shape[:-1], count, 3)
-    return r[..., 1:MAX_DRAWN_BODIES, :] - r[..., :1, :]
-
-
-def distance_from_first(x: Any, k: int) -> Any:
-    """Return the distance of the centres of body k and the first one."""
-    return np.linalg.norm(relative_positions(x)[..., k - 2, :], axis=-1)
-
-
-def distances_of_bodies(dim: int) -> dict[str, Any]:
-    """Return the distances of the other drawn bodies from the first, by name, as functions of states."""
-    names = {k: f"from 1 to {k}" if drawn_bodies(dim)[-1] > 2 else "distance" for k in drawn_bodies(dim, 2)}
-    return {name: partial(distance_from_first, k=k) for k, name in names.items()}
-
-
-def third_axes_of_bodies(dim: int) -> dict[str, list[str]]:
-    """Return the third axis of each molecule, or body, in space, by its components."""
-    return {f"molecule {k}": [f"{axis}3[{k}]" for axis in "XYZ"] for k in drawn_bodies(dim)}
 
 
 def axis_products(count: int, dim: int, alone: bool = False) -> dict[str, Quadratic]:

@@ -94,10 +94,9 @@ def double_spherical_pendulum(
     """
     first, second = (_pair(argument, what) for argument, what in ((masses, "masses"), (lengths, "lengths")))
     g = read_in_range(gravity, "gravity", zero=True)
-    (m1, m2), (l1, l2) = (np.array(pair) for pair in (first, second))
-    with np.errstate(all="ignore"):
-        determinant, weights = m1 * m2 * l1 * l1 * l2 * l2, g * np.array([(m1 + m2) * l1, m2 * l2])
-        check_products("masses, lengths and gravity", [determinant, *(weights if g else ())])
+    (m1, m2), (l1, l2) = first, second
+    weights = [g * ((m1 + m2) * l1), g * (m2 * l2)] if g else []
+    check_products("masses, lengths and gravity", lambda: [m1 * m2 * l1 * l1 * l2 * l2, *weights])
     H = pendulum_energy(first, second, g)
     return LiePoissonSystem(
         _algebra(),

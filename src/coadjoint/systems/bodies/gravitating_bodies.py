@@ -17,7 +17,15 @@ from coadjoint.systems.bodies.bodies import (
     read_masses,
     system_of_bodies,
 )
-from coadjoint.systems.bodies.body import IN_SPACE, drawn_bodies, momentum_in_space, relative_positions
+from coadjoint.systems.bodies.body import IN_SPACE, momentum_in_space
+from coadjoint.systems.bodies.body_pictures import (
+    distances_of_bodies,
+    drawn_bodies,
+    paths_of_bodies,
+    position_of_first,
+    relative_positions,
+    turning_bodies,
+)
 from coadjoint.systems.bodies.inertia import anisotropic_part, check_products, read_in_range, read_inertias
 from coadjoint.systems.forces.torque import PER_BODY
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -65,6 +73,25 @@ def _librations(dim: int) -> dict[str, Any]:
     return {name: partial(_libration, k=k) for k, name in names.items()}
 
 
+def _beside_points(system: Any) -> dict[str, Any]:
+    """Return the pictures of bodies of which some are points: librations of the others only, or distances."""
+    turning = turning_bodies(system)
+    if turning is None:
+        return {}
+    librations = {f"libration[{k}]": partial(_libration, k=k) for k in turning if k > 1}
+    if librations:
+        return {"components": Picture("components", functions=librations, quantity="angle of the body [degrees]")}
+    single = len(system.inertias) == 1
+    distances = Picture("components", functions=distances_of_bodies, quantity="distance of the centres")
+    changes: dict[str, Any] = {"components": position_of_first() if single else distances}
+    if not turning:
+        weights = system.masses / system.masses.sum()
+        centre = None if single else lambda r: np.einsum("k,...kj->...j", weights, r)[..., None, :]
+        title = "path of the point" if single else "orbits about the centre of mass"
+        changes["pictures"] = (paths_of_bodies(system, title, centre),)
+    return changes
+
+
 def _relative(component: int) -> Any:
     """Return the function of states for a component of the positions relative to the first body."""
     return lambda x: relative_positions(x)[..., component]
@@ -109,6 +136,7 @@ def _potential(
         ),
         components=Picture("components", functions=_librations, quantity="angle of the moon [degrees]"),
         quantity="state",
+        variant=_beside_points,
     ),
 )
 def gravitating_bodies(
@@ -174,8 +202,7 @@ def gravitating_bodies(
     gravity = read_in_range(G, "G")
     if not is_integer(order) or order not in ORDERS:
         raise ValueError(f"order is {short(order)}; mutual gravity is implemented to order 0, 2 or 4 in the sizes")
-    with np.errstate(all="ignore"):
-        check_products("G and masses", gravity * m[:, None] * m)
+    check_products("G and masses", lambda: gravity * m[:, None] * m)
     parameters = {**inertial_parameters(found, m), "G": gravity, "order": int(order)}
     V = _potential(np.array([one.tensor for one in found]), m, np.array(gravity), order=int(order)).hamiltonian()
     integrals = momentum_in_space(len(found), 18 * len(found) + 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -155,9 +156,10 @@ def read_in_range(value: Any, what: str, zero: bool = False) -> float:
     return number
 
 
-def check_products(what: str, products: npt.ArrayLike) -> None:
+@np.errstate(all="ignore")
+def check_products(what: str, products: Callable[[], npt.ArrayLike]) -> None:
     """Raise ValueError if a product of positive numbers, not finite or below `MIN_MOMENT`, has left float64."""
-    for product in np.ravel(np.asarray(products, dtype=np.float64)).tolist():
+    for product in np.ravel(np.asarray(products(), dtype=np.float64)).tolist():
         if not MIN_MOMENT <= product <= 1.0 / MIN_MOMENT:
             raise ValueError(f"{what} have products ({product:g}) that leave the range of float64; change units")
 

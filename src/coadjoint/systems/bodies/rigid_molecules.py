@@ -12,7 +12,8 @@ from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
-from coadjoint.systems.bodies.body import IN_SPACE, distances_of_bodies, momentum_in_space, third_axes_of_bodies
+from coadjoint.systems.bodies.body import IN_SPACE, momentum_in_space
+from coadjoint.systems.bodies.body_pictures import DIPOLES, distances_of_bodies, pictures_of_molecules
 from coadjoint.systems.bodies.inertia import BodyInertia, check_products, read_body_inertia, read_in_range
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.site_forces import SiteTables, site_forces
@@ -96,12 +97,10 @@ def _dimer() -> Floats:
         step=0.0005,
         caption="Two molecules of water with a hydrogen bond: the directions of their dipoles in space, which librate, "
         "and the distance of their centres of mass.",
-        pictures=(
-            Picture("directions", vectors=third_axes_of_bodies, title="directions of the dipoles in space"),
-            Picture("bodies"),
-        ),
+        pictures=(DIPOLES, Picture("bodies")),
         components=Picture("components", functions=distances_of_bodies, quantity="distance of the centres [nm]"),
         quantity="state",
+        variant=lambda system: pictures_of_molecules(system, WATER),
     ),
 )
 def rigid_molecules(
@@ -306,12 +305,12 @@ def _on_a_line(places: Floats, m: Floats) -> tuple[Floats, Floats] | None:
     scaled = places / size
     axis = scaled[np.argmax(m * (scaled * scaled).sum(axis=1))]
     for _ in range(3):
-        axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+        axis = _unit(axis)
         weights = m * np.array([math.fsum(row) for row in (scaled * axis).tolist()])
         axis = np.array([math.fsum((weights * scaled[:, i]).tolist()) for i in range(3)])
-    axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+    axis = _unit(axis)
     axis[np.abs(axis) < ROUNDED_LINE] = 0.0  # an axis of coordinates is one exactly
-    axis = axis / math.sqrt(math.fsum((axis * axis).tolist()))
+    axis = _unit(axis)
     along = np.array([math.fsum(row) for row in (scaled * axis).tolist()])
     beside = np.abs(scaled - along[:, None] * axis).max(axis=1)
     if (beside > np.where(m > 0.0, ROUNDED_LINE, ROUNDED_CHARGE)).any():
@@ -320,6 +319,10 @@ def _on_a_line(places: Floats, m: Floats) -> tuple[Floats, Floats] | None:
     moment = math.fsum((m * (size * along) ** 2).tolist())
     tensor = moment * (np.eye(3) - axis[:, None] * axis)
     return places, np.diag(tensor) if np.count_nonzero(axis) == 1 else tensor
+
+
+def _unit(vector: Floats) -> Floats:
+    return vector / math.sqrt(math.fsum((vector * vector).tolist()))
 
 
 def _check_axis(inertia: BodyInertia, places: Floats, which: str) -> None:
@@ -360,8 +363,7 @@ def _read_cutoff(box: Any, cutoff: Any, switch_from: Any, dielectric: Any) -> tu
             raise ValueError(f"dielectric is {permittivity:g} without cutoff; the reaction field begins at a cutoff")
         return 0.0, 0.0, 1.0
     end = read_in_range(cutoff, "cutoff")
-    with np.errstate(all="ignore"):
-        check_products("powers of cutoff", np.float64(end) ** 3)
+    check_products("powers of cutoff", lambda: np.float64(end) ** 3)
     begin = (1.0 - SWITCHED_PART) * end if switch_from is None else read_in_range(switch_from, "switch_from")
     if not begin < end:
         raise ValueError(f"switch_from is {begin:g}, and cutoff {end:g}; the switch must begin before the cutoff")

@@ -123,8 +123,7 @@ def satellite(inertia: npt.ArrayLike = (1.0, 2.0, 2.5), mass: float = 100.0, gra
     if found.rotating is not None:
         raise ValueError("inertia is that of a rod; give a body with three positive principal moments")
     mass, gravity = read_in_range(mass, "mass"), read_in_range(gravity, "gravity")
-    with np.errstate(all="ignore"):
-        check_products("mass, inertia and gravity", gravity * np.array([mass, *np.diag(found.tensor)]))
+    check_products("mass, inertia and gravity", lambda: gravity * np.array([mass, *np.diag(found.tensor)]))
     moments, along = principal(found.tensor), principal(found.inverse)
     free_flight = ((3, 4, 5), Quadratic(1 / mass))
     if moments is None or along is None:

@@ -227,8 +227,7 @@ def satellite_on_orbit(
     rate, e = read_in_range(mean_motion, "mean_motion"), read_number(eccentricity, "eccentricity")
     if not 0.0 <= e < 1.0:
         raise ValueError(f"eccentricity is {e:g}; give a number from 0 to less than 1")
-    with np.errstate(all="ignore"):
-        check_products("mean_motion and inertia", rate * rate * np.diag(found.tensor))
+    check_products("mean_motion and inertia", lambda: rate * rate * np.diag(found.tensor))
     parameters = {"inertia": found.given, "mean_motion": rate, "eccentricity": e}
     if e:
         kinetic = np.zeros((PER_BODY, PER_BODY))

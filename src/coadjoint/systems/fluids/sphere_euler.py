@@ -196,9 +196,10 @@ class SphereEuler(FluidSystem):
         values : (..., rows, columns) array
             Values on a grid of any shape: degrees that it does not resolve are zero, those from N on are dropped. Exact
             for fields of degrees up to ``rows - 2`` (without poles ``rows - 1``) and orders up to
-            ``(columns - 1)/2``. An `xarray.DataArray` is read by its coordinates, latitude and longitude (by name,
-            standard name or units) in any order and direction, of any of the kinds of `points`, once around: in
-            degrees or radians by their units; without units in degrees if they span more than 2 pi.
+            ``(columns - 1)/2``; higher ones in the values look like lower ones there (aliases). An `xarray.DataArray`
+            is read by its coordinates, latitude and longitude (by name, standard name or units) in any order and
+            direction, of any of the kinds of `points`, once around: in degrees or radians by their units; without
+            units in degrees if they span more than 2 pi.
         points : str
             As for `grid`.
         longitude : float

@@ -175,9 +175,10 @@ class TorusEuler(FluidSystem):
         ----------
         values : (..., nx, ny) array
             Values on a grid of any shape: modes that it does not resolve are zero, those that N does not resolve are
-            dropped. Exact for fields with |n1| < nx/2 and |n2| < ny/2. An `xarray.DataArray` is read by its
-            coordinates, x and y, or eastward and northward as in datasets, in any order and direction, once around: in
-            degrees or radians by their units; without units in degrees if they span more than 2 pi.
+            dropped. Exact for fields with |n1| < nx/2 and |n2| < ny/2; higher modes in the values look like lower ones
+            there (aliases). An `xarray.DataArray` is read by its coordinates, x and y, or eastward and northward as in
+            datasets, in any order and direction, once around: in degrees or radians by their units; without units in
+            degrees if they span more than 2 pi.
         absolute : bool, optional
             Unused, as for `from_modes`.
 

@@ -102,10 +102,9 @@ def velocity_of(system: Any, *, in_frame: bool) -> Callable[..., Any]:
             omega = omega + W[:, i] * x[i]
         return omega
 
-    turning = system.frame_rate
+    turning, inertial = system.frame_rate, callable_from_compiled(velocity)
     if turning is None or not in_frame:
-        return callable_from_compiled(velocity)
-    inertial = callable_from_compiled(velocity)
+        return inertial
 
     def relative(x: Any, t: Any) -> Any:
         return inertial(x, t) - turning(t) * x[9:12]

@@ -105,24 +105,18 @@ class DoubleBracketDamping(Force):
         check_dimension(self.metric, f"metric of {name}", system)
 
     def _check_kinds(self, system: Any) -> None:
-        moving = moving_others(system)
         used = np.asarray(self.metric) != 0.0
-        if moving is not None and used.ndim:
-            check_moved(
-                f"metric of {self.label}", system, moved_by(system, used.any(axis=1) if used.ndim > 1 else used)
-            )
+        if moving_others(system) is not None and used.ndim:
+            used = used.any(axis=1) if used.ndim > 1 else used
+            check_moved(f"metric of {self.label}", system, moved_by(system, used))
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         return np.asarray(_product(system, x, self._damping_direction(system, x, t)))
 
     def _metric_on(self, system: Any) -> Any:
         """Return the metric; a number is that of the coordinates whose brackets change momenta only."""
-        moving = moving_others(system)
-        return (
-            self.metric
-            if moving is None or np.ndim(self.metric)
-            else tuple(np.where(moving, 0.0, self.metric).tolist())
-        )
+        moving = None if np.ndim(self.metric) else moving_others(system)
+        return self.metric if moving is None else tuple(np.where(moving, 0.0, self.metric).tolist())
 
     def _damping_direction(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         return self.alpha * apply_metric(self._metric_on(system), system.vector_field(x, t))

@@ -16,15 +16,15 @@ from coadjoint.systems.forces.base import (
     Force,
     ForceReader,
     apply_metric,
-    check_dimension,
     check_state,
     read_matrix,
     read_state,
     sample_states,
     state_vector,
 )
+from coadjoint.systems.forces.torque import is_on_bodies, shapes_on, torque_vector
 from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
-from coadjoint.validation import read_bool, read_title
+from coadjoint.validation import as_tuples, read_bool, read_finite, read_title
 
 DIFFERENCE_TIME = 2.0**-12  # step of differences of order four: their error, its fourth power, is that of rounding
 ROUNDED = 2.0**-40  # change of a coordinate, relative to the state, that is taken for rounding
@@ -43,7 +43,9 @@ class LinearDamping(Force):
     ----------
     rate : float, (n,) or (n, n) array_like
         Rates (1/time). A number is the rate of each momentum; in arrays those of other coordinates are zero. A matrix
-        need not be symmetric: its columns for positions make a spring. Negative rates amplify.
+        need not be symmetric: its columns for positions make a spring. Negative rates amplify. For bodies and tops,
+        such as ``co.systems.body``, also those of the angular momentum in the frame of the body, (3,), or of k bodies
+        (k, 3).
     toward : float, (n,) or (N, N) array_like
         The state where the damping vanishes; a number applies to all coordinates, and zero is rest in the frame of the
         system. For a `MatrixSystem` it is a matrix or zero, and the rate is a number.
@@ -70,7 +72,7 @@ class LinearDamping(Force):
     uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        self._read(rate=read_matrix, toward=partial(read_state, number=True))
+        self._read(rate=_read_rates, toward=partial(read_state, number=True))
 
     def check(self, system: Any) -> None:
         if system.has_matrices and np.ndim(self.rate):
@@ -78,12 +80,17 @@ class LinearDamping(Force):
                 f"rate of LinearDamping has the shape {np.shape(self.rate)}; {system.name} needs a number, or "
                 "Friction for scale-dependent rates"
             )
-        if np.ndim(self.rate) == 2 and self._in_turning_frame(system):
+        shape, square = np.shape(self.rate), (system.dim, system.dim)
+        if shape not in ((), square[:1], square) and not is_on_bodies(shape, system):
+            raise ValueError(
+                f"rate of LinearDamping has the shape {shape}; {system.name} needs a number, {shapes_on(system)}, or "
+                f"{square}"
+            )
+        if self._rates(system).ndim == 2 and self._in_turning_frame(system):
             raise ValueError(
                 f"rate of LinearDamping is a matrix, and the frame of {system.name} turns; give a number or one for "
                 "each coordinate, or a Pointing damper with a matrix"
             )
-        check_dimension(self.rate, "rate of LinearDamping", system)
         check_state(self.toward, "toward of LinearDamping", system)
 
     def _in_turning_frame(self, system: Any) -> bool:
@@ -93,8 +100,10 @@ class LinearDamping(Force):
         return self._in_turning_frame(system)
 
     def _rates(self, system: Any) -> NDArray[np.float64]:
-        """Return the rates; a number is that of each momentum."""
+        """Return the rates; a number is that of each momentum, and those on bodies are of their angular momenta."""
         rate, momenta = np.asarray(self.rate, dtype=np.float64), momenta_of(system)
+        if is_on_bodies(rate.shape, system):
+            return torque_vector(rate, system)
         return rate if rate.ndim or momenta is None else np.where(momenta, rate, 0.0)
 
     def _aim(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
@@ -132,6 +141,12 @@ class LinearDamping(Force):
         if self._in_turning_frame(system):
             return reader.flow(_flow_in_frame(self, system))
         return reader.damping(self._rates(system), self._aim(system, np.zeros(system.dim), 0.0))
+
+
+def _read_rates(argument: Any, what: str) -> Any:
+    """Validate a number, a vector, a square matrix, or a row of three numbers for each body."""
+    array = read_finite(argument, what)
+    return as_tuples(array) if array.ndim == 2 and array.shape[1] == 3 and array.size else read_matrix(argument, what)
 
 
 @lru_cache(maxsize=64)

@@ -94,7 +94,7 @@ class Sampled(Force):
 
     def held_at(self, system: Any, x: NDArray[Any]) -> NDArray[Any]:
         """Return the command that is held at states (..., dim), (..., count)."""
-        begin = system.dim - system.held + self.first
+        begin = _begin(self, system)
         return x[..., begin : begin + self._count(system)]
 
     def _command(self, system: Any) -> Callable[..., Any]:
@@ -120,7 +120,7 @@ class Sampled(Force):
         if getattr(self.law, "sees_attitude", False):
             self.law.check(system)
         x = sample_points(system.dim)[0]
-        x = sample_state(x, system) if system.has_attitude else x
+        x = sample_state(x, system)
         torque = np.asarray(_law_of(self.law, system)(x, SAMPLE_TIME))
         if torque.shape != (3,):
             raise ValueError(f"the law of {self.label} returns {short(torque.tolist())}; it must return (3,)")
@@ -159,11 +159,6 @@ class _FirstFlow(Force):
 
     def __init__(self, forces: tuple[Any, ...]) -> None:
         self._forces = forces
-
-    @property
-    def label(self) -> str:
-        """That of the force."""
-        return self._forces[0].label
 
     def check(self, system: Any) -> None:
         self._forces[0].check(system)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from coadjoint.errors import in_one_line
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import (
+    KNOWN_NAMES,
     SAMPLE_TIME,
     attitude_arguments,
     callable_from_compiled,
@@ -149,72 +149,47 @@ def torque_on_state(torque: Callable[..., Any], arguments: str, system: Any) -> 
 def _torque_on_state(
     torque: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int
 ) -> tuple[Callable[..., Any], str]:
-    function = callable_from_compiled(torque)
-    if "A" not in arguments:
-        return _placed(function, arguments, bodies, dim), arguments
-    if not bodies:
+    function, count = callable_from_compiled(torque), bodies[0] if bodies else 1
 
-        def of_body(x: Any) -> Any:
-            result = 0.0 * x
-            result[:3] = function(x, x[3:12].reshape(3, 3))
-            return result
+    def attitude_of_body(x: Any) -> Any:
+        return x[3:PER_BODY].reshape(3, 3)
 
-        def of_body_in_time(x: Any, t: Any) -> Any:
-            result = 0.0 * x
-            result[:3] = function(x, x[3:12].reshape(3, 3), t)
-            return result
+    def attitudes_of_bodies(x: Any) -> Any:
+        return np.ascontiguousarray(x[: PER_BODY * count].reshape(count, 4, 3)[:, 1:, :])
 
-        return (of_body_in_time, "x, t") if arguments == "x, A, t" else (of_body, "x")
-    count = bodies[0]
-    end = PER_BODY * count
-
-    def of_bodies(x: Any) -> Any:
-        torques = function(x, np.ascontiguousarray(x[:end].reshape(count, 4, 3)[:, 1:, :]))
-        result = 0.0 * x
-        for k in range(count):
-            for i in range(3):
-                result[PER_BODY * k + i] = torques[k, i]
+    def place_on_body(value: Any, result: Any) -> Any:
+        result[:3] = value
         return result
 
-    def of_bodies_in_time(x: Any, t: Any) -> Any:
-        torques = function(x, np.ascontiguousarray(x[:end].reshape(count, 4, 3)[:, 1:, :]), t)
-        result = 0.0 * x
+    def place_on_bodies(values: Any, result: Any) -> Any:
         for k in range(count):
             for i in range(3):
-                result[PER_BODY * k + i] = torques[k, i]
+                result[PER_BODY * k + i] = values[k, i]
         return result
 
-    return (of_bodies_in_time, "x, t") if arguments == "x, A, t" else (of_bodies, "x")
-
-
-def _placed(function: Callable[..., Any], arguments: str, bodies: tuple[int, ...], dim: int) -> Callable[..., Any]:
-    """Return the contribution to x' of a torque of (t), (x) or (x, t) on bodies."""
-    count = bodies[0] if bodies else 1
-
-    def place(torque: Any, result: Any) -> Any:
-        torques = np.ascontiguousarray(torque).reshape(count, 3)
-        for k in range(count):
-            for i in range(3):
-                result[PER_BODY * k + i] = torques[k, i]
-        return result
-
-    placed = callable_from_compiled(place)
-    if arguments == "t":
-        return lambda t: placed(function(t), 0.0 * t + np.zeros(dim))  # an array of JAX if t is one
-    if arguments == "x":
-        return lambda x: placed(function(x), 0.0 * x)
-    return lambda x, t: placed(function(x, t), 0.0 * x)
+    attitude = callable_from_compiled(attitudes_of_bodies if bodies else attitude_of_body)
+    placed = callable_from_compiled(place_on_bodies if bodies else place_on_body)
+    on_state: dict[str, Callable[..., Any]] = {
+        "t": lambda t: placed(function(t), 0.0 * t + np.zeros(dim)),  # an array of JAX if t is one
+        "x": lambda x: placed(function(x), 0.0 * x),
+        "x, t": lambda x, t: placed(function(x, t), 0.0 * x),
+        "x, A": lambda x: placed(function(x, attitude(x)), 0.0 * x),
+        "x, A, t": lambda x, t: placed(function(x, attitude(x), t), 0.0 * x),
+    }
+    return on_state[arguments], arguments.replace(", A", "")
 
 
 def sample_state(x: NDArray[Any], system: Any) -> NDArray[Any]:
-    """Return a sample point with rotations as attitudes."""
+    """Return a sample point, with rotations as attitudes."""
+    if not system.has_attitude:
+        return x
     y = x.copy()
     count = len(system.inertias)
     y[: PER_BODY * count].reshape(count, 4, 3)[:, 1:] = SAMPLE_ATTITUDE
     return y
 
 
-ATTITUDES = ("attitude", "r", "rotation", "q", "quaternion", "orientation", "dcm")
+ATTITUDES = ("r", "q", *KNOWN_NAMES["A"])
 """Names of a second argument that is meant to be an attitude, in small letters."""
 
 
@@ -283,9 +258,8 @@ class Torque(StateTorque):
                 f"the torque is a function of {names_of(parameters)}; its second argument is the time t, unless it is "
                 "named A: name the attitude A, of systems such as co.systems.body, and the time t"
             )
-        if sum(one.default is one.empty for one in parameters) > 1 or not parameters:
-            return "x, t" if takes_time(self.torque, "the torque") else "x"
-        kind = kind_of_name(parameters[0].name)
+        is_alone = len(parameters) > 0 and sum(one.default is one.empty for one in parameters) < 2
+        kind = kind_of_name(parameters[0].name) if is_alone else "x"
         if kind == "t":
             check_arguments(self.torque, "the torque", "t")
             return "t"
@@ -306,35 +280,28 @@ class Torque(StateTorque):
         if self.is_constant_torque:
             shape = np.shape(self.torque)
             if hasattr(system, "bodies") and shape not in ((system.dim,), torque_shape(system)):
-                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {_shapes_on(system)}")
+                raise ValueError(f"the torque has the shape {shape}; {system.name} needs {shapes_on(system)}")
             if not is_on_bodies(shape, system):
                 check_state(self.torque, "the torque", system)
             return
-        arguments, failure = self._arguments(), ""
+        arguments = self._arguments()
         if "A" in arguments:
             check_attitude(system)
         shape = torque_shape(system) if "A" in arguments else (system.dim,)
-        for sample in sample_states(system):
-            x = sample_state(sample, system) if system.has_attitude else sample
-            try:
-                with np.errstate(all="ignore"):
-                    value = self.torque(*_call_arguments(arguments, x, SAMPLE_TIME, system))
-            except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
-                failure = in_one_line(str(reason), 200)
-                continue
-            if system.has_matrices:
-                system.read(value, "the value of the torque")
-                return
-            torque = read_numbers(value, "the value of the torque")
-            if torque.shape != shape and not is_on_bodies(torque.shape, system):
-                raise ValueError(
-                    f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
-                    f"{_shapes_on(system) if 'A' not in arguments else shape}"
-                )
+        value, failure = _value_at_sample(self.torque, arguments, system)
+        if failure is not None:
+            raise ValueError(
+                f"the torque, called with ({arguments}), fails at every sample point ({failure}); correct the function"
+            )
+        if system.has_matrices:
+            system.read(value, "the value of the torque")
             return
-        raise ValueError(
-            f"the torque, called with ({arguments}), fails at every sample point ({failure}); correct the function"
-        )
+        torque = read_numbers(value, "the value of the torque")
+        if torque.shape != shape and not is_on_bodies(torque.shape, system):
+            raise ValueError(
+                f"the torque, called with ({arguments}), returns shape {torque.shape}; {system.name} needs "
+                f"{shapes_on(system) if 'A' not in arguments else shape}"
+            )
 
     def field(self, system: Any, x: NDArray[Any], t: Any) -> NDArray[Any]:
         if self.is_constant_torque:
@@ -358,15 +325,9 @@ class Torque(StateTorque):
         if self.is_constant_torque:
             return constant_in_time(torque_vector(self.torque, system)), "t"
         arguments = self._arguments()
-        if "A" in arguments or is_on_bodies(self._shape_on(system), system):
+        if hasattr(system, "bodies") and is_on_bodies(_shape_of_values(self.torque, arguments, system), system):
             return torque_on_state(self.torque, arguments, system)
         return self.torque, arguments
-
-    def _shape_on(self, system: Any) -> tuple[int, ...]:
-        """Return the shape of a value of the function on a system; () if there is none at sample points."""
-        if not hasattr(system, "bodies"):
-            return ()
-        return _shape_of_values(self.torque, self._arguments(), system)
 
     def flow(self, system: Any, x: NDArray[Any], t: Any, tau: Any) -> NDArray[Any]:
         if self.is_constant_torque:
@@ -379,18 +340,26 @@ class Torque(StateTorque):
         return super().describe_to(reader, system)
 
 
-def _shapes_on(system: Any) -> str:
+def shapes_on(system: Any) -> str:
+    """Return the shapes of constant torques on a system as text."""
     own = torque_shape(system) if hasattr(system, "bodies") else (system.dim,)
     return f"({system.dim},)" + (f", or {own} in body frames" if own != (system.dim,) else "")
 
 
+def _value_at_sample(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[Any, str | None]:
+    """Return the value at a sample point, and None or why there is none at any of them."""
+    for sample in sample_states(system):
+        try:
+            with np.errstate(all="ignore"):
+                return torque(*_call_arguments(arguments, sample_state(sample, system), SAMPLE_TIME, system)), None
+        except (ArithmeticError, ValueError, TypeError, IndexError) as reason:  # possibly outside its domain
+            failure = in_one_line(str(reason), 200)
+    return None, failure
+
+
 @lru_cache(maxsize=64)
 def _shape_of_values(torque: Callable[..., Any], arguments: str, system: Any) -> tuple[int, ...]:
-    for x in sample_states(system):
-        point = sample_state(x, system) if system.has_attitude else x
-        with suppress(ArithmeticError, ValueError, TypeError, IndexError), np.errstate(all="ignore"):
-            return np.shape(torque(*_call_arguments(arguments, point, SAMPLE_TIME, system)))
-    return ()
+    return np.shape(_value_at_sample(torque, arguments, system)[0])
 
 
 def _call_arguments(arguments: str, x: Any, t: Any, system: Any = None) -> tuple[Any, ...]:

@@ -41,9 +41,8 @@ from coadjoint.systems.user_functions import (
     all_take_time,
     callable_from_compiled,
     check_derivative,
-    evaluate,
     multiple_of,
-    sample_points,
+    numbers_at_samples,
     without_multiples,
 )
 from coadjoint.validation import read_integer
@@ -178,7 +177,7 @@ class Hamiltonian(Summable):
     def _derived(self, n: int) -> Self:
         """Return this Hamiltonian with derivatives derived from its value."""
         result = copy.copy(self)
-        values = (evaluate(self._value, x, self.timed, convert=False) for x in sample_points(n))
+        values = numbers_at_samples(self._value, n, self.timed)
         if any(map(is_array_of_jax, values)):
             check_traceable(self._value, n, self.timed)
             functions: tuple[Any, ...] = tuple(JaxFunction(self._value, order, self.timed) for order in range(3))
@@ -280,9 +279,9 @@ class FunctionOfConstants(NamedTuple):
 
 
 # Members of an ensemble share Casimirs, so the conversion is cached. Polynomials of floats and of integers can compare
-# equal, so the number types are part of the key.
+# equal, so the number types are part of the key, as are the names.
 @lru_cache(maxsize=64)
-def _quadratic(polynomial: Polynomial, kinds: tuple[type, ...]) -> Quadratic:
+def _quadratic(polynomial: Polynomial, key: tuple[Any, ...]) -> Quadratic:
     return Quadratic.from_polynomial(polynomial)
 
 
@@ -372,7 +371,7 @@ def as_hamiltonian(H: Any, n: int, owner: str = "the system", names: Sequence[st
             return PolynomialHamiltonian(H)
         if len(H.monomials) > MAX_CACHED_MONOMIALS:
             return Quadratic.from_polynomial(H)
-        return _quadratic(H, tuple(map(type, H.monomials.values())))
+        return _quadratic(H, (H._written_names, *map(type, H.monomials.values())))
     # A Quadratic is one, and the test of a protocol takes much of the time to make a small system.
     is_class = isinstance(H, type)
     if is_class or not (type(H) is Quadratic or isinstance(H, HamiltonianLike)):

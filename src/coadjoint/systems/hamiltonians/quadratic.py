@@ -9,7 +9,7 @@ from typing import Any, Self, cast
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.polynomials.monomials import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient, joined_names, special_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
@@ -84,6 +84,8 @@ class Quadratic(Summable):
     has_linear = True
     place_in_sum = 0
     _terms: tuple[QuadraticTerm, ...] | None = None
+    _written_names: tuple[str, ...] | None = None
+    """Names of the coordinates in the text of the polynomial that it was made of."""
 
     def __init__(self, M: Any, linear: npt.ArrayLike | None = None, constant: Any = 0.0) -> None:
         self._linear: npt.NDArray[Any] | None = None if linear is None else real_array(linear, "linear")
@@ -183,7 +185,11 @@ class Quadratic(Summable):
         if polynomial.degree > 2:
             raise ValueError(f"the polynomial has degree {polynomial.degree}; a quadratic Hamiltonian has at most 2")
         entries, constant = entries_of_polynomial(polynomial)
-        return cls.from_entries(polynomial.dim, *entries, constant)
+        return cls.from_entries(polynomial.dim, *entries, constant)._written_as(polynomial)
+
+    def _written_as(self, *functions: Any) -> Self:
+        self._written_names = joined_names(functions)
+        return self
 
     @classmethod
     def from_entries(
@@ -227,7 +233,9 @@ class Quadratic(Summable):
         >>> Quadratic([[1.0, -1.0], [-1.0, 0.0]], linear=[0.0, 3.0]).to_polynomial()
         3.0*x2 + 0.5*x1^2 - x1*x2
         """
-        return polynomial_of_entries(*self.as_given(), self._constant)
+        polynomial, written = polynomial_of_entries(*self.as_given(), self._constant), self._written_names
+        polynomial._written_names, polynomial._names = written, None if written is None else special_names(written)
+        return polynomial
 
     def bind(self, n: int) -> Quadratic:
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix."""
@@ -258,7 +266,7 @@ class Quadratic(Summable):
     def times(self, factor: Coefficient) -> Self:
         if self.dim is None:
             return type(self)(self.scalar * factor, constant=self._constant * factor)
-        return self.from_entries(self.dim, *self.as_given().times(factor), self._constant * factor)
+        return self.from_entries(self.dim, *self.as_given().times(factor), self._constant * factor)._written_as(self)
 
     @ignore_overflow
     def joined(self, other: Any) -> Any:
@@ -270,7 +278,8 @@ class Quadratic(Summable):
             return Quadratic(self.scalar + other.scalar, constant=constant)
         if other.dim not in (None, dim):
             raise ValueError(f"Hamiltonians of {dim} and {other.dim} coordinates cannot be added")
-        return self.from_entries(dim, *self.bind(dim).as_given().plus(other.bind(dim).as_given()), constant)
+        entries = self.bind(dim).as_given().plus(other.bind(dim).as_given())
+        return self.from_entries(dim, *entries, constant)._written_as(self, other)
 
     def linear_part(self) -> npt.NDArray[np.float64]:
         """Return the coefficients of the linear term, (n,)."""

@@ -178,14 +178,14 @@ class RecordedFunction:
         for numbers in sets:
             rows = [graph.gradient(ends[k], variables) for k in numbers]
             gradient += [sum(slopes[k] * row[a] for k, row in zip(numbers, rows, strict=True)) for a in range(n)]
-        value, first = graph.value(), graph.function(gradient, "np.array(({0},))")
+        value, first = graph.value(), graph.function(gradient, "{array}")
         if without_hessian:
             return value, first, None
         # Derivatives by the first of the repeated coordinates.
         rest = [0] * (len(gradient) - n)
         curvatures = [entry for one in gradient for entry in (*graph.gradient(one, variables), *rest)]
         shape = (len(gradient),) * 2
-        return value, first, graph.function(curvatures, f"np.array(({{0}},)).reshape({shape})")
+        return value, first, graph.function(curvatures, f"{{array}}.reshape({shape})")
 
 
 def separated(

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.monomials import Coefficient
+from coadjoint.algebra.polynomials.monomials import Coefficient, joined_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.hamiltonians.hamiltonian import (
@@ -38,6 +38,7 @@ class SumOfHamiltonians(Summable):
             raise ValueError(f"Hamiltonians of {' and '.join(map(str, sorted(known)))} coordinates cannot be added")
         self.dim: int | None = None if None in dimensions else dimensions[0]
         self.timed = any(summand.timed for summand in self.summands)
+        joined_names(self.summands)
 
     def bind(self, n: int) -> SumOfHamiltonians:
         """Return the sum of the summands bound to dimension n."""

@@ -201,7 +201,7 @@ class PolynomialHamiltonian(Summable):
         n = self.polynomial.dim
         for k in np.flatnonzero(linear).tolist():
             monomials[tuple(int(i == k) for i in range(n))] = float(linear[k])
-        return PolynomialHamiltonian(Polynomial(monomials, dim=n))
+        return PolynomialHamiltonian(self.polynomial._with_monomials(monomials))
 
     def terms(self) -> tuple[Term, ...]:
         """Return the single `PolynomialTerm`."""

@@ -28,6 +28,9 @@ from coadjoint.validation import is_real
 DERIVED_MODULE = "derived_by_coadjoint"
 MAX_OPERATIONS = 2000
 """Recorded operations beyond which a function is refused; Numba compiles about 200 of them in a second."""
+MAX_TUPLE = 512
+"""Entries of an array that are written as one tuple; Numba takes no more than 1000."""
+
 UNARY: dict[str, Callable[[Any, Any], Any]] = {
     "sin": lambda x, y: x.cos(),
     "cos": lambda x, y: -x.sin(),
@@ -167,21 +170,24 @@ class Graph:
     def derivatives(self) -> tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any] | None]:
         """Return value, gradient and Hessian, which Numba compiles; no Hessian of more than `MAX_OPERATIONS`."""
         n, slopes = len(self.variables), self.gradient(self.result, self.variables)
-        value, gradient = self.value(), self.function(slopes, "np.array(({0},))")
+        value, gradient = self.value(), self.function(slopes, "{array}")
         try:
             lower = [self.gradient(slope, self.variables[: k + 1]) for k, slope in enumerate(slopes)]
         except TracingError:
             return value, gradient, None
         curvatures = [lower[max(i, j)][min(i, j)] for i in range(n) for j in range(n)]
-        return value, gradient, self.function(curvatures, f"np.array(({{0}},)).reshape(({n}, {n}))")
+        return value, gradient, self.function(curvatures, f"{{array}}.reshape(({n}, {n}))")
 
     def function(self, results: Sequence[Any], returned: str) -> Callable[..., Any]:
-        """Return a function of (x) or (x, t) that computes results, written as ``{0}, {1}, ...`` in `returned`."""
+        """Return a function of (x) or (x, t) that computes results, in `returned` written as {0} or {array}."""
         entries = [self.entry(result) for result in results]
         lines = [f"    v{index} = {self._text(index)}" for index in self.needed(entries) if index not in self.numbers]
         texts = [repr(float(self.numbers[k])) if k in self.numbers else f"v{k}" for k in entries]
+        begins = range(0, len(texts), MAX_TUPLE)
+        pieces = [f"np.array(({', '.join(texts[k : k + MAX_TUPLE])},))" for k in begins]
+        array = pieces[0] if len(pieces) == 1 else f"np.concatenate(({', '.join(pieces)}))"
         heading = f"def derived(x{', t' if self.timed else ''}):"
-        return _defined("\n".join([heading, *lines, f"    return {returned.format(', '.join(texts))}", ""]))
+        return _defined("\n".join([heading, *lines, f"    return {returned.format(*texts[:1], array=array)}", ""]))
 
     def _text(self, index: int) -> str:
         if index in self._variables:

@@ -127,8 +127,8 @@ def spin_lattice(
     ----------
     lattice : str or (edges, 2) array of int
         ``"chain"``, ``"ring"``, ``"square"``, ``"triangular"``, ``"honeycomb"``, ``"kagome"``, ``"cubic"`` or
-        ``"complete"``; or pairs of sites, from 0, each pair once. ``coadjoint.systems.lattices.geometry.graph``
-        returns the edges in order.
+        ``"complete"``; or pairs of sites, from 0, each pair once. Edges are in the order of the bonds of a cell, listed
+        in Notes, each bond for all cells; ``coadjoint.systems.lattices.geometry.graph`` returns them.
     shape : int or tuple of int
         Number of cells along each axis; number of sites for a complete graph, and if edges are given.
     periodic : bool or tuple of bool
@@ -167,6 +167,12 @@ def spin_lattice(
 
     Notes
     -----
+    Bonds, from a site s0, s1, ... of a cell to one of the same cell or of that at the given edges a, b, c of cells
+    (cells are numbered with the last axis fastest, sites by cells): chain, ring a; square a, b; cubic a, b, c;
+    triangular a, b, a - b; honeycomb s0 to s1, s1 to s0 at a, s1 to s0 at b; kagome s0 to s1, s0 to s2, s1 to s2, s1 to
+    s0 at a, s2 to s0 at b, s1 to s2 at a - b. a is along the first axis, b at 60 degrees to it (square, cubic: 90). A
+    complete graph has (0, 1), (0, 2), ..., (1, 2), ...
+
     Section 4 of Reich (1993): if T, K are diagonal and D is zero, all first components commute, as do all second and
     all third ones: a splitting has three parts on any graph. Frank, Huang and Leimkuhler, J. Comput. Phys. 133, 160
     (1997).

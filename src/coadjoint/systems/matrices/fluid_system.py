@@ -33,6 +33,12 @@ class RelativeVorticity(np.ndarray):
         kept = all(isinstance(one, RelativeVorticity) or np.ndim(one) == 0 for one in operands)
         return array[()] if return_scalar else np.asarray(array).view(RelativeVorticity if kept else np.ndarray)
 
+    def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        # So are stacks of them.
+        found = super().__array_function__(function, types, arguments, options)
+        kept = type(found) is np.ndarray and all(issubclass(one, RelativeVorticity) for one in types)
+        return found.view(RelativeVorticity) if kept else found
+
 
 @cache
 def _warn_of_frame(name: str) -> None:
@@ -62,7 +68,7 @@ class FluidSystem(MatrixSystem):
     rotation: float = 0.0
     """Angular velocity of the frame."""
 
-    states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_file")
+    states_by_name: tuple[str, ...] = ("random", "blobs", "patches", "from_modes", "from_grid", "from_file")
     """Methods that return a state, available by name in configuration files."""
 
     random = initial_states.random
@@ -99,20 +105,14 @@ class FluidSystem(MatrixSystem):
     def from_grid(self, values: Any, *, absolute: bool | None = None) -> Complexes:
         """Return the state W of the values of a field at the points of a grid; the mean is removed."""
 
-    def read_matrices(self, given: Any, what: str) -> Complexes:
-        return super().read_matrices(self._checked(given, what), what)
-
-    def matrices(self, x: Any) -> Complexes:
-        return super().matrices(self._checked(x, "a state"))
-
-    def _checked(self, given: Any, what: str) -> Any:
-        """Raise ValueError for relative vorticities in place of states; return anything else."""
-        if self.rotation and isinstance(given, RelativeVorticity):
+    def states_by_label(self, x: Any, what: str = "x") -> Any:
+        """Return labelled states as arrays; raise ValueError for relative vorticities in place of states."""
+        if self.rotation and isinstance(x, RelativeVorticity):
             raise ValueError(
                 f"{what} is a vorticity relative to the frame of {self.name}; give the state, by absolute, or the "
                 "matrix alone by np.asarray"
             )
-        return given
+        return super().states_by_label(x, what)
 
     def _shown(self, W: Any, absolute: Any, name: str) -> Complexes:
         """Return the matrices that a conversion of states shows: of the relative vorticity by default."""

@@ -88,9 +88,7 @@ def random(
         target = _read_spectrum(spectrum, first, last)
     factors = np.zeros(int(self.degrees.max()) + 1)
     factors[first : last + 1] = np.sqrt(target / self.spectrum_of_modes(modes, weights)[1][first - 1 : last])
-    return self.absolute(
-        self.from_modes(_scaled(self, modes * factors[self.degrees], energy, enstrophy), absolute=True)
-    )
+    return self.from_modes(_scaled(self, modes * factors[self.degrees], energy, enstrophy), absolute=False)
 
 
 @suggest_keywords
@@ -128,7 +126,7 @@ def blobs(self: FluidSystem, places: Any, strengths: Any, widths: Any) -> Comple
     (33, 33)
     """
     modes = _sum_about_points(self, ("blobs", "strengths", "widths"), places, strengths, widths, lambda width: 1.0)
-    return self.absolute(self.from_modes(modes, absolute=True))
+    return self.from_modes(modes, absolute=False)
 
 
 @suggest_keywords
@@ -172,7 +170,7 @@ def patches(self: FluidSystem, places: Any, radii: Any, vorticities: Any, *, edg
         raise ValueError(f"edge is {sigma:g}; give a width of at least 0")
     names = "patches", "vorticities", "radii"
     modes = _sum_about_points(self, names, places, vorticities, radii, self.disc_profile, sigma)
-    return self.absolute(self.from_modes(modes, absolute=True))
+    return self.from_modes(modes, absolute=False)
 
 
 @suggest_keywords

@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import TRACE_TOLERANCE, MatrixAlgebra
-from coadjoint.errors import Immutable
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import html_table, short
@@ -29,6 +28,7 @@ from coadjoint.systems.matrices.streams import Stream, as_stream
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import read_closed_form, read_parameters, read_sign
 from coadjoint.validation import (
+    Immutable,
     check_finite,
     not_numbers_error,
     read_integer,

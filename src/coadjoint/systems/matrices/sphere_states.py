@@ -69,7 +69,7 @@ def rossby_haurwitz(
     c[1, 0] = 2 * read_number(zonal, "zonal") * sqrt(4 * pi / 3)
     size = read_number(wave, "wave") * sqrt(2 * pi if m else 4 * pi)
     c[l, m] = size * (-1) ** m * np.exp(-1j * m * read_number(longitude, "longitude")) if m else size
-    return system.absolute(system.from_modes(c, absolute=True))
+    return system.from_modes(c, absolute=False)
 
 
 def zonal_jet(
@@ -128,7 +128,7 @@ def zonal_jet(
         along = np.exp(-((distance / BUMP[0]) ** 2))
         across = np.cos(latitude) / np.cos(middle) * np.exp(-(((latitude - middle) / BUMP[1]) ** 2))
     field = zonal[:, None] + fraction * max_speed / half * across[:, None] * along
-    return system.absolute(system.from_grid(field, absolute=True))
+    return system.from_grid(field, absolute=False)
 
 
 def _read_band(band: Any) -> tuple[float, float]:
