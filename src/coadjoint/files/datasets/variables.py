@@ -343,9 +343,8 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
     found: Variables = {}
     for layer, name in enumerate(names):
         W = fluid.matrices(solution.x if len(names) == 1 else solution.x[..., layer, :, :])
-        about = CARRIED_FIELD if name == "carried" else RELATIVE_VORTICITY
-        values = _on_grid(fluid, W if name == "carried" else fluid.relative(W), shape)
-        found[name] = ((*dims, *axes), values, cf_attributes(about))
+        about = cf_attributes(CARRIED_FIELD if name == "carried" else RELATIVE_VORTICITY)
+        found[name] = ((*dims, *axes), _on_grid(fluid, W if name == "carried" else fluid.relative(W), shape), about)
     return found, _coordinates(on_sphere, rows, columns)
 
 
