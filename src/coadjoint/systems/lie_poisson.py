@@ -126,8 +126,8 @@ class LiePoissonSystem(System):
     TypeError, ValueError
         An argument of the wrong type; a sign that is not +1 or -1; a Hamiltonian of another dimension; a function
         written with the name of another coordinate; coordinates of a piece of a `SplitHamiltonian` that do not commute;
-        a Casimir or an integral that is not constant (by differences at sample points if its gradient is not known); a representation with other
-        commutators.
+        a Casimir or an integral that is not constant (by differences at sample points if its gradient is not known); a
+        representation with other commutators.
 
     Notes
     -----

@@ -220,7 +220,7 @@ def check_structure(system: Any) -> None:
     if defect is not None:
         warn_caller(
             f"J(x) of {system.name} violates the Jacobi identity, by {defect:.3g} in a sample direction, so that it is "
-            "no Poisson bracket; correct it, or give jacobi=False for one that need not be, as of a nonholonomic system",
+            "no Poisson bracket; correct it, or give jacobi=False if it need not be one, as of a nonholonomic system",
             UserWarning,
         )
 

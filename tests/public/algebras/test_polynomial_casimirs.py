@@ -182,8 +182,13 @@ def assert_invariant(g, casimir, tolerance=0):
         x = fractions(np.random.default_rng(seed), g.dim)
         x[x == 0] = Fraction(1, 8)
         slope = casimir.formula.gradient(x) if isinstance(casimir, co.Invariant) else casimir.gradient(x)
-        defect = np.abs(g.structure_matrix(x) @ slope)
-        assert np.all(defect <= tolerance * np.abs(g.structure_matrix(x)) @ np.abs(slope))
+        i, j, k, c = g.triples
+        meant = [Fraction(v) if tolerance else Fraction(v).limit_denominator(10**6) for v in c.tolist()]
+        J = np.full((g.dim, g.dim), Fraction(0))
+        for row, column, factor, value in zip(i, j, k, meant, strict=True):
+            J[row, column] += value * x[factor]
+            J[column, row] -= value * x[factor]
+        assert np.all(np.abs(J @ slope) <= tolerance * np.abs(J) @ np.abs(slope))
         y, e = x.astype(float), 1e-6 * np.eye(g.dim)
         wanted = np.asarray(casimir.gradient(y), dtype=float)
         np.testing.assert_allclose(slope.astype(float), wanted, rtol=1e-12, atol=1e-12 * np.abs(wanted).max())
@@ -211,8 +216,8 @@ def test_small_algebras_have_as_many_independent_casimirs_as_their_corank(label)
 
 def test_irrational_parameters():
     a = math.sqrt(2.0)
-    assert repr(weights(a, 1.0).casimirs(6)) == "{'I': log|x1| - 1.4142135623730951 log|x2|}"
-    assert repr(weights(a, -a, 1.0).casimirs()) == "{'C2': x1*x2, 'I': log|x1| - 1.4142135623730951 log|x3|}"
+    assert repr(weights(a, 1.0).casimirs(6)) == "{'I': log|x2| - 0.7071067811865475 log|x1|}"
+    assert repr(weights(a, -a, 1.0).casimirs()) == "{'C2': x1*x2, 'I': log|x3| - 0.7071067811865475 log|x1|}"
     assert not co.algebras.A3_7(math.e).casimirs().missing
     four = weights(1.0, 2.0, a, 3.0)
     found = four.casimirs()
@@ -248,10 +253,10 @@ def test_systems_record_what_is_found_and_do_not_warn():
     g = weights(1.0, 2.0, math.sqrt(2.0), 3.0)
     system, x0 = co.LiePoissonSystem(g, "x1^2/2 + x2*x3 + x5^2/2"), [0.5, -0.4, 0.3, 0.2, 0.1]
     assert list(system.casimirs) == ["I1", "I2", "I3"]
-    sol = co.integrate(system, x0, (1, -1), 0.01, co.Splitting(4))
+    sol = co.integrate(system, x0, (1, -1), 0.0025, co.Splitting(4))
     assert max(sol.drift()[name] for name in system.casimirs) < 2**10 * UNIT_ROUNDOFF
     exact = solve_ivp(lambda t, x: system.vector_field(x), (1, -1), x0, "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-    np.testing.assert_allclose(sol.x[-1], exact, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(sol.x[-1], exact, rtol=0, atol=1e-7)  # 1.5e-6 at four times the step
     hidden = co.LieAlgebra.from_brackets(3, {(0, 2): {0: 1.0, 1: 1.0}, (1, 2): {0: 1.0}})
     assert co.LiePoissonSystem(hidden, "x1^2/2 + x3^2/2").casimirs == {}
 
