@@ -367,7 +367,7 @@ class Structure:
             warn_caller(f"casimirs() {found.sentence}", UserWarning)
         return found
 
-    def _find_casimirs(self, max_degree: int) -> Casimirs:
+    def _find_casimirs(self, max_degree: int = 4) -> Casimirs:
         """Find Casimirs as `casimirs` does, without the warning."""
         from coadjoint.algebra.invariants.casimirs import Casimirs, casimirs
 

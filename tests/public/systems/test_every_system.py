@@ -148,7 +148,7 @@ def test_casimirs_of_every_system_are_accepted_as_functions(name):
     system = EVERY[name]
     for unit in (1e-7, 1.0, 1e30):
         given = {
-            label: lambda x, C=C: C(unit * x) if system.algebra is not None else unit * C(x)
+            label: lambda x, C=C, unit=unit: C(unit * x) if system.algebra is not None else unit * C(x)
             for label, C in system.casimirs.items()
         }
         if system.algebra is not None:
