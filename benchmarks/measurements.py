@@ -65,6 +65,7 @@ SUBJECTS = {
     },
     "Rules and the build": {
         "rules": "How the rules were tried",
+        "coverage": "Coverage of standard errors",
         "building": "Building the kernels",
     },
 }

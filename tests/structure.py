@@ -18,15 +18,15 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
-    "Python files": 392,  # labelled arrays, roots of archives, causes of failures, pictures of control
-    "Python lines": 93300,  # forces that meet, kinds of coordinates, labels, identities of archives, errors over runs
+    "Python files": 396,  # labels, causes of failures, pictures of bodies, standard errors, errors at ends
+    "Python lines": 94200,  # forces that meet, labels, identities of archives, errors over runs, standard errors
     "longest file": 400,
-    "classes": 448,  # marked vorticities, markers, three answers of readers, invariants that are lost, immutable runs
-    "isinstance": 515,  # labels of xarray and pandas, names of coordinates, functions that are traced
+    "classes": 452,  # marked vorticities, three answers of readers, invariants that are lost, observed formulas
+    "isinstance": 527,  # labels of xarray and pandas, names of coordinates, traced functions, observed formulas
     "files in cycles, with imports inside functions and for types": 46,  # causes of failures, labels of states
-    "modules behind integrate": 114,  # labels, causes of failures
+    "modules behind integrate": 115,  # labels, causes of failures, arrays that functions create
     "C++ lines": 20424,  # modes of rounding of callers, free bodies over whole periods
-    "test lines": 75640,  # pairs of forces, forces on every system, labels, flips in archives, idioms of NumPy
+    "test lines": 76900,  # pairs of forces, forces on every system, labels, flips in archives, coverage of errors
     "test files that import internals": 77,  # modes of rounding, traced functions, archives that change
     "public names": 342,  # rigid_molecules, export_table and co.jax.free_body
 }

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities
+from coadjoint.analysis.fit_problem import OUTPUTS, FitProblem, Quantities, attitude_weights
 from coadjoint.errors import MAX_LISTED_NAMES, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
@@ -58,7 +58,8 @@ class Fit:
     residuals : ndarray
         Measured minus fitted values, divided by their standard deviations.
     degrees_of_freedom : int
-        The measured numbers, three for each rotation, less the unknowns: the expected sum of squares of `residuals`.
+        The measured numbers, of a group element its dimension (three for rotations), less the unknowns: the expected
+        sum of squares of `residuals`.
     solution : Solution
         The fitted run.
     """
@@ -125,7 +126,8 @@ def fit(
         `Quadratic`, and its mirror image are one unknown.
     sigma : mapping
         Standard deviations of the measured values by name: a number, or an array that broadcasts to their shape. Of
-        attitudes, for rotations, it is that of each component of the rotation vector of the error, in radians.
+        attitudes those of the components of the rotation vector of the error, about axes of the body, in radians: a
+        number, or one for each axis, (3,) or (k, 3); of other group elements, of its coordinates in the algebra.
     observe : mapping, optional
         Measured functions of one state by name, f(x) or f(x, t): each returns a number or an array of one shape, such
         as the components of a vector that a sensor measures. They are called in Python.
@@ -156,10 +158,11 @@ def fit(
     Angular velocities, momenta and observed quantities are differentiated by central differences at the states, along
     the exact tangents of these.
 
-    The residuals of attitudes are the entries of ``attitude - measured``, divided by ``sqrt(2) sigma``. If an attitude
-    is multiplied by a small rotation, the sum of their squares is that of the rotation vector divided by sigma. So the
-    sum over a run has a chi-squared distribution of three degrees of freedom for each attitude, and n for each state,
-    less the number of unknowns.
+    The residuals of attitudes are the entries of ``attitude - measured``, divided by ``sqrt(2) sigma`` (of translations
+    by sigma), or with a sigma for each axis the coordinates of ``measured^-1 attitude - 1``. If an attitude is
+    multiplied by a small rotation, the sum of their squares is that of the rotation vector divided by sigma. So the sum
+    over a run has a chi-squared distribution of three degrees of freedom for each attitude, n for each state, less the
+    unknowns.
 
     Examples
     --------
@@ -201,7 +204,7 @@ def fit(
     measured = {name: _as_saved(name, value, ready, run.saved_times) for name, value in measured.items()}
     observe = _read_observe(ready, {} if observe is None else observe)
     problem = problem.measuring(ready, measured, observe)
-    weights = _weights(measured, sigma, problem.outputs(), Quantities.names_of(ready, observe))
+    weights = _weights(measured, sigma, problem, Quantities.names_of(ready, observe))
     targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
     problem = problem._replace(weights=weights, targets=targets)
     numbers, count = problem.numbers, len(problem.unknowns)
@@ -209,6 +212,7 @@ def fit(
     check_available_memory(needed, f"a fit of {count} unknowns to {numbers} numbers", "fit fewer of them")
     first = problem.jacobian(np.zeros(count))
     _check_determined(first, problem)
+    problem, first = problem.near_attitudes(first)
     end = problem.minimum(first)
     if end.status <= 0:
         raise ValueError(f"the minimum was not found in {end.nfev} evaluations; give closer guesses")
@@ -311,10 +315,10 @@ def _warn_of_contradiction(squares: float, freedom: int) -> None:
 
 
 def _weights(
-    measured: Mapping[str, Any], sigma: Mapping[str, Any], outputs: Mapping[str, Floats], quantities: tuple[str, ...]
+    measured: Mapping[str, Any], sigma: Mapping[str, Any], problem: FitProblem, quantities: tuple[str, ...]
 ) -> dict[str, Floats]:
     """Return the factors of the residuals; raise an error for measurements that do not match the run."""
-    weights = {}
+    weights, outputs = {}, problem.outputs()
     for name, value in measured.items():
         if name not in outputs:
             raise unknown_name("measured value of this run", name, (*outputs, *quantities))
@@ -333,7 +337,11 @@ def _weights(
         if not (are_finite(deviation) and np.all(deviation > 0)):
             raise ValueError(f"sigma of {name} is {short(sigma[name])}; give positive numbers")
         try:
-            weights[name] = np.broadcast_to(1.0 / deviation, shape) / (np.sqrt(2.0) if name == "attitude" else 1.0)
+            weights[name] = (
+                attitude_weights(deviation, array, problem.generators)
+                if name == "attitude"
+                else np.broadcast_to(1.0 / deviation, shape)
+            )
         except ValueError:
             raise ValueError(f"sigma of {name} has the shape {deviation.shape}; it must broadcast to {shape}") from None
     return weights

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra import catalogue
 from coadjoint.errors import IntegrationError, unknown_name
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -155,7 +156,8 @@ class FitProblem(NamedTuple):
     unknowns: tuple[tuple[str, int], ...]
     quantities: Quantities | None = None
     targets: Mapping[str, Floats] = MappingProxyType({})
-    weights: Mapping[str, Floats] = MappingProxyType({})  # factors of the residuals
+    # Factors of the residuals, or matrices (..., n, d, d) of coordinates of the errors of attitudes.
+    weights: Mapping[str, Floats] = MappingProxyType({})
 
     def measuring(self, ready: PreparedRun, measured: Mapping[str, Any], observe: Mapping[str, Any]) -> FitProblem:
         """Return the problem with the measured functions of the states among its outputs."""
@@ -293,19 +295,43 @@ class FitProblem(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """Number of measured numbers."""
-        return sum(target.size for target in self.targets.values())
+        """Number of residuals."""
+        return sum(self._weighted(name, np.zeros(target.shape)).size for name, target in self.targets.items())
 
     @property
     def degrees_of_freedom(self) -> int:
-        """The measured numbers, three for each rotation, less the unknowns."""
-        measured = sum(weights.size // redundancy(name, weights) for name, weights in self.weights.items())
+        """The measured numbers, of each group element as many as the group has dimensions, less the unknowns."""
+        measured = 0
+        for name, target in self.targets.items():
+            d = target.shape[-1] if name == "attitude" else 1
+            known = self.generators if d == self.generators.shape[-1] else np.zeros((0, 0, 0))
+            each = int(np.linalg.matrix_rank(known.reshape(len(known), -1))) if len(known) else d
+            measured += target.size // d**2 * each
         return measured - len(self.unknowns)
+
+    def _weighted(self, name: str, differences: Floats) -> Floats:
+        """Return differences of a measured value, or their derivatives with a first axis, as residuals."""
+        weights = self.weights[name]
+        if weights.ndim == self.targets[name].ndim:
+            return np.asarray(weights * differences)
+        return np.einsum("...akj,...kj->...a", weights, differences)
 
     def residuals_of(self, outputs: Mapping[str, Floats]) -> Floats:
         """Return the residuals of outputs, fitted minus measured."""
-        parts = [(weights * (outputs[name] - self.targets[name])).ravel() for name, weights in self.weights.items()]
+        parts = [self._weighted(name, outputs[name] - target).ravel() for name, target in self.targets.items()]
         return np.concatenate(parts)
+
+    def near_attitudes(self, first: Floats) -> tuple[FitProblem, Floats]:
+        """Return the problem and its Jacobian, near the minimum if coordinates of errors of attitudes are compared."""
+        # They are linear for small errors only; entries of attitudes are comparable for all.
+        linear = [name for name, one in self.weights.items() if one.ndim > self.targets[name].ndim]
+        if not linear:
+            return self, first
+        alike = {name: np.full(self.targets[name].shape, np.sqrt(np.mean(self.weights[name] ** 2))) for name in linear}
+        rough = self._replace(weights={**self.weights, **alike})
+        zero = np.zeros(len(self.unknowns))
+        near = self._replace(values=self.moved(rough.minimum(rough.jacobian(zero)).x))
+        return near, near.jacobian(zero)
 
     def residuals(self, z: Floats) -> Floats:
         """Return the residuals after changes z of the unknowns."""
@@ -319,7 +345,7 @@ class FitProblem(NamedTuple):
     def jacobian(self, z: Floats) -> Floats:
         """Return their derivative."""
         tangents = self.tangents(z)
-        columns = [(weights * tangents[name]).reshape(len(z), -1) for name, weights in self.weights.items()]
+        columns = [self._weighted(name, tangents[name]).reshape(len(z), -1) for name in self.targets]
         return np.concatenate(columns, axis=1).T
 
     def minimum(self, first: Floats, **limits: Any) -> Any:
@@ -341,6 +367,24 @@ def _mirror(numbers: NDArray[np.int64], size: int) -> NDArray[np.int64]:
     return j * size + i
 
 
-def redundancy(name: str, weights: Floats) -> int:
-    """Return how many entries of measured values are one number: three, of a rotation in three dimensions."""
-    return 3 if name == "attitude" and weights.shape[-1] == 3 else 1
+def attitude_weights(sigma: Floats, measured: Floats, generators: Floats) -> Floats:
+    """Return the factors of the entries of attitudes, or the maps of their errors to coordinates over sigma."""
+    d = measured.shape[-1]
+    if d == 3 and not len(generators):
+        generators = np.asarray(catalogue.so(3).representation)
+    n = len(generators)
+    if n and sigma.shape in ((n,), (*measured.shape[:-2], n)):
+        coordinates = np.linalg.pinv(generators.reshape(n, -1).T).reshape(n, d, d)
+        maps = np.einsum("aij,...ik->...akj", coordinates, np.linalg.pinv(measured))
+        return np.asarray(maps / sigma[..., None, None])
+    if sigma.shape[-2:] not in ((), (1, 1), (d, d)):
+        among = f"({n},) for the coordinates of the error, " if n else ""
+        raise ValueError(
+            f"sigma of attitude has the shape {sigma.shape}; give a number, {among}or an array that broadcasts to "
+            f"{measured.shape} with its last two axes"
+        )
+    # The squares of an error in the group, in all entries, add up to those of its coordinates.
+    lengths = np.sum(generators**2, axis=(1, 2))
+    moved = np.any(generators, axis=1)
+    inverse = moved.T @ (1.0 / lengths) / np.maximum(np.sum(moved, axis=0), 1) if n else np.full(d, 0.5)
+    return np.asarray(np.broadcast_to(np.sqrt(np.where(inverse > 0.0, inverse, 1.0)) / sigma, measured.shape))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.analysis.standard_errors import student_factor
 from coadjoint.analysis.weak_form import (
     GROUPED,
     MIN_RADIUS,
@@ -38,6 +39,8 @@ from coadjoint.validation import read_integer
 
 RADII = (8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Half lengths of test functions in samples, of which the one with the least uncertainty is chosen."""
+ENOUGH_FREEDOM = 16
+"""Degrees of freedom with which estimated variances are compared; of fewer, the smallest one is so by chance."""
 ITERATIONS = 20  # of weights and noise, which settle in some five
 CONVERGED = (1e-3, 1e-13)
 """Changes of coefficients, relative to their largest standard deviation and size, that end the iteration."""
@@ -57,7 +60,9 @@ class Identification:
     exponents : tuple of tuple of int
         The monomials, in the order of `covariance`.
     covariance : ndarray, shape (p, p)
-        Of the coefficients, for independent normal errors of the samples; singular in the directions of Casimirs.
+        Of the coefficients, for independent normal errors of the samples; singular in the directions of Casimirs. Since
+        the noise is found from the data, it has the square of Student's factor for the degrees of freedom, with which
+        two standard deviations hold 95 of 100 cases.
     noise : ndarray, shape (n,)
         Standard deviations of the errors of the samples, as found from the data.
     undetermined : tuple of Polynomial
@@ -187,10 +192,10 @@ def identify(
     needed = 8 * len(exponents) * (3 * rows + 4 * STRIDES * GROUPED * radii[-1] * algebra.dim + 4 * len(exponents))
     check_available_memory(needed, f"an identification of {len(exponents)} monomials", "take a lower degree")
     complement = complement_of_casimirs(algebra, exponents)
-    best, certainty = None, (-1, -math.inf)
+    best, certainty = None, (-1, 0, -math.inf)
     for k, r in enumerate(radii):
         estimate = _estimate(data, exponents, complement, r)
-        # More directions are determined, or as many with less uncertainty.
+        # More directions are determined, or as many with enough degrees of freedom, or with less uncertainty.
         if estimate is not None and (best is None or estimate[1] > certainty):
             best, certainty = estimate
         note_progress("estimates with longer test functions", (k + 1) / len(radii))
@@ -204,10 +209,11 @@ def identify(
 
 def _estimate(
     data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, r: int
-) -> tuple[Identification, tuple[int, float]] | None:
+) -> tuple[Identification, tuple[int, int, float]] | None:
     """Solve the equations, weighted by the covariance of their errors at the solution, by iteration.
 
-    The result, without a run, comes with the number of determined directions and minus the sum of the variances.
+    The result, without a run, comes with the number of determined directions, the degrees of freedom up to
+    `ENOUGH_FREEDOM`, and minus the sum of the variances.
     """
     equations = [(A @ complement, b, by_samples) for A, b, by_samples in equations_of(data, exponents, r)]
     count = sum(b.size for _, b, _ in equations)
@@ -230,7 +236,7 @@ def _estimate(
         z, _, _, _ = np.linalg.lstsq(A @ V, b, rcond=None)
         freedom = max(1, count - V.shape[1])
         variance = float(np.sum((A @ V @ z - b) ** 2)) / freedom
-        covariance = variance * (V / values[determined] ** 2) @ V.T
+        covariance = variance * student_factor(freedom) ** 2 * (V / values[determined] ** 2) @ V.T
         before, y = y, V @ z
         accuracy = CONVERGED[0] * math.sqrt(np.diag(covariance).max()) + CONVERGED[1] * np.abs(y).max()
         if iteration and np.abs(y - before).max() <= accuracy:
@@ -252,7 +258,7 @@ def _estimate(
         run_error=math.inf,
         basis=np.asarray(root @ V),
     )
-    return found, (V.shape[1], -float(np.trace(covariance)))
+    return found, (V.shape[1], min(freedom, ENOUGH_FREEDOM), -float(np.trace(covariance)))
 
 
 def _with_run(found: Identification, data: TrajectorySamples) -> Identification:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.standard_errors import covariances, low_power, student_factor
 from coadjoint.kernels.tables.derivatives import Frame, stretch_logarithms
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
@@ -29,7 +30,9 @@ from coadjoint.systems.system_checks import check_system, check_vector_states
 from coadjoint.validation import read_integer, read_number
 
 POINTS = 200  # default number of saved times
-BLOCKS = 10  # time blocks, whose scatter gives the uncertainty
+MIN_TIMES = 16  # saved times with which a fall like log(t)/t is fitted
+EARLY = 8  # the first part of the time, one in so many, in which stretches do not grow like log(t) yet
+FALLING = 3.0  # standard errors of the coefficient of such a fall that is significant
 MAX_STEPS = 2**53  # of a run
 NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits are lost
 _warned_types: set[type] = set()
@@ -79,19 +82,18 @@ class LyapunovExponents:
 
     @property
     def uncertainty(self) -> NDArray[np.float64]:
-        """Uncertainty of the estimates, in the shape of `exponents`.
+        """Standard error of the estimates for infinite time, in the shape of `exponents`.
 
-        The maximum of two estimates: the standard error of the mean over ten time blocks (fewer if fewer times are
-        saved), which applies to chaotic motion; and the change of the estimate within the last half of the time, which
-        bounds an exponent that falls as log(t)/t. NaN if fewer than two times are saved.
+        Of chaotic motion, the standard error of the mean of the correlated growth rates between the saved times. Of
+        regular motion, the distance of the estimate from its limit, if it falls as log(t)/t, by a fit to the stretches,
+        and the error of that limit. At least the change of the estimate within the last half of the time. NaN if fewer
+        than two times are saved. The error of the step is not included: compare a run with half the step.
         """
-        edges = np.unique(np.linspace(0, len(self.t) - 1, BLOCKS + 1).round().astype(int))
-        if len(edges) < 3:
+        count = len(self.t) - 1
+        if count < 2:
             return np.full_like(self.exponents, np.nan)
-        blocks = np.diff(self.stretches[edges], axis=0) / np.diff(self._elapsed[edges], axis=0)
-        scatter = np.std(blocks, axis=0, ddof=1) / np.sqrt(len(blocks))
-        late = self.history[(len(self.t) - 1) // 2 - 1 :]
-        return np.asarray(np.maximum(scatter, np.max(np.abs(late - self.exponents), axis=0)))
+        stretches, elapsed = self.stretches.reshape(count + 1, -1), self._elapsed.ravel()
+        return np.reshape([_standard_error(column, elapsed) for column in stretches.T], self.exponents.shape)
 
     @property
     def sum(self) -> NDArray[np.float64]:
@@ -112,6 +114,33 @@ class LyapunovExponents:
     @property
     def _elapsed(self) -> NDArray[np.float64]:
         return np.asarray(np.abs(self.t - self.t[0]).reshape(-1, *(1,) * (self.stretches.ndim - 1)))
+
+
+def _standard_error(stretches: NDArray[np.float64], t: NDArray[np.float64]) -> float:
+    """Return the standard error of a growth rate from stretches at times, or the distance to its limit."""
+    spans, growth, rate = np.diff(t), np.diff(stretches), float(stretches[-1] / t[-1])
+    count = len(spans)
+    if not np.all(np.isfinite(growth)):
+        return float("nan")
+    late = float(np.max(np.abs(stretches[count // 2 :] / t[count // 2 :] - rate)))
+    if count < MIN_TIMES:
+        return max(late, float(np.std(growth / spans, ddof=1)) / np.sqrt(count) * student_factor(count - 1))
+
+    def power(values: NDArray[np.float64]) -> tuple[float, float]:
+        deviations = (values - values.mean())[None]
+        found = low_power(deviations, covariances(deviations))
+        return found.power, found.factor
+
+    of_mean, factor = power(growth / spans)
+    error = np.sqrt(of_mean / count) * factor
+    first = count // EARLY
+    columns = np.stack([spans, np.log(t[1:] / np.maximum(t[:-1], spans[0]))], axis=1)[first:]
+    (limit, slope), _, _, _ = np.linalg.lstsq(columns, growth[first:], rcond=None)
+    noise, factor = power(growth[first:] - columns @ (limit, slope))
+    limit_error, slope_error = np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * noise) * factor
+    if abs(slope) > FALLING * slope_error:
+        error = abs(rate - limit) + limit_error
+    return max(late, float(error))
 
 
 @suggest_keywords

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.phase_error import acts_by_rotations, check_same_times, leads, motion_of, twist
 from coadjoint.analysis.powers import fit_power
+from coadjoint.analysis.standard_errors import covariances, low_power, student_factor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
@@ -26,11 +27,10 @@ SLOW_FRACTION = 1.0 / 128.0  # slow deviations below this fraction of the growth
 WANDERING_EXPONENT = 1.0 / 3.0  # between 0 of bounded deviations and 1/2 of a random walk
 ANGLES, TIMES = "radians", "time"
 
-BLOCKS = (4, 6, 8, 12, 16, 24, 32)  # numbers of blocks; the sums over blocks are assumed to be independent
 MIN_MEMORY_EXPONENT = 0.2  # noise without correlation over the span, and oscillations, have smaller exponents
 SLOPE_PIECES = 8  # of the slow part, whose slopes tell a line from a curve
 SCALES = 64  # blocks, from whose means the growth is computed
-MIN_SAMPLES = 16  # of a line with an uncertainty: four blocks of four
+MIN_SAMPLES = 16  # of a line with an uncertainty
 MIN_PIECE_SAMPLES = 4  # of a block; fewer have no scatter of their own
 
 
@@ -143,7 +143,7 @@ def phase_drift(solution: Any, reference: Any = None, of: str = "momentum") -> A
     >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
     >>> method = co.Splitting(order=2, parts="coordinates")
     >>> print(phase_drift(co.integrate(body, (1.0, 0.2, 0.5), (0, 500), 0.1, method, save_every=7)))
-    linear: 2.987...e-05 +- 6e-09 per unit of time, exponent -0.09
+    linear: 2.987...e-05 +- 2e-09 per unit of time, exponent -0.09
     """
     check_solution(solution)
     of = read_choice(of, "of", ("momentum", "attitude"))
@@ -229,9 +229,7 @@ def _attitude(run: Solution, member: int | None, name: str) -> Floats:
 
 def _with_line(t: Floats, values: Floats, unit: str) -> PhaseDrift:
     """Fit a straight line to a series at ordered times (at least 16), with the growth of the deviations from it."""
-    # Uncertainty: for B blocks of neighbouring samples, deviations r and distances d from the middle time, the sums of
-    # d r over each block are independent if the blocks are long enough. The slope then has the variance B / (B - 2) *
-    # sum (block sums)^2 / (sum d^2)^2. The sufficient length is unknown, so the largest value for B = 4 to 32 is taken.
+    # Uncertainty: that of a slope with deviations of the power at the lowest frequency that is left by the line.
     # If H < 0.2, deviations are not correlated over the whole span. Otherwise the slopes of q = 8 pieces are used,
     # whose errors are q^(1 - H) times that of the whole.
     # Exponent: H = 0 for oscillations and noise, 1/2 for a random walk, 3/2 for an integrated one (Brouwer's phase
@@ -241,23 +239,18 @@ def _with_line(t: Floats, values: Floats, unit: str) -> PhaseDrift:
     spread = float(d @ d)
     slope = float(d @ (values - values.mean())) / spread
     deviations = values - values.mean() - slope * d
-    weighted = d * deviations
-    worst = 0.0
-    for blocks in BLOCKS:
-        if len(t) < MIN_PIECE_SAMPLES * blocks:
-            break
-        sums = np.add.reduceat(weighted, _block_starts(len(t), blocks))
-        worst = max(worst, blocks / (blocks - 2) * float(sums @ sums))
+    found = low_power(deviations[None], covariances(deviations[None]), removed=2)
     # Effect of rounding of the series on its slope.
     rounding = 2.0**-53 * float(np.max(np.abs(values))) / np.sqrt(spread)
     starts = _block_starts(len(t), min(SCALES, len(t) // 2))
     sizes = np.diff(np.append(starts, len(t)))
     slow_t, slow = np.add.reduceat(t, starts) / sizes, np.add.reduceat(values, starts) / sizes
     exponent = _growth_exponent(slow_t, slow)
-    uncertainty = np.sqrt(worst) / spread
+    uncertainty = np.sqrt(found.power / spread) * found.factor
     if exponent > MIN_MEMORY_EXPONENT:
         pieces = min(SLOPE_PIECES, len(slow) // 2)
-        uncertainty = max(uncertainty, _slope_scatter(slow_t, slow, pieces) * pieces ** (exponent - 1.0))
+        scatter = _slope_scatter(slow_t, slow, pieces) * student_factor(pieces - 1)
+        uncertainty = max(uncertainty, scatter * pieces ** (exponent - 1.0))
     return PhaseDrift(
         t,
         values,

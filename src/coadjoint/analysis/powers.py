@@ -19,6 +19,7 @@ MIN_POINTS = 3  # of a fitted power
 MAX_POINTS = 5  # of an order, at the smallest steps
 # Errors below this multiple of their round-off are not fitted; at 16, the logarithm is off by 1/16.
 FLOOR_FACTOR = 16.0
+PLATEAU_POINTS = 3  # errors that no longer fall, whose largest is the size of the plateau
 
 WINDOWS = 5
 """Number of windows of a growth: the last half of the run, the half before it, and so on."""
@@ -68,7 +69,8 @@ def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike | None = Non
     """Fit an order to errors at several steps, without the points dominated by round-off.
 
     From the largest step down, points count until one is at or below its `floor`; without a `floor`, until the error
-    falls more slowly than the square root of the step (a plateau: no scheme has order 1/2). The last five are fitted.
+    falls more slowly than the square root of the step (a plateau: no scheme has order 1/2). Of these, errors below 16
+    times the plateau are omitted if three others remain. The last five are fitted.
 
     Parameters
     ----------
@@ -94,12 +96,13 @@ def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike | None = Non
     -----
     For an error C h^p (1 + a h + ...) the slope at points near the step h is p + a h + .... From the larger to the
     smaller points the step falls by a ratio r, so a h at the smaller ones is the change of the slope divided by
-    r - 1. The uncertainty also includes the effect of round-off, taken as 1/16 of the floor.
+    r - 1. The uncertainty also includes the effect of round-off on the smallest error, taken as 1/16 of the floor, or
+    as the plateau.
 
     Examples
     --------
-    >>> fitted = fit_order([0.4, 0.2, 0.1, 0.05], [1.6e-1, 4e-2, 1e-2, 9.9e-3])
-    >>> round(fitted.order, 12), fitted.uncertainty < 1e-9, fitted.dropped
+    >>> fitted = fit_order([0.4, 0.2, 0.1, 0.05], [1.6e-1, 4e-2, 1e-2, 1e-5], floor=[1e-5] * 4)
+    >>> round(fitted.order, 12), fitted.uncertainty < 1e-4, fitted.dropped
     (2.0, True, 1)
     """
     h, e = read_finite(steps, "steps"), read_finite(errors, "errors")
@@ -123,13 +126,21 @@ def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike | None = Non
             f"only {count} of {len(h)} errors are above the round-off floor and falling; "
             f"an order needs {MIN_POINTS}, so take larger steps or more of them"
         )
+    if floor is None and count < len(h):
+        plateau = float(np.max(e[count : count + PLATEAU_POINTS]))
+        count = max(MIN_POINTS, int(np.count_nonzero(e[:count] > FLOOR_FACTOR * plateau)))
+        floors = np.full(len(h), FLOOR_FACTOR * plateau)
     used, dropped = slice(max(0, count - MAX_POINTS), count), len(h) - count
     h, e, floors = h[used], e[used], floors[used]
     width = 3 if len(h) == MAX_POINTS else 2
     large, small = fit_power(h[:width], e[:width]), fit_power(h[-width:], e[-width:])
     ratio = math.exp(float(np.mean(np.log(h[:width])) - np.mean(np.log(h[-width:]))))
     rounding = float(floors[-1] / e[-1]) / FLOOR_FACTOR / math.log(h[-width] / h[-1])
-    return OrderFit(small, abs(small - large) / (ratio - 1.0) + rounding, small - large, h, e, dropped)
+    uncertainty = abs(small - large) / (ratio - 1.0) + rounding
+    turns = np.abs(np.diff(np.diff(np.log(e)) / np.diff(np.log(h))))
+    if floor is None and len(turns) > 1 and turns[-1] > turns[-2]:
+        uncertainty = max(uncertainty, float(turns[-1]))  # slopes do not settle: a plateau below the last step
+    return OrderFit(small, uncertainty, small - large, h, e, dropped)
 
 
 def error_by_comparison(difference: Any, left: float) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.analysis.standard_errors import MIN_FREEDOM, covariances, low_power
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -22,8 +24,8 @@ from coadjoint.validation import check_finite, read_finite, read_integer, read_n
 Floats = NDArray[np.float64]
 
 MIN_SAMPLES = 16  # fewer have no window of five integrated times
-WINDOW = 5.0  # integrated times in the window, of Sokal's rule
-BYTES_PER_SAMPLE = 80  # peak, of one member and channel, padded
+WINDOW = 5.0  # integrated times in the window
+BYTES_PER_SAMPLE = 128  # peak, of one member and channel, padded
 BYTES_PER_LAG = 40  # of each channel
 
 
@@ -142,16 +144,17 @@ class Autocorrelation:
     values : ndarray, shape (k,) or (k, channels)
         Normalized autocorrelation, one at lag zero; NaN for a constant series.
     time : float or ndarray, shape (channels,)
-        Integrated autocorrelation time, ``dt (1/2 + sum over lags of values)`` up to the window. NaN if half of the
-        span is shorter than the window.
+        Integrated autocorrelation time, the limit of ``dt (1/2 + sum over lags of values)`` for long series; positive.
+        NaN if half of the span is shorter than the window.
     error : float or ndarray, shape (channels,)
         Its standard error.
     window : float or ndarray, shape (channels,)
-        Lag at which the sum ends.
+        Half a period of the highest frequency from which the time is extrapolated to zero frequency: correlations that
+        last much longer count in full.
     mean : float, complex, or ndarray, shape (channels,)
         Mean over times and members.
     mean_error : float or ndarray, shape (channels,)
-        Its standard error, from the variance and the integrated time.
+        Its standard error. NaN where `time` is, except for five members or more, whose means show it.
     """
 
     t: Floats
@@ -172,8 +175,8 @@ class Autocorrelation:
 def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> Autocorrelation:
     """Return the normalized autocorrelation function of a stationary series, and its integrated time with an error.
 
-    Choose it for relaxation times, and for error bars of averages over correlated samples: a series of length T is
-    worth T / (2 tau) independent ones.
+    Choose it for relaxation times, and for error bars of averages over correlated samples, which may also anticorrelate
+    or oscillate: a series of length T is worth T / (2 tau) independent ones.
 
     Parameters
     ----------
@@ -184,8 +187,7 @@ def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> A
         observable, or a function of the states; samples (k,), (k, channels) or (k, members, channels) with times.
         Members must be realizations of the same process: they share the mean and the variance.
     window : float
-        The sum of the integrated time ends at the first lag of at least so many integrated times (Sokal's rule). For
-        functions that decay with several rates take up to 10.
+        Least window, in integrated times. For functions that decay with several rates take up to 20.
 
     Returns
     -------
@@ -199,9 +201,17 @@ def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> A
     Notes
     -----
     By FFT, padded with zeros, each lag divided by its number of products. Of complex signals the real part of the
-    product with the conjugate. The error of the time is that of N. Madras and A. D. Sokal, J. Stat. Phys. 50, 109
-    (1988), ``time sqrt(2 (2 W + 1) / n)`` with a window of W of all n samples. In the limit of dense samples the
-    integrated time is the integral of the function, the decay time of an exponential.
+    product with the conjugate. The integrated time is the power at zero frequency over twice the variance: the mean
+    over the lowest frequencies, of which there are up to 0.4 k^(2/3) for k samples, each divided by the power there of
+    an autoregression relative to that at zero. So no sum over lags has to end, and the time of a series that oscillates
+    is positive. Standard errors have Student's factor for the number of frequencies and members, so that two of them
+    hold the truth in 95 of 100 cases. In the limit of dense samples the integrated time is the integral of the
+    function, the decay time of an exponential.
+
+    References
+    ----------
+    E. Lazarus, D. Lewis, J. Stock, M. Watson, J. Bus. Econ. Stat. 36, 541 (2018), the frequencies; D. Andrews, J.
+    Monahan, Econometrica 60, 953 (1992), the autoregression; M. Thompson, arXiv:1011.0175, a comparison of methods.
 
     Examples
     --------
@@ -222,33 +232,24 @@ def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> A
     )
     mean = series.values.mean(axis=(0, 1))
     lags = count // 2 + 1
-    covariance = np.stack([_covariance(series.values[:, :, c] - mean[c], lags) for c in range(channels)], axis=1)
+    sums = np.stack([covariances(series.values[:, :, c] - mean[c]) for c in range(channels)], axis=1)
+    covariance = sums[:lags] / (members * (count - np.arange(lags)))[:, None]
     with np.errstate(invalid="ignore", divide="ignore"):
         values = covariance / np.where(covariance[0] > 0.0, covariance[0], np.nan)
     spacing = abs(float(series.t[-1] - series.t[0])) / (count - 1)
-    sums = np.cumsum(values, axis=0) - 0.5
-    with np.errstate(over="ignore", invalid="ignore"):
-        reached = np.arange(lags)[:, None] >= factor * sums
-    ends = np.argmax(reached, axis=0)
-    found = reached[ends, np.arange(channels)]
-    tau = np.where(found, sums[ends, np.arange(channels)], np.nan)
-    samples = members * count
-    error = np.abs(tau) * np.sqrt(2.0 * (2.0 * ends + 1.0) / samples)
-    # Rounding and noise can make a time of independent samples negative.
-    mean_error = np.sqrt(2.0 * np.maximum(tau, 0.0) * covariance[0] / samples)
-    widths = np.where(found, ends * spacing, np.nan)
+    tau, error, widths, mean_error = np.full((4, channels), np.nan)
+    for c in np.flatnonzero(sums[0] > 0.0):
+        deviations = series.values[:, :, c] - mean[c]
+        found = low_power(deviations, sums[:, c], times=factor)
+        time = 0.5 * found.power / covariance[0, c]
+        resolved = factor * time <= 0.5 * count
+        if resolved:
+            squares = np.abs(deviations) ** 2 / covariance[0, c] - 1.0  # whose mean is the error of the variance
+            of_variance = low_power(squares, covariances(squares)).power / (members * count)
+            relative = math.sqrt(found.spread + of_variance)
+            tau[c], error[c], widths[c] = spacing * time, spacing * time * relative, spacing * found.window
+        if resolved or members > MIN_FREEDOM:
+            mean_error[c] = math.sqrt(found.power / (members * count)) * found.factor
     lag_times = spacing * np.arange(lags)
-    columns = (tau * spacing, error * spacing, widths, mean, mean_error)
+    columns = (tau, error, widths, mean, mean_error)
     return Autocorrelation(lag_times, *map(series.shaped, (values, *columns)))
-
-
-def _covariance(deviations: NDArray[Any], lags: int) -> Floats:
-    """Return the mean over the members (members, times) of products at each lag, in turn, to save memory."""
-    from scipy.fft import fft, ifft, next_fast_len
-
-    count = deviations.shape[1]
-    size = next_fast_len(count + lags)
-    total = np.zeros(lags)
-    for row in deviations:
-        total += ifft(np.abs(fft(row, size)) ** 2).real[:lags]
-    return np.asarray(total / (len(deviations) * (count - np.arange(lags))))

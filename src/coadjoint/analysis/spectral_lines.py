@@ -26,7 +26,10 @@ NOISE_BINS = 32  # bins on either side of a line whose median power is its noise
 
 WINDOW_POWER = 3  # of the cosine window: side lobes fall like the 7th power
 WINDOW_POSITIONS = 96  # positions of the window along the span
-WINDOWS_PER_SPAN = 8  # the default width of the window is 1/8 of the span
+WINDOWS_PER_SPAN = 2  # the default width of the window is half of the span
+MAIN_LOBE = 8.0 * math.pi  # distance of other lines times the width of the window, at least
+NEIGHBOURS = 6  # strongest lines of the exact motion that are compared with that distance
+WEAK_NEIGHBOUR = 1.0 / 64.0  # of the amplitude of the line: the drift is wrong by about this fraction
 MIN_WINDOW_SAMPLES = 32  # fewer do not separate neighbouring lines
 
 
@@ -220,8 +223,8 @@ def line_drift(
     signal : None, int, str or callable
         As for `frequencies`: a component, or a function of the states. Names require a run as the reference.
     width : float, optional
-        Width of the demodulation window in units of time; an eighth of the span by default. Other lines must be more
-        than 8 pi / width away.
+        Width of the demodulation window in units of time; half of the span by default. Other lines must be more than
+        8 pi / width away.
 
     Returns
     -------
@@ -231,7 +234,8 @@ def line_drift(
     Raises
     ------
     ValueError
-        The reference has other saved times, the window does not fit, or the signal has no such line.
+        The reference has other saved times, the window does not fit, the signal has no such line, or the window does
+        not separate it from another one.
     TypeError
         No closed form is known, and no reference is given.
 
@@ -268,6 +272,7 @@ def line_drift(
     middles = run.t[starts] + 0.5 * (run.t[samples - 1] - run.t[0])
     drifts = []
     for computed, exact in zip(run.values, reference_values, strict=True):
+        _check_separated(run.t, exact, w, duration)
         first, second = (demodulated(run.t, values, w, weight, starts) for values in (computed, exact))
         products = np.sum(first * second.conj(), axis=1)
         size = float(np.sqrt(np.mean(np.abs(exact) ** 2)))
@@ -275,6 +280,27 @@ def line_drift(
             raise ValueError(f"the signal has no line at the frequency {w:g}; take one that frequencies() finds")
         drifts.append(drift_of_series(middles, np.copysign(1.0, w) * np.unwrap(np.angle(products)), ANGLES))
     return drifts if run.members else drifts[0]
+
+
+def _check_separated(t: Floats, exact: NDArray[Any], w: float, width: float) -> None:
+    """Raise ValueError if a window of this width does not separate the line at w from another one, or the mean."""
+    s, half = np.linspace(-1.0, 1.0, len(t)), 0.5 * (t[-1] - t[0])
+    count = min(NEIGHBOURS, len(t) // (8 * (WINDOW_POWER + 1)))
+    lines = find_lines(s, exact[None], count, WINDOW_POWER)
+    frequency = np.append(lines.frequency[0] / half, 0.0)
+    size = np.append(np.linalg.norm(lines.amplitude[0], axis=1), np.linalg.norm(lines.mean[0]))
+    if not np.iscomplexobj(exact):
+        frequency, size = np.append(frequency, -frequency), np.append(size, size)
+    distance = np.abs(frequency - w)
+    own = size[np.argmin(distance)] if distance.min() < math.pi / abs(half) else 0.0
+    others = (distance > math.pi / abs(half)) & (size > WEAK_NEIGHBOUR * own)
+    nearest = float(np.min(distance[others], initial=math.inf))
+    if own and nearest * width < MAIN_LOBE * (1.0 - 1e-9):
+        raise ValueError(
+            f"another line is {nearest:.4g} from the frequency {w:g}, and a window of {width:.6g} separates lines that "
+            f"are {MAIN_LOBE / width:.4g} apart; give a width of at least {MAIN_LOBE / nearest:.4g}, or a run of at "
+            "least twice that"
+        )
 
 
 def demodulated(

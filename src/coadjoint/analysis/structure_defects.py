@@ -133,7 +133,8 @@ class RandomWalk:
     worst : float
         The largest late deviation of any member.
     bias : float
-        The mean late deviation in standard errors of that mean; within 3 for unbiased rounding.
+        The mean late deviation in standard errors of that mean, as the normal deviate of the same probability as its
+        Student's t: within 3 for unbiased rounding, for any number of members. NaN without a scatter of members.
     """
 
     early: float
@@ -178,13 +179,23 @@ def random_walk(deviations: NDArray[np.float64], early: int) -> RandomWalk:
     early = read_integer(early, "early", 0, len(deviations) - 1)
     last = deviations[-1]
     means = last.reshape(len(last), -1).mean(axis=1)
-    spread = float(np.std(means)) / np.sqrt(len(means))
     return RandomWalk(
         early=float(np.sqrt(np.mean(deviations[early] ** 2))),
         late=float(np.sqrt(np.mean(last**2))),
         worst=float(np.max(np.abs(last))),
-        bias=float(np.mean(means) / spread) if spread else 0.0,
+        bias=_normal_score(means),
     )
+
+
+def _normal_score(values: NDArray[np.float64]) -> float:
+    """Return the normal deviate of the probability of Student's t of values, for the mean zero."""
+    from scipy.special import ndtri, stdtr
+
+    mean, freedom = float(np.mean(values)), len(values) - 1
+    spread = float(np.std(values, ddof=1)) / np.sqrt(len(values)) if freedom else 0.0
+    if not spread:
+        return float("nan") if mean or not freedom else 0.0
+    return float(np.copysign(ndtri(stdtr(freedom, -abs(mean) / spread)), mean))
 
 
 @suggest_keywords

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from coadjoint.analysis.signals import sampled
+from coadjoint.analysis.standard_errors import student_factor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.memory import check_available_memory
@@ -47,7 +48,8 @@ class StructureFactor:
     intensity : ndarray, shape (k, m)
         S(q, omega), summed over the three components of the spins, mean of the members.
     error : ndarray, shape (k, m)
-        Its standard error, from the scatter of the members; NaN for a single run.
+        Its standard error, from the scatter of the members with Student's factor: two errors hold 95 of 100 values of
+        several waves, 90 of a single one, whose intensity is distributed exponentially. NaN for a single run.
     components : ndarray, shape (3, k, m)
         The same for each component.
     static : ndarray, shape (k,)
@@ -170,6 +172,7 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
         note_progress("the spectrum of a member", (member + 1) / members)
     with np.errstate(invalid="ignore"):
         error = np.sqrt(square / (members - 1) / members) if members > 1 else np.full_like(square, np.nan)
+        error *= student_factor(members - 1)
     order = np.argsort(np.fft.fftfreq(count), kind="stable")
     omega = 2.0 * np.pi * np.fft.fftfreq(count, abs(spacing))[order]
     spectrum = mean[:, :, order]

@@ -352,7 +352,7 @@ def short_run(
     """Run without attitude and watching (unless `advanced`, before its first step); `status` records failures."""
     start = start_without_groups(system, momenta)
     times = Times(t0, time / steps, steps, save_every)
-    note_progress(f"a pilot run of {steps} steps by {type(method).__name__}")
+    note_progress(f"a pilot run of {steps} step{'' if steps == 1 else 's'} by {type(method).__name__}")
     run = Run(Plan(system, method, loops_of(system, method, times.h), times, start.groups.shape), start)
     if advanced:
         run.advance()

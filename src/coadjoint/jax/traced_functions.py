@@ -17,6 +17,7 @@ from coadjoint.errors import in_one_line
 from coadjoint.kernels.tables.compiled import compiled_derivative
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.forces.torque import sample_state
+from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
 from coadjoint.systems.user_functions import first_difference
@@ -180,9 +181,12 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
 
     @wraps(function, updated=())
     def traced(*arguments: Any) -> Any:
-        return evaluated(arguments, ())
+        try:
+            return evaluated(arguments, (), in_place=False)
+        except TypeError:  # arrays that the function creates are of JAX only where they must be: others are faster
+            return evaluated(arguments, (), in_place=True)
 
-    def evaluated(arguments: Any, given: tuple[bool, ...]) -> Any:
+    def evaluated(arguments: Any, given: tuple[bool, ...], in_place: bool) -> Any:
         # Decisions that are not given are first taken as true.
         taken: list[bool] = list(given)
         conditions: list[Any] = []
@@ -194,17 +198,19 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
             return taken[len(conditions) - 1]
 
         numbers = [Numbers(jnp.asarray(one), decide) for one in arguments]
+        called = with_new_arrays(function, lambda one: Numbers(jnp.asarray(one), decide)) if in_place else function
         try:
-            found = jnp.asarray(plain(function(*numbers)), dtype=jnp.float64)
+            found = jnp.asarray(plain(called(*numbers)), dtype=jnp.float64)
         except Exception as reason:
             raise TypeError(
                 f"JAX cannot trace {what} ({type(reason).__name__}: {in_one_line(str(reason), 160)}); write it with "
-                'arithmetic and functions of NumPy alone, or take backend="compiled"'
+                "arithmetic and functions of NumPy alone, assign entries of copies of its arguments and of arrays of "
+                'np.zeros, np.empty and the like, or take backend="compiled"'
             ) from reason
         for k in range(len(taken) - 1, len(given) - 1, -1):
             if 2 ** (k + 1) > MOST_BRANCHES:
                 raise TypeError(f'{what} has more than {MOST_BRANCHES} branches; take backend="compiled"')
-            other = evaluated(arguments, (*taken[:k], False))
+            other = evaluated(arguments, (*taken[:k], False), in_place)
             found = jnp.where(conditions[k], found, other)
         return found
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.files.datasets.variables import parameters_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.style import (
     colour,
@@ -34,6 +35,8 @@ MAX_CHANGE = 1e-5
 MAX_TURNING_POINTS = COLUMNS // 2
 """Number of turning points above which an envelope is drawn: two columns per half oscillation."""
 
+MAX_KEYS = 8
+"""Largest number of members in a legend: as many as there are colours."""
 BAR_LABEL = "<colorbar of members>"
 DARKEST, LIGHTEST = 0.0, 0.88
 """Part of the colour map viridis that is dark enough for lines on white."""
@@ -78,13 +81,55 @@ def draw_members(axes: Any, t: Floats, members: Floats, joined: bool, colour: An
         draw_series(axes, t, values, joined, label=own, color=colour, linewidth=width, alpha=alpha)
 
 
-def draw_over_time(axes: Any, t: Floats, lines: Mapping[str, Floats], joined: bool, ylabel: str, title: str) -> None:
-    """Draw series (members, k) over time by label, each in its colour, with labels of the axes and a legend."""
-    for number, (label, members) in enumerate(lines.items()):
-        draw_members(axes, t, members, joined, colour(number), label)
+def draw_over_time(
+    axes: Any,
+    t: Floats,
+    lines: Mapping[str, Floats],
+    joined: bool,
+    ylabel: str,
+    title: str,
+    members_of: PlottedRun | None = None,
+) -> None:
+    """Draw series (members, k) over time by label, each in its colour, with labels of the axes and a legend.
+
+    One series of the members of a run has a colour for each member, with a key of the parameters in which they differ.
+    """
+    if members_of is not None and len(lines) == 1 and differing_parameters(members_of):
+        draw_each_member(axes, members_of, t, next(iter(lines.values())), joined)
+    else:
+        for number, (label, members) in enumerate(lines.items()):
+            draw_members(axes, t, members, joined, colour(number), label)
     axes.set(xlabel="time $t$", ylabel=ylabel, title=title)
     plain_axes(axes)
     legend(axes, beside=True)
+
+
+def draw_each_member(axes: Any, drawn: PlottedRun, t: Floats, members: Floats, joined: bool) -> None:
+    """Draw a series of each member in its colour: few by their parameters, in a legend, or as `MemberColours`."""
+    shades, columns = MemberColours(drawn), differing_parameters(drawn)
+    is_keyed = bool(columns) and len(members) <= MAX_KEYS
+    for m, values in enumerate(members):
+        settings = {name: column[m] for name, column in columns.items()}
+        key = ", ".join(f"{name} = {v}" if isinstance(v, str) else f"{name} = {v:.4g}" for name, v in settings.items())
+        style = {"color": colour(m), "label": key} if is_keyed else {"color": shades[m]}
+        draw_series(axes, t, values, joined, linewidth=thickness(0.7), **style)
+    if not is_keyed:
+        shades.add_bar(axes)
+
+
+def differing_parameters(drawn: PlottedRun) -> dict[str, npt.NDArray[Any]]:
+    """Return the values of the axes of a batch, or else of its parameters, in which the drawn members differ."""
+    system, members = drawn.solution.system, drawn.chosen
+    if not system.is_batch:
+        return {}
+    if system.axes:
+        indices = np.unravel_index(members, [axis.length for axis in system.axes.values()])
+        pairs = zip(system.axes.items(), indices, strict=True)
+        columns = {name: index if axis.values is None else axis.values[index] for (name, axis), index in pairs}
+    else:
+        found = parameters_of(system).values()
+        columns = {str(about["long_name"]).rpartition(".")[2]: values[members] for _, values, about in found}
+    return {name: values for name, values in columns.items() if np.any(values != values[0])}
 
 
 def from_start(lines: Mapping[str, Floats]) -> tuple[dict[str, Floats], str]:
@@ -127,7 +172,7 @@ def envelope(t: Floats, values: Floats, columns: int) -> tuple[Floats, Floats, F
 
 
 class MemberColours:
-    """Colours of the drawn members: one for equal energies at the start, otherwise by the energy."""
+    """Colours of the drawn members by the energy at the start, or by a parameter if it is equal, or one colour."""
 
     def __init__(self, drawn: PlottedRun) -> None:
         from matplotlib import colormaps
@@ -135,23 +180,28 @@ class MemberColours:
 
         energies = drawn.at_start("energy") if len(drawn.x) > 1 else np.zeros(1)
         finite = energies[np.isfinite(energies)]
-        self.differ = finite.size > 1 and float(np.ptp(finite)) > EQUAL_ENERGIES * float(np.abs(finite).max())
-        self._energies, self._shades = energies, None
-        if self.differ:
+        self.by_energy = finite.size > 1 and float(np.ptp(finite)) > EQUAL_ENERGIES * float(np.abs(finite).max())
+        self._values, self._label, self._shades = energies, "energy $H$ at the start", None
+        if len(drawn.x) > 1 and not self.by_energy:
+            columns = differing_parameters(drawn)
+            numeric = {name: values for name, values in columns.items() if values.dtype.kind in "if"}
+            self._label, self._values = next(iter(numeric.items()), ("", np.full(len(drawn.x), np.nan)))
+        finite = self._values[np.isfinite(self._values)]
+        if self.by_energy or (len(drawn.x) > 1 and finite.size > 1):
             part = colormaps["viridis"](np.linspace(DARKEST, LIGHTEST, 256))
-            self._shades = colour_scale(finite, LinearSegmentedColormap.from_list("energies", part))
+            self._shades = colour_scale(finite, LinearSegmentedColormap.from_list("members", part))
 
     def __getitem__(self, m: int) -> Any:
         """Return the colour of a drawn member."""
-        if self._shades is None or not np.isfinite(self._energies[m]):
+        if self._shades is None or not np.isfinite(self._values[m]):
             return colour(0)
-        return self._shades.to_rgba(self._energies[m])
+        return self._shades.to_rgba(self._values[m])
 
     def add_bar(self, axes: Any) -> None:
         """Add a colour bar to axes if the colours differ, unless the figure has one."""
         children = [child for other in axes.figure.axes for child in other.child_axes]
         if self._shades is not None and all(child.get_label() != BAR_LABEL for child in children):
-            bar = colour_bar(axes, self._shades, "energy $H$ at the start")
+            bar = colour_bar(axes, self._shades, self._label)
             bar.ax.set_label(BAR_LABEL)
 
 
@@ -236,13 +286,23 @@ def towards_viewer(axes: Any) -> Floats:
 
 
 class Globe:
-    """Sphere of a given radius in flat axes of equal aspect, with labels for its three axes and a view as `VIEW`."""
+    """Sphere of a given radius in flat axes of equal aspect, with labelled directions, by default its three axes.
 
-    def __init__(self, axes: Any, names: Any, view: tuple[float, float] = VIEW, radius: float = 1.0) -> None:
+    The view is one as `VIEW`.
+    """
+
+    def __init__(
+        self,
+        axes: Any,
+        names: Any,
+        view: tuple[float, float] = VIEW,
+        radius: float = 1.0,
+        directions: Floats | None = None,
+    ) -> None:
         self.axes, self.radius = axes, radius
         self.frame = view_frame(view)
         self._draw_ball()
-        self._draw_axes(names)
+        self._draw_axes(names, np.eye(3) if directions is None else directions)
         axes.set_aspect("equal")
         axes.set(xlim=(-1.42 * radius, 1.42 * radius), ylim=(-1.42 * radius, 1.42 * radius))
         axes.axis("off")
@@ -273,8 +333,8 @@ class Globe:
                 self.radius * circle, near={"color": on_paper(CIRCLE_COLOUR, 0.3), "linewidth": 0.7}, far=None, zorder=1
             )
 
-    def _draw_axes(self, names: Any) -> None:
-        for direction, name in zip(np.eye(3), names, strict=True):
+    def _draw_axes(self, names: Any, directions: Floats) -> None:
+        for direction, name in zip(directions, names, strict=True):
             ends, depth = self.project(np.outer([1.0, 1.22], self.radius * direction))
             order = 2 if depth[0] > 0.0 else -1
             self.axes.annotate(

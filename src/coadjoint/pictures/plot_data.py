@@ -73,8 +73,8 @@ class PlottedRun:
             waiting = unfinished_members(solution) & ~np.isfinite(states).all(axis=2).any(axis=0)
             _check_computed(waiting, chosen)
             computed = np.flatnonzero(~waiting)
-        self._chosen = computed[spread(len(computed), MAX_MEMBERS)] if chosen is None else chosen
-        self.system: Any = solution.system.of_member(int(self._chosen[0]))
+        self.chosen = computed[spread(len(computed), MAX_MEMBERS)] if chosen is None else chosen
+        self.system: Any = solution.system.of_member(int(self.chosen[0]))
         self.unforced: Any = self.system.unforced
         entry = gallery_entry_of(self.unforced.name)
         self.gallery_entry: GalleryEntry | None = None if entry is None else entry.of(self.unforced)
@@ -121,8 +121,8 @@ class PlottedRun:
         values = np.asarray(series)
         values = values[:, None] if self.single else values
         # A view if all members are drawn, since states may be large.
-        all_drawn = np.array_equal(self._chosen, np.arange(self.member_count))
-        return np.swapaxes(values if all_drawn else values[:, self._chosen], 0, 1)
+        all_drawn = np.array_equal(self.chosen, np.arange(self.member_count))
+        return np.swapaxes(values if all_drawn else values[:, self.chosen], 0, 1)
 
     @cached_property
     def attitude(self) -> Floats | None:
@@ -151,11 +151,11 @@ class PlottedRun:
     @property
     def x0(self) -> Floats:
         """The initial states (members, n), which `t_eval` may not save; real and imaginary parts as in `x`."""
-        return _as_real(self.solution.x0).reshape(-1, self.n)[self._chosen]
+        return _as_real(self.solution.x0).reshape(-1, self.n)[self.chosen]
 
     def at_start(self, invariant: str) -> Floats:
         """Return the values of an invariant at the start of the run, (members,), which `t_eval` may not save."""
-        return np.atleast_1d(self.solution.initial[invariant])[self._chosen]
+        return np.atleast_1d(self.solution.initial[invariant])[self.chosen]
 
     @cached_property
     def changes(self) -> Mapping[str, Floats]:
@@ -167,7 +167,7 @@ class PlottedRun:
         """The sizes of the invariants at the start, (members, 1), as in `Solution.drift`."""
         solution = self.solution
         sizes = scales_of_invariants(solution.system, solution.x0, solution.initial)
-        return {name: np.atleast_1d(size)[self._chosen][:, None] for name, size in sizes.items()}
+        return {name: np.atleast_1d(size)[self.chosen][:, None] for name, size in sizes.items()}
 
     @property
     def driven(self) -> bool:
@@ -186,7 +186,7 @@ class PlottedRun:
     @property
     def of_member(self) -> str:
         """For titles of pictures of the first drawn member: its number, if the run has several."""
-        return "" if self.member_count == 1 else f" of member {int(self._chosen[0])}"
+        return "" if self.member_count == 1 else f" of member {int(self.chosen[0])}"
 
     @property
     def quantity(self) -> str:
@@ -276,7 +276,7 @@ class PlottedRun:
 
     def system_of(self, m: int) -> Any:
         """Return the system of a drawn member; those of a batch differ."""
-        return self.solution.system.of_member(int(self._chosen[m]))
+        return self.solution.system.of_member(int(self.chosen[m]))
 
     def slope(self, x: Floats, t: float, m: int = 0) -> Floats:
         """Return the field of a member at a state, as real numbers."""

@@ -48,8 +48,7 @@ class System:
         Function of x that returns J(x), (n, n), and one that returns ``d J_ij / d x_k``, (n, n, n), which exact
         tangents need. Compiled by Numba; None by default.
     jacobi : bool
-        Whether J(x) of a `structure_function` is meant to fulfil the Jacobi identity; True by default, with a warning
-        where it does not at sample points.
+        True (the default) to warn if J(x) of `structure_function` violates the Jacobi identity at sample points.
     layout : mapping
         Lattice and shape of sites, for pictures; under ``"coordinates"`` kinds and units, see `LiePoissonSystem`.
     forces, labels : tuple
@@ -88,8 +87,8 @@ class System:
     has_attitude = False  # whether attitudes of bodies are part of the state
     frame_rate: Callable[..., Any] | None = None  # rate at which the frame of the attitude turns, a function of time
     structure_function: Callable[..., Any] | None = None
-    jacobi: bool = True
     derivative_function: Callable[..., Any] | None = None
+    jacobi = True
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None

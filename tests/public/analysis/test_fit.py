@@ -470,8 +470,8 @@ def test_scalar_parameters_are_fitted():
 
 
 def test_degrees_of_freedom_of_measured_attitudes():
-    """A rotation is three numbers; the entries of other group elements count one by one."""
-    for system, size in ((co.systems.rigid_body((1.0, 1.8, 2.4)), 3), (co.systems.heavy_top((1.0, 1.8, 2.4)), 16)):
+    """A rotation is three numbers, a motion of space six."""
+    for system, size in ((co.systems.rigid_body((1.0, 1.8, 2.4)), 3), (co.systems.heavy_top((1.0, 1.8, 2.4)), 6)):
         ready, x0 = co.prepare(system, SCHEME, 0.05, attitude=True), np.linspace(0.3, 1.0, system.dim)
         exact = ready.run(x0, (0, 2), save_every=4)
         found = co.fit(ready, x0, (0, 2), {"attitude": exact.attitude}, {"inertia": (0,)}, 4, sigma={"attitude": 0.01})

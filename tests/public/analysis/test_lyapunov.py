@@ -2,10 +2,10 @@
 
 import math
 import warnings
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.special import stdtrit
 
 import coadjoint as co
 from refusals import refused
@@ -133,11 +133,15 @@ def test_the_statistics_of_members_by_their_definitions(points, sense):
         if points < 2:
             assert np.isnan(found.uncertainty[m]).all()
             continue
-        edges = sorted({round(points * k / 10) for k in range(11)})
-        rates = [(own[b] - own[a]) / (elapsed[b] - elapsed[a]) for a, b in pairwise(edges)]
-        scatter = np.std(rates, axis=0, ddof=1) / np.sqrt(len(rates))
+        rates = [(own[k + 1] - own[k]) / (elapsed[k + 1] - elapsed[k]) for k in range(points)]
+        scatter = np.std(rates, axis=0, ddof=1) / np.sqrt(points) * stdtrit(points - 1, 0.97725) / 2
         later = [np.abs(history[k - 1] - last) for k in range(1, points + 1) if k >= points // 2]
-        np.testing.assert_allclose(found.uncertainty[m], np.maximum(scatter, np.max(later, axis=0)), rtol=1e-10)
+        wanted = np.maximum(scatter, np.max(later, axis=0))
+        if points < 16:
+            np.testing.assert_allclose(found.uncertainty[m], wanted, rtol=1e-4)
+        else:  # from a few frequencies of independent rates
+            assert np.all(np.max(later, axis=0) <= found.uncertainty[m] * (1 + 1e-12))
+            assert np.all((0.25 * wanted < found.uncertainty[m]) & (found.uncertainty[m] < 5 * wanted))
     first = np.max(found.exponents, axis=1)
     assert f"until t = {t[-1]:g}: the largest of each from {first.min():.4g} to {first.max():.4g}>" in repr(found)
     assert np.isnan(co.LyapunovExponents(t, stretches[..., :3], 4, "compiled").pairing).all()

@@ -167,8 +167,8 @@ def test_a_line_of_either_sign_is_as_early_as_its_motion():
     given = line_drift(run, right[0], lambda t: np.asarray(BODY.exact(X0, t - 5.0)), signal=1)[0]
     assert given.slope == pytest.approx(1e-3 * right[0], rel=1e-4)
     assert given.lead == pytest.approx(line_drift(run, right[0], signal=1)[0].lead, abs=1e-9)
-    # Middles of the windows: an eighth of the span, from the first to the last.
-    assert given.t[[0, -1]] == pytest.approx(5.0 + sense * np.array([25.0, 375.0]), abs=0.5)
+    # Middles of the windows: half of the span, from the first to the last.
+    assert given.t[[0, -1]] == pytest.approx(5.0 + sense * np.array([100.0, 300.0]), abs=0.5)
     assert given.lead == pytest.approx(1e-3 * right[0] * (given.t - 5.0), abs=1e-4)
 
 
@@ -330,18 +330,6 @@ def test_a_line_is_found_to_rounding():
     line = drift_of_series(T, 0.3 * T - 7.0)
     assert line.slope == pytest.approx(0.3, abs=1e-14) and line.intercept == pytest.approx(-7.0, abs=1e-12)
     assert 0.0 < line.uncertainty < 1e-14
-
-
-def test_few_blocks_have_a_wider_spread():
-    """Of 16 samples there are four blocks and no more: two degrees of freedom are lost to the line."""
-    t = np.arange(16.0)
-    values = np.random.default_rng(4).normal(size=16)
-    line = drift_of_series(t, values)
-    d = t - t.mean()
-    rest = values - np.polyval(np.polyfit(t, values, 1), t)
-    sums = (d * rest).reshape(4, 4).sum(axis=1)
-    assert line.uncertainty >= np.sqrt(2.0 * sums @ sums) / (d @ d) * (1 - 1e-12)
-    assert line.exponent > 0.2 or line.uncertainty == pytest.approx(np.sqrt(2.0 * sums @ sums) / (d @ d))
 
 
 def uneven(samples: int) -> tuple[np.ndarray, np.ndarray]:

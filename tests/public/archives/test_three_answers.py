@@ -127,6 +127,16 @@ def test_files_that_a_server_does_not_have_are_missing(server):
     assert np.isnan(co.open_archive(url).x).all(), "as if it had not begun"
 
 
+@pytest.mark.parametrize("read", [co.open_archive, lambda path: co.resume(path, (0.0, 2.0))])
+def test_an_archive_copied_without_its_hidden_folder_names_it(tmp_path, read):
+    """As by `cp -r run.zarr/* there`; its results are there."""
+    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (1.0, 0.2, 0.5), (0.0, 1.0), 0.1, archive=tmp_path / "run")
+    shutil.copytree(tmp_path / "run", tmp_path / "there", ignore=shutil.ignore_patterns(HIDDEN))
+    with refused(ValueError, tmp_path / "there", HIDDEN, "is missing", "co.load"):
+        read(tmp_path / "there")
+    np.testing.assert_array_equal(co.load(tmp_path / "there").x, run.x)
+
+
 @pytest.mark.parametrize("answer", ["silence", "half"])
 @pytest.mark.parametrize("name", [ROOT, "x/c.0.0"])
 def test_servers_that_stop_answering_are_not_waited_for(server, monkeypatch, answer, name):

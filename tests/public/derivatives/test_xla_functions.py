@@ -11,6 +11,7 @@ from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 jax = pytest.importorskip("jax")
+numba = pytest.importorskip("numba")
 jitable = pytest.importorskip("numba.extending").register_jitable
 
 
@@ -146,6 +147,71 @@ def test_idioms_of_numpy_are_those_of_numpy_and_of_the_compiled_run():
     # Six flows of four evaluations of some twenty operations.
     for wanted in (x, ready.run(x0, (0.2, 0.5)).x[-1]):
         np.testing.assert_allclose(found[-1], wanted, rtol=0, atol=6 * 4 * 20 * UNIT_ROUNDOFF * np.abs(x).max())
+
+
+SLOPE = 0.3
+
+
+@numba.njit
+def squared(a):
+    z = np.zeros(3)
+    z[1] = a * a
+    return z
+
+
+def created(x, t):
+    """Arrays that the function makes, also in functions that it calls, are assigned numbers of JAX."""
+    y, empty, ones, M = np.zeros(12), np.empty(3), np.ones(3), np.zeros((3, 3))
+    for i in range(3):
+        empty[i] = x[i] * (i + 1)
+        M[i, i] = x[i + 1]
+    M[0][1] = t
+    ones += x[:3]
+    like = np.zeros_like(ones)
+    like[2] = SLOPE * x[4]
+    listed, full, unit = np.array([0.0, 1.0]), np.full(2, 0.5), np.eye(2)
+    listed[1], full[0], unit[0, 1] = x[5], x[6], x[7]
+    y[:3] = -0.5 * empty + like
+    y[3:6] += M @ ones
+    y[6:8] = unit @ (listed * full)
+    if x[8] > 0.0:
+        y[8] = x[9]
+    y[9:] = squared(x[10])
+    return 0.1 * y
+
+
+def closure(rate):
+    def torque(x):
+        y = np.zeros(3)
+        y[0] = rate * x[0]
+        return y + squared(x[1])
+
+    return torque
+
+
+def created_slope(x):
+    M, slope = np.zeros((3, 3)), np.empty(3)
+    for i in range(3):
+        M[i, i] = 2.0 * x[i]
+    slope[:] = M @ np.ones(3)
+    slope[0] = np.sinh(x[0])
+    return slope
+
+
+def test_entries_of_new_arrays_are_assigned():
+    """Of forces by the flow of NumPy, the absolute reference, as above; of a Hamiltonian by the compiled run."""
+    own = closure(0.2)
+    for system, torque, field, n in ((SPHERES, created, created, 12), (SPHERE, own, lambda x, t: own(x), 3)):
+        ready = co.prepare(system.with_forces(co.forces.Torque(torque)), co.Splitting(), 0.1)
+        x = x0 = 0.8 * np.cos(1.0 + np.arange(n))
+        found = co.jax.solution(ready, (0.2, 0.5), backend="xla")(x0)
+        for begin in (0.2, 0.25, 0.3, 0.35, 0.4, 0.45):
+            x = runge_kutta(field, x, begin, 0.05)
+        np.testing.assert_allclose(found[-1], x, rtol=0, atol=6 * 4 * 20 * UNIT_ROUNDOFF * np.abs(x).max())
+    cosh = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(potential, created_slope, curvature))
+    ready, x0 = co.prepare(cosh, co.GaussLegendre(2), 0.1), np.array([0.4, 0.3, 0.2])
+    found = co.jax.solution(ready, (0, 0.2), backend="xla")(x0)
+    np.testing.assert_allclose(found, ready.run(x0, (0, 0.2)).x, rtol=0, atol=1e-13)  # the last corrections of stages
 
 
 # NumPy returns the array itself, and JAX cannot.

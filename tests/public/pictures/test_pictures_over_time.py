@@ -474,6 +474,53 @@ def test_members_of_a_batch_have_their_own_fields():
     assert steps.max() ** 2 / 8 < 1.1 * CHORD_TOLERANCE * 2 * 2**0.5
 
 
+def keys_of(run, picture, **options):
+    """Return the labels in the key of a picture, with their colours."""
+    key = shown(run, picture, **options).get_legend()
+    return {text.get_text(): line.get_color() for text, line in zip(key.get_texts(), key.get_lines(), strict=True)}
+
+
+def test_members_of_a_batch_have_a_key_of_the_parameters_in_which_they_differ(tmp_path):
+    """The energy is the same for all, that of a rotation about the first axis."""
+    settings, third = [(k, d) for k in (1.5, 2.0) for d in (2.25, 2.375)], Picture("components", chosen=[2])
+    named = co.batch(lambda k, d: co.systems.rigid_body((1.0, k, d)), k=[1.5, 2.0], d=[2.25, 2.375])
+    run = co.integrate(named, (1.0, 0.0, 0.0), (T0, T0 + 1.0), 0.1)
+    co.integrate(named, (1.0, 0.0, 0.0), (T0, T0 + 1.0), 0.1).to_xarray().to_netcdf(tmp_path / "run.nc")
+    for one in (run, co.load(tmp_path / "run.nc")):
+        found = keys_of(one, third)
+        assert list(found) == [f"k = {k:.4g}, d = {d:.4g}" for k, d in settings] and len(set(found.values())) == 4
+        for m, shade in enumerate(found.values()):
+            (line,) = (line for line in shown(one, third).lines if line.get_color() == shade)
+            np.testing.assert_array_equal(line.get_ydata(), run.x[:, m, 2])
+    assert list(keys_of(run, third, members=[0, 2])) == ["k = 1.5", "k = 2"], "d is the same"
+
+
+def test_members_by_forces_have_a_key_and_many_have_a_bar():
+    laws = [co.forces.LinearDamping(rate) for rate in (0.1, 0.2)]
+    damped = co.batch([BODY.with_forces(law) for law in laws])
+    run = co.integrate(damped, X0, (T0, T0 + 1.0), 0.1)
+    assert list(keys_of(run, Picture("components", chosen=[0]))) == ["rate = 0.1", "rate = 0.2"]
+    thirds = np.linspace(2.25, 3.0, 12)
+    many = co.integrate(co.batch([co.systems.rigid_body((1, 2, k)) for k in thirds]), (1, 0, 0), (T0, T0 + 1), 0.1)
+    for name in ("components", "coadjoint orbit"):
+        picture = Picture(name, **({"chosen": [0]} if name == "components" else {}))
+        axes = shown(many, picture)
+        (bar,) = (child for child in axes.child_axes if "members" in child.get_label())
+        assert bar.get_ylabel() == "inertia[2]"
+    axes = shown(many, Picture("components", chosen=[0]))
+    assert len({to_hex(line.get_color()) for line in axes.lines}) == 12
+
+
+@pytest.mark.long  # each law is compiled
+def test_pointing_errors_of_gains_have_a_key():
+    def pointed(k):
+        return co.systems.body((0.03, 0.04, 0.05)).with_forces(co.forces.Pointing(stiffness=k, damping=0.01))
+
+    x0 = pointed(0.002).state([0.6, 0.0, 0.0, 0.8])
+    run = co.integrate(co.batch(pointed, k=[0.002, 0.004]), x0, (T0, T0 + 1.0), 0.125)
+    assert list(keys_of(run, "pointing error")) == ["k = 0.002", "k = 0.004"]
+
+
 def test_members_are_chosen():
     starts = np.random.default_rng(5).normal(size=(30, 3))
     run = co.integrate(BODY, starts, (0.0, 2.0), 0.1)

@@ -49,6 +49,45 @@ def test_long_calls_warn_once_by_their_name(name, clock):
     assert found.filename == __file__
 
 
+def with_own_torque(k):
+    return BODY.with_forces(co.forces.Torque(lambda x: -k * x))
+
+
+def own_energy(k):
+    return co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda x: k * x @ x, lambda x: 2 * k * x))
+
+
+COMPILED = {
+    "a torque": lambda k: co.integrate(with_own_torque(k), X0, (0, 1), 0.5, co.Splitting()),
+    "a Hamiltonian": lambda k: co.prepare(own_energy(k), co.GaussLegendre(1), 0.5),
+    "members": lambda k: co.prepare(co.batch([with_own_torque(k), with_own_torque(2 * k)]), step=0.5),
+}
+
+
+@pytest.mark.parametrize("name", COMPILED)
+def test_waits_for_numba_are_announced_as_such(name, clock):
+    """For each function that is compiled first; machine code that is there takes no time."""
+    pytest.importorskip("numba")
+    clock[0], k = 9.0, 0.1 + 0.01 * list(COMPILED).index(name)
+    (found,) = warnings_of(lambda: COMPILED[name](k))
+    assert "machine code of " in str(found.message) and "Numba" in str(found.message)
+    assert all("machine code" not in str(one.message) for one in warnings_of(lambda: COMPILED[name](k)))
+
+
+def test_the_estimate_of_a_batch_is_what_its_systems_have_taken(clock):
+    """The first look at the clock after the start is before the second system of three: 9 s for one."""
+    systems = [co.LiePoissonSystem(co.algebras.get("A3,7", a=a), co.Quadratic([1, 2, 0.5])) for a in (0.5, 1, 2)]
+    clock[0] = 9.0
+    (found,) = warnings_of(lambda: co.integrate(co.batch(systems), X0, (0, 1), 0.05, co.Splitting()))
+    assert "9 s so far, and about 18 s are left" in str(found.message) and "system 2 of 3" in str(found.message)
+
+
+def test_one_step_is_in_the_singular(clock):
+    clock[0] = 9.0
+    (found,) = warnings_of(lambda: co.choose(SO4, Y0, (0, 1), 1e-6))
+    assert "1 steps" not in str(found.message)
+
+
 @pytest.mark.parametrize("name", CALLS)
 def test_short_calls_do_not_warn(name, clock):
     clock[0] = 1e-4

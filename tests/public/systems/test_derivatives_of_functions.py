@@ -1,5 +1,6 @@
 """Hamiltonians given by their value alone: derivatives of recorded operations, and by JAX."""
 
+import math
 import pickle
 import subprocess
 import sys
@@ -130,6 +131,9 @@ def test_operations_with_constants(name, c):
         (lambda x: np.maximum(x[0], x[1]), "compares"),
         (lambda x: np.sum(np.array(x, dtype=float)), "plain number"),
         (lambda x: np.floor(x[0]), "plain number"),
+        (lambda x: np.sign(x[0]), "np.sign"),
+        (lambda x: np.where(x[0] > 0, x[0], x[1]), "np.where"),
+        (lambda x: math.sin(x[0]), "`math`"),
         (lambda x: np.nan * x[0], "nan"),
         (lambda x: x[0] % 1, "%"),
         (lambda x: x, ""),
@@ -140,6 +144,50 @@ def test_refused_functions(function, named):
     with refused((TypeError, ValueError), named) as refusal:
         recorded(function, 3)
     assert "\n" not in str(refusal.value)
+
+
+def scaled(a, x):
+    return a * x
+
+
+def filled(x):
+    y = np.zeros(3)
+    for i in range(3):
+        y[i] = scaled(i + 1.0, x[i])
+    return 0.5 * np.dot(y, x)
+
+
+def filled_matrix(x):
+    M, ones = np.eye(3), np.ones(3)
+    M[0, 1], M[2, 2] = x[2], np.sin(x[0])
+    ones += x
+    return ones @ M @ ones
+
+
+def filled_by_a_helper(x):
+    return filled(x) ** 2 + np.full(2, 0.5) @ x[:2]
+
+
+@pytest.mark.parametrize("function", [filled, filled_matrix, filled_by_a_helper])
+def test_functions_that_fill_new_arrays_have_derivatives(function):
+    """Against central differences of order two of NumPy's values, whose third derivatives are below 10^2."""
+    H, x, h = recorded(function, 3), np.array([0.3, -0.2, 0.5]), 2.0**-13
+    assert H.value(x) == pytest.approx(function(x), rel=1e-14)
+    slopes = [(function(x + h * e) - function(x - h * e)) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(H.gradient(x), slopes, rtol=0, atol=100 * h**2)
+    curvatures = [(H.gradient(x + h * e) - H.gradient(x - h * e)) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(H.hessian(x), curvatures, rtol=0, atol=100 * h**2)
+
+
+def refused_here(x):
+    y = np.zeros(3)
+    y[0] = x[0]
+    return y[0] ** 2 + np.abs(x[2])
+
+
+def test_a_refused_function_is_named_by_its_line():
+    with refused(TypeError, "absolute value", "return y[0] ** 2 + np.abs(x[2])", "gradient=", "jax.numpy"):
+        recorded(refused_here, 3)
 
 
 def test_hessian_without_gradient_is_refused():

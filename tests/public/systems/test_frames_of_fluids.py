@@ -147,6 +147,28 @@ def test_a_changed_default_warns_once():
                 s.to_grid(np.zeros(s.shape), absolute=wrong)
 
 
+@pytest.mark.filterwarnings("error::FutureWarning")
+@pytest.mark.parametrize("path", ["dataset", "loaded", "member", "carried", "relative", "absolute"])
+def test_an_array_that_names_its_vorticity_is_read_by_it_without_a_warning(path, tmp_path):
+    planet, W = co.systems.sphere_euler(N=12, rotation=OMEGA), STATES["blobs"]
+    if path == "carried":
+        both = np.stack([W, STATES["random"]])
+        field = co.integrate(co.systems.passive_scalar(12), both, (0, 1e-3), 1e-3).to_xarray().carried
+    elif path in ("relative", "absolute"):
+        field = on_sphere()
+        field.attrs["standard_name"] = f"atmosphere_{path}_vorticity"
+        W = planet.from_grid(field.to_numpy(), absolute=path == "absolute")
+        field = field.expand_dims("time")
+    else:
+        start = np.stack([W, STATES["random"]]) if path == "member" else W
+        sol = co.integrate(planet, start, (0, 1e-3), 1e-3)
+        if path == "loaded":
+            sol.to_xarray().to_netcdf(tmp_path / "run.nc", engine="h5netcdf")
+        field = (co.load(tmp_path / "run.nc").to_xarray() if path == "loaded" else sol.to_xarray()).vorticity
+        field = field.isel(member=0) if path == "member" else field
+    assert np.abs(planet.from_grid(field.isel(time=0)) - W).max() < ROUNDED * np.abs(W).max()
+
+
 def on_sphere(points="clenshaw-curtis", shape=(16, 30), first=0.0):
     latitude, longitude = SPHERE.grid(shape, points)
     longitude = longitude + first

@@ -364,7 +364,10 @@ class Archive:
                     raise ValueError("its checksum does not match")
                 return deserialize_numbers(raw)
         except FileNotFoundError:
-            raise ArchiveError(f"{path}: the state {file} is missing") from None
+            raise ArchiveError(
+                f"{path}: the state {file} of the hidden folder {HIDDEN_FOLDER} is missing; copy the archive with this "
+                "folder, or read its results alone by co.load"
+            ) from None
 
 
 def is_computed(name: str, array: StoredArray) -> bool:

@@ -25,6 +25,7 @@ from coadjoint.systems.coefficients import linear_of
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.fluid_system import FluidSystem
+from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD, RELATIVE_VORTICITY
 
 Floats = NDArray[np.float64]
 MAX_DEFAULT_BYTES = 1 << 27
@@ -342,9 +343,8 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
     found: Variables = {}
     for layer, name in enumerate(names):
         W = fluid.matrices(solution.x if len(names) == 1 else solution.x[..., layer, :, :])
-        about = "carried field" if name == "carried" else "vorticity relative to the frame of the surface"
-        values = _on_grid(fluid, W if name == "carried" else fluid.relative(W), shape)
-        found[name] = ((*dims, *axes), values, cf_attributes(about))
+        about = cf_attributes(CARRIED_FIELD if name == "carried" else RELATIVE_VORTICITY)
+        found[name] = ((*dims, *axes), _on_grid(fluid, W if name == "carried" else fluid.relative(W), shape), about)
     return found, _coordinates(on_sphere, rows, columns)
 
 

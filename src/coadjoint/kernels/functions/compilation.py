@@ -27,6 +27,7 @@ from numba.extending import overload_method
 from coadjoint.interruption import deferred
 from coadjoint.kernels.functions.contents import cell_value, compilation_key, contents_of, global_reads, is_own
 from coadjoint.kernels.library import kernels
+from coadjoint.long_operations import note_progress
 from coadjoint.systems.user_functions import MultipleOf
 
 POINTER = numba_types.CPointer(numba_types.float64)
@@ -45,8 +46,7 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
     """
     digest, unknown = contents_of(value)
     if unknown:
-        with deferred():
-            result = make()
+        result = _made(what, make)
         if what not in _warned:
             _warned.add(what)
             warnings.warn(
@@ -58,9 +58,18 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
         return result
     key = digest, options
     if key not in _COMPILED:
-        with deferred():
-            _cache(_COMPILED, key, make())
+        _cache(_COMPILED, key, _made(what, make))
     return _COMPILED[key]
+
+
+def _made(what: str, make: Callable[[], Any]) -> Any:
+    """Return the result of `make`, with its time as a stage of a long operation, before and after."""
+    stage = f"the machine code of {what} by Numba"
+    note_progress(stage)
+    with deferred():
+        result = make()
+    note_progress(stage)
+    return result
 
 
 def compiled_digests() -> set[str]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.curves import Globe, PathUpdate, at_one_time, view_frame, view_of
-from coadjoint.pictures.kinds.directions import axis_in_space
+from coadjoint.pictures.curves import PathUpdate, at_one_time, view_frame
+from coadjoint.pictures.kinds.directions import axis_in_space, globe_in_space
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import colour, ink, set_title, thickness
@@ -52,7 +52,7 @@ def body(
     at : float
         The time as a fraction of the span: 0 is the start, 1 the end.
     axis : int or array_like
-        Number of the axis, 0 to 2, or a direction in the body.
+        Number of the axis from 0 (the first body axis) to 2, or a direction in the body.
     up : sequence of three ints or str, optional
         Coordinates of a body vector that is constant in space; it points up in the picture.
     vertical : str
@@ -71,7 +71,7 @@ def body(
     def paint(axes: Any) -> Update:
         from matplotlib.collections import PolyCollection
 
-        globe = Globe(axes, ("$X$", "$Y$", f"$Z$\n{vertical}" if vertical else "$Z$"), view or view_of(path[0]))
+        globe = globe_in_space(axes, drawn, path[0], up, vertical, view)
         title = f"body{drawn.of_member} in space, with {name}"
         trail = PathUpdate(drawn, axes, title)
         curve = path[0][fine.curve_indices]

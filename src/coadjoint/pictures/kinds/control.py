@@ -36,7 +36,7 @@ def pointing_error(drawn: PlottedRun) -> Paint:
     series = {"angle": np.stack([_angles(drawn.system_of(m), A[m], drawn.t) for m in range(len(A))])}
 
     def paint(axes: Any) -> None:
-        draw_over_time(axes, drawn.t, series, drawn.dense, "angle [degrees]", "pointing error")
+        draw_over_time(axes, drawn.t, series, drawn.dense, "angle [degrees]", "pointing error", drawn)
         if (series["angle"] > 0.0).any():
             axes.set_yscale("log")
 
@@ -73,7 +73,7 @@ def torques(drawn: PlottedRun) -> Paint:
     series = {name: np.stack([commands[name] for commands in by_member]) for name in by_member[0]}
     lines, shown = first_lines(series)
     label = " and ".join(dict.fromkeys(getattr(force, "command_name", "torque") for force in controllers(drawn.system)))
-    return lambda axes: draw_over_time(axes, drawn.t[indices], lines, drawn.dense, label, label + shown)
+    return lambda axes: draw_over_time(axes, drawn.t[indices], lines, drawn.dense, label, label + shown, drawn)
 
 
 def _commands(system: Any, x: Floats, t: Floats) -> dict[str, Floats]:
@@ -113,4 +113,4 @@ def _of_rotors(drawn: PlottedRun, name: str, rotors: str, letter: str, title: st
     if name == "gimbal_angles":
         values = np.unwrap(values, axis=1)
     lines, shown = first_lines({f"${letter}_{i + 1}$": values[..., i] for i in range(values.shape[-1])})
-    return lambda axes: draw_over_time(axes, drawn.t, lines, drawn.dense, title, title + shown)
+    return lambda axes: draw_over_time(axes, drawn.t, lines, drawn.dense, title, title + shown, drawn)

@@ -19,6 +19,8 @@ Floats = npt.NDArray[np.float64]
 
 MAX_ATTITUDES = 40
 """Largest number of attitudes drawn along the path."""
+SAME_DIRECTION = 1e-4
+"""Largest difference of the components of unit vectors that have one label: less than a pixel."""
 
 
 @kind("body axis", moves=True)
@@ -30,9 +32,10 @@ def body_axis(
     Parameters
     ----------
     axis : int or array_like
-        Number of the axis, 0 to 2, or a direction in the body.
+        Number of the axis from 0 (the first body axis) to 2, or a direction in the body.
     up : sequence of three ints or str, optional
-        Coordinates of a body vector that is constant in space, and points up in the picture.
+        Coordinates of a body vector that is constant in space, and points up in the picture; the axes of space, X, Y
+        and Z, are drawn where they point then, if all members agree.
     vertical : str
         Label of that vector.
     view : (float, float), optional
@@ -42,7 +45,7 @@ def body_axis(
     path, name = axis_in_space(drawn, axis, up)
 
     def paint(axes: Any) -> Update:
-        globe = Globe(axes, ("$X$", "$Y$", f"$Z$\n{vertical}" if vertical else "$Z$"), view or view_of(path[0]))
+        globe = globe_in_space(axes, drawn, path[0], up, vertical, view)
         shades, update = MemberColours(saved), PathUpdate(saved, axes, f"{name} in space")
         several, indices = len(path) > 1, drawn.curve_indices
         for m, points in enumerate(path):
@@ -71,13 +74,36 @@ def axis_in_space(drawn: PlottedRun, axis: Any, up: Any) -> tuple[Floats, str]:
         direction, name = vector / np.linalg.norm(vector), "the axis of the body"
     else:
         number = read_integer(axis, "axis", 0, 2)
-        direction, name = np.eye(3)[number], f"body axis {number + 1}"
-    path = A @ direction
-    if up is not None:
-        indices = [drawn.index_of(i) for i in up]
-        for m in range(len(path)):
-            path[m] = path[m] @ _rotation_to_vertical(A[m, 0] @ drawn.x[m, 0, indices]).T
-    return path, name
+        direction, name = np.eye(3)[number], name_of_axis(number)
+    return A @ direction @ np.swapaxes(_rotations_upward(drawn, up), 1, 2), name
+
+
+def name_of_axis(number: int) -> str:
+    """Return the name of a body axis by its number from 0."""
+    return f"{('first', 'second', 'third')[number]} body axis"
+
+
+def _rotations_upward(drawn: PlottedRun, up: Any) -> Floats:
+    """Return the rotations (members, 3, 3) from space to a picture in which a body vector at the start points up."""
+    A = drawn.rotation
+    if up is None or A is None:
+        return np.broadcast_to(np.eye(3), (len(drawn.x), 3, 3))
+    indices = [drawn.index_of(i) for i in up]
+    return np.stack([_rotation_to_vertical(A[m, 0] @ drawn.x[m, 0, indices]) for m in range(len(A))])
+
+
+def globe_in_space(axes: Any, drawn: PlottedRun, path: Floats, up: Any, vertical: str, view: Any) -> Globe:
+    """Draw the sphere of a picture, with the axes of space where they point, and the vector that points up."""
+    turned = _rotations_upward(drawn, up)
+    directions, names = [np.eye(3)[2]], [vertical or "up"]
+    if np.abs(turned - turned[0]).max() < SAME_DIRECTION:
+        space = ["$X$", "$Y$", "$Z$"]
+        at_pole = [i for i in range(3) if turned[0, 2, i] > 1.0 - SAME_DIRECTION]
+        for i in at_pole:
+            space[i] += f"\n{vertical}" if vertical else ""
+        kept = 0 if at_pole else 1
+        directions, names = [*turned[0].T, *directions[:kept]], [*space, *names[:kept]]
+    return Globe(axes, names, view or view_of(path), directions=np.array(directions))
 
 
 def declared_vertical(drawn: PlottedRun) -> tuple[Any, str]:
@@ -107,7 +133,7 @@ def nutation(drawn: PlottedRun, axis: Any = 2, up: Any = None, turns: float = 0.
     Parameters
     ----------
     axis : int or array_like
-        Number of the axis, 0 to 2, or a direction in the body.
+        Number of the axis from 0 (the first body axis) to 2, or a direction in the body.
     up : sequence of three ints or str, optional
         Coordinates of the body vector that is the vertical in space; by default that of the ready-made system, or else
         the third axis of space.
@@ -152,7 +178,7 @@ def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
     Parameters
     ----------
     axis : int
-        The body axis drawn, 0 to 2.
+        The body axis drawn, from 0 (the first one) to 2.
     """
     number = read_integer(axis, "axis", 0, 2)
     saved, drawn = drawn, drawn.refined
@@ -172,7 +198,7 @@ def path_in_space(drawn: PlottedRun, axis: int = 0) -> Paint:
             update.add(axes.plot(*path.T, color=shades[m], **style), times, path)
             k = spread(len(path), MAX_ATTITUDES)
             ends = np.stack([path[k], path[k] + reach * direction[k], np.full((len(k), 3), np.nan)], axis=1)
-            label, width = f"body axis {number + 1}", thickness(0.9)
+            label, width = name_of_axis(number), thickness(0.9)
             (strokes,) = axes.plot(*ends.reshape(-1, 3).T, color=colour(1), linewidth=width, label=label)
             update.add([strokes], np.repeat(times[k], 3))
             axes.plot(*path[:1].T, "o", markersize=4, color=ink(), label="start")

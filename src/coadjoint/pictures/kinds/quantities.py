@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.pictures.curves import MemberColours, draw_members, draw_over_time, draw_series, from_start
+from coadjoint.pictures.curves import draw_each_member, draw_members, draw_over_time, from_start
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import (
@@ -75,7 +75,6 @@ def components(
     flip_index = None if flips is None else drawn.index_of(flips)
 
     def paint(axes: Any) -> Update:
-        shades = MemberColours(saved)
         by_member = len(drawn.x) > 1 and len(lines) == 1
         name = drawn.quantity if quantity is None else quantity
         title = f"components of the {name}"
@@ -89,11 +88,10 @@ def components(
         elif all(label.startswith("$x_{") for label in lines):
             ylabel = f"{name} $x_i$"
         if by_member:
-            for m, values in enumerate(next(iter(lines.values()))):
-                draw_series(axes, drawn.t, values, drawn.dense, color=shades[m], linewidth=thickness(0.7))
+            draw_each_member(axes, saved, drawn.t, next(iter(lines.values())), drawn.dense)
             axes.set(xlabel="time $t$", ylabel=ylabel + note, title=title)
             plain_axes(axes)
-            shades.add_bar(axes)
+            legend(axes, beside=True)
         else:
             draw_over_time(axes, drawn.t, lines, drawn.dense, ylabel + note, title)
         if flip_index is not None:

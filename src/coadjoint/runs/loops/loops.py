@@ -15,6 +15,7 @@ from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, NamedArrays, matrix_rows
 from coadjoint.kernels.tables.compiled import NotWritable, as_structure
 from coadjoint.kernels.tables.recording import values_along
+from coadjoint.long_operations import note_progress
 from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.member_batches import (
@@ -317,6 +318,8 @@ def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequ
 
     def add(k: int, stack: SystemStack | None = None) -> None:
         system, representation = distinct[k], representations[firsts[k]]
+        if built:
+            note_progress(f"the loop of system {k + 1} of {len(distinct)}", len(built) / len(distinct))
         try:
             loop = method.loop(system, h, representation)
         except (TypeError, ValueError) as error:

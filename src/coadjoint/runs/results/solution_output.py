@@ -297,7 +297,7 @@ class SolutionOutput(SolutionAttributes):
         >>> body = co.systems.rigid_body(inertia=(1, 2, 3))
         >>> sol = co.integrate(body, (0.01, 1.0, 0.01), (0, 40), 0.05, attitude=True)
         >>> [axes.get_title() for axes in sol.plot(["body axis"]).axes]
-        ['body axis 2 in space']
+        ['second body axis in space']
         """
         return shortcut("draw_solution")(self, panels, components, axes, members, width, style)
 

@@ -190,7 +190,7 @@ IN_SPACE = {
         step=0.05,
         caption="A body that spins about its middle axis, with its attitude in the state: the axis flips periodically "
         "in space. Left, the vertical as seen from the body, which its attitude turns.",
-        pictures=(Picture("body axis", axis=1, up=SECOND_AXIS, vertical="second axis of space"),),
+        pictures=(Picture("body axis", axis=1, up=SECOND_AXIS),),
         components=Picture("components", chosen=SECOND_AXIS, quantity="second axis of space, seen from the body"),
         quantity="state",
     ),

@@ -206,7 +206,8 @@ class SphereEuler(FluidSystem):
             Longitude of the first column, in radians.
         absolute : bool, optional
             Whether the values are of the absolute vorticity, or of a field that is no vorticity; by default they are
-            relative to the frame.
+            relative to the frame, or what the attributes of an `xarray.DataArray` name: those of datasets of runs, and
+            the standard names of CF.
 
         Returns
         -------
@@ -216,7 +217,7 @@ class SphereEuler(FluidSystem):
         if is_xarray(values):
             if points != "clenshaw-curtis" or first:
                 raise ValueError("values have coordinates, which determine points and longitude; omit these")
-            return self._state(self._of_labelled(values), absolute, "from_grid")
+            return self._of_labelled(values, absolute, "from_grid")
         return self._state(self._from_values(read_values(values), points, first), absolute, "from_grid")
 
     def _from_values(self, field: Floats, points: str, longitude: float) -> Matrix:

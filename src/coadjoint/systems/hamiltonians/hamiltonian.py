@@ -25,7 +25,7 @@ from coadjoint.systems.hamiltonians.traced_function import (
     TracingError,
     picklable_state,
     restore_state,
-    traced,
+    traced_with_arrays,
 )
 from coadjoint.systems.hamiltonians.user_hamiltonian import (
     REQUIRED_ATTRIBUTES,
@@ -184,7 +184,7 @@ class Hamiltonian(Summable):
             result._derived_by = "derivatives by JAX"
         else:
             try:
-                functions = traced(self._value, n, self.timed).derivatives()
+                functions = traced_with_arrays(self._value, n, self.timed).derivatives()
             except TracingError as reason:
                 raise TypeError(
                     f"the gradient cannot be derived from the Hamiltonian alone: {reason}; give gradient=, or "

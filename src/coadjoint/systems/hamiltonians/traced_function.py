@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import linecache
 import math
+import traceback
 from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -14,13 +15,13 @@ import numpy as np
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, evaluate, sample_points
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
+from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
 from coadjoint.systems.user_functions import first_difference, with_multiples, without_multiples
 from coadjoint.validation import is_real
 
 DERIVED_MODULE = "derived_by_coadjoint"
 MAX_OPERATIONS = 2000
 """Recorded operations beyond which a function is refused; Numba compiles about 200 of them in a second."""
-
 MAX_TUPLE = 512
 """Entries of an array that are written as one tuple; Numba takes no more than 1000."""
 
@@ -59,6 +60,9 @@ BINARY: dict[str, tuple[str, Callable[..., tuple[Any, Any]]]] = {
     "hypot": ("np.hypot({}, {})", lambda a, b, y: (a / y, b / y)),
 }
 """Operation -> its text, and its derivatives by both arguments, a and b, where its value is y."""
+
+
+COMPARES = "it compares a coordinate or tests it, as `if`, np.where, np.maximum and np.sign do"
 
 
 class TracingError(TypeError):
@@ -309,32 +313,55 @@ class Traced:
     __truediv__, __rtruediv__ = _binary("div"), _binary("div", swapped=True)
     __pow__, __rpow__ = _binary("pow"), _binary("pow", swapped=True)
     arctan2, hypot = _binary("arctan2"), _binary("hypot")
-    __abs__ = _refused("it takes an absolute value, which has a kink")
-    __eq__ = __ne__ = _refused("it compares a coordinate")  # type: ignore[assignment]
-    __lt__ = __le__ = __gt__ = __ge__ = __bool__ = _refused("it compares a coordinate")
-    __float__ = __int__ = __complex__ = _refused("it needs a coordinate as a plain number, for example in `math.sin`")
+    __abs__ = _refused("it takes an absolute value (abs, np.abs), which has a kink")
+    __eq__ = __ne__ = _refused(COMPARES)  # type: ignore[assignment]
+    __lt__ = __le__ = __gt__ = __ge__ = __bool__ = _refused(COMPARES)
+    __float__ = __int__ = __complex__ = _refused(
+        "it converts a coordinate to a plain number, as functions of `math`, `float` and np.floor do"
+    )
 
 
 for _name in UNARY:
     setattr(Traced, _name, _unary(_name))
 
 
-def traced(function: Callable[..., Any], n: int, timed: bool) -> Graph:
-    """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if impossible."""
+def traced(function: Callable[..., Any], n: int, timed: bool, in_place: bool = False) -> Graph:
+    """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if impossible.
+
+    With `in_place` the function may fill arrays that it creates, such as those of np.zeros.
+    """
     graph, x = Graph(n, timed), np.empty(n, dtype=object)
     x[:] = graph.variables
     function = getattr(function, "py_func", function)
+    called = with_new_arrays(function, lambda found: found.astype(object)) if in_place else function
     try:
-        result = function(x, graph.time) if timed else function(x)
-    except TracingError:
-        raise
+        result = called(x, graph.time) if timed else called(x)
     except Exception as reason:
-        raise TracingError(f"{type(reason).__name__}: {in_one_line(str(reason), 200)}") from reason
+        kind = "" if isinstance(reason, TracingError) else f"{type(reason).__name__}: "
+        raise TracingError(in_one_line(f"{kind}{reason}{_line_of(function, reason)}", 300)) from reason
     if isinstance(result, np.ndarray) and result.size == 1:
         result = result.item()
     graph.result = _operand(result)
     _compare(graph.value(), function, n, timed)
     return graph
+
+
+def traced_with_arrays(function: Callable[..., Any], n: int, timed: bool) -> Graph:
+    """Record a function as `traced`, which may fill arrays that it creates."""
+    try:
+        return traced(function, n, timed)
+    except TracingError:  # only now, since arrays of objects have fewer functions
+        return traced(function, n, timed, in_place=True)
+
+
+def _line_of(function: Any, reason: Exception) -> str:
+    """Return the line of a function of the user that raised, as the end of a message; empty if it is not known."""
+    code = getattr(function, "__code__", None)
+    if code is None or function.__module__.partition(".")[0] == "coadjoint":
+        return ""
+    frames = traceback.extract_tb(reason.__traceback__)
+    lines = [one.line for one in frames if (one.filename, one.name) == (code.co_filename, code.co_name)]
+    return f", in `{lines[-1]}`" if lines and lines[-1] else ""
 
 
 def _compare(recorded: Callable[..., Any], function: Callable[..., Any], n: int, timed: bool) -> None:

@@ -14,7 +14,7 @@ from coadjoint.long_operations import warn_caller
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.matrices import initial_states
-from coadjoint.systems.matrices.labelled_fields import labelled_field
+from coadjoint.systems.matrices.labelled_fields import is_absolute, labelled_field
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.validation import check_finite, read_bool, read_integer, read_numbers, to_array
 
@@ -133,11 +133,12 @@ class FluidSystem(MatrixSystem):
             _warn_of_frame(name)
         return not self.rotation
 
-    def _of_labelled(self, values: Any) -> Complexes:
-        """Return the matrix of an array of xarray, by its coordinates."""
+    def _of_labelled(self, values: Any, absolute: Any, name: str) -> Complexes:
+        """Return the states of an array of xarray, by its coordinates, and by its attributes if `absolute` is None."""
+        absolute = is_absolute(values) if absolute is None else absolute
         field = labelled_field(values, self.surface, str(values.name or "values"))
         try:
-            return self.from_coordinates(*field[:3])
+            return self._state(self.from_coordinates(*field[:3]), absolute, name)
         except ValueError as reason:
             raise ValueError(f"{reason}{field.assumed}") from None
 

@@ -25,6 +25,15 @@ AXES = {
     "torus": (("x", "eastward"), ("y", "northward")),
 }
 """Names, standard names and units of the two coordinates of a surface."""
+RELATIVE_VORTICITY, CARRIED_FIELD = "vorticity relative to the frame of the surface", "carried field"
+"""Long names of the fields in datasets of runs."""
+IS_ABSOLUTE = {
+    RELATIVE_VORTICITY: False,
+    CARRIED_FIELD: True,
+    "atmosphere_relative_vorticity": False,
+    "atmosphere_absolute_vorticity": True,
+}
+"""Long or standard name -> whether the field is the absolute vorticity, or no vorticity."""
 
 
 class LabelledField(NamedTuple):
@@ -56,6 +65,12 @@ def labelled_field(field: xarray.DataArray, surface: str, name: str) -> Labelled
         rows = np.unwrap(rows)
     # Longitudes may begin again in the middle, as those from -180 of a field whose columns begin at 0.
     return LabelledField(values, rows, np.unwrap(columns), of_rows + of_columns)
+
+
+def is_absolute(field: xarray.DataArray) -> bool | None:
+    """Return whether an array of xarray is the absolute vorticity or no vorticity, by its attributes; None without."""
+    names = (str(field.attrs.get(key)) for key in ("long_name", "standard_name"))
+    return next((IS_ABSOLUTE[name] for name in names if name in IS_ABSOLUTE), None)
 
 
 def _coordinate(field: xarray.DataArray, known: tuple[str, ...]) -> xarray.DataArray | None:
