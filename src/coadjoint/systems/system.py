@@ -47,8 +47,6 @@ class System:
     structure_function, derivative_function : callable
         Function of x that returns J(x), (n, n), and one that returns ``d J_ij / d x_k``, (n, n, n), which exact
         tangents need. Compiled by Numba; None by default.
-    jacobi : bool
-        True (the default) to warn if J(x) of `structure_function` violates the Jacobi identity at sample points.
     layout : mapping
         Lattice and shape of sites, for pictures; under ``"coordinates"`` kinds and units, see `LiePoissonSystem`.
     forces, labels : tuple
@@ -88,7 +86,7 @@ class System:
     frame_rate: Callable[..., Any] | None = None  # rate at which the frame of the attitude turns, a function of time
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
-    jacobi = True
+    jacobi = True  # whether to warn if J(x) of `structure_function` violates the Jacobi identity at sample points
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None
