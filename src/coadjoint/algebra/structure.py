@@ -358,7 +358,7 @@ class Structure:
         >>> weights = co.LieAlgebra.from_brackets("[d, a] = a; [d, b] = 2 b; [d, c] = 1.5 c; [d, z] = 0.3 z")
         >>> found = weights.casimirs()
         >>> found
-        {'I1': (a^2)/(b), 'I2': (c^2)/(a^3), 'I3': 10 log|z| - 3 log|a|}
+        {'I1': 3 log|a| - 10 log|z|, 'I2': 3 log|b| - 20 log|z|, 'I3': (c)/(z^5)}
         >>> found.corank, found.independent, found.missing
         (3, ('I1', 'I2', 'I3'), 0)
         """
