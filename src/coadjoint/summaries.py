@@ -152,10 +152,10 @@ def _casimirs(algebra: LieAlgebra) -> list[str]:
     known: Mapping[str, Any] = algebra.casimirs_known
     if not known and algebra.dim > MAX_SEARCHED_DIMENSION:
         return [f"not computed here, since there are {algebra.dim} coordinates; call casimirs() of the algebra"]
-    casimirs = known or algebra.casimirs()
-    if not casimirs:
-        return [in_one_line(repr(casimirs), MAX_FORMULA_LENGTH).removeprefix("{}").strip(" ()") or "none"]
-    return [in_one_line(_formula(name, value), MAX_FORMULA_LENGTH) for name, value in casimirs.items()]
+    found = None if known else algebra._find_casimirs()
+    sentence = [found.sentence] if found is not None and found.sentence else []
+    formulas = [_formula(name, value) for name, value in (known if found is None else found).items()]
+    return [in_one_line(line, MAX_FORMULA_LENGTH) for line in [*formulas, *sentence]]
 
 
 def _formula(name: str, value: Any) -> str:

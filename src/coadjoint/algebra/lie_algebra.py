@@ -18,6 +18,7 @@ from coadjoint.algebra.constants import (
 )
 from coadjoint.algebra.exact.sparse_sums import Floats
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.invariants.sampled_checks import check_casimir
 from coadjoint.algebra.polynomials.monomials import check_names, names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
@@ -64,7 +65,7 @@ class LieAlgebra(Structure, metaclass=Constructors):
     representation : array of shape (n, d, d), optional
         Matrices rho_i with [rho_i, rho_j] = sum_k c_ij^k rho_k; checked.
     casimirs : mapping of str to Polynomial or Invariant, optional
-        Known Casimir functions, stored unchanged.
+        Known Casimir functions, stored unchanged; J(x) grad C(x) = 0 is checked at sample points where they are finite.
 
     Raises
     ------
@@ -110,6 +111,8 @@ class LieAlgebra(Structure, metaclass=Constructors):
         _check_casimirs(casimirs, names)
         rho = None if representation is None else check_representation(representation, triples, size, names)
         self._store(triples, size, names, name, rho, casimirs or {})
+        for key, casimir in self._casimirs.items():
+            check_casimir(key, casimir, size, self._product, self._rounded_product)
 
     # The algebra and the number of its copies, for a sum of copies.
     _copied: tuple[LieAlgebra, int] | None = None

@@ -12,14 +12,17 @@ from numpy.typing import NDArray
 from coadjoint.algebra.constants import Triples, both_orders
 from coadjoint.algebra.exact.elimination import generic_rank
 from coadjoint.algebra.exact.numbers import exact_numbers
-from coadjoint.algebra.exact.sparse_sums import Integers, expand, groups, strongly_connected
+from coadjoint.algebra.exact.sparse_sums import Floats, Integers, expand, groups, strongly_connected
 from coadjoint.algebra.polynomials.monomials import names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.long_operations import warn_caller
 from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.validation import not_numbers_error, read_integer, to_array
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
+
+    from coadjoint.algebra.invariants.casimirs import Casimirs
 
 
 class Structure:
@@ -48,6 +51,19 @@ class Structure:
         need = self._dim**2 * np.dtype(dtype).itemsize + 24 * self._triples.c.size
         check_available_memory(need, f"{what} of dimension {self._dim}", "take the sparse entries, or the operator")
         return np.zeros((self._dim, self._dim), dtype=dtype)
+
+    def _product(self, x: Floats, u: Floats) -> Floats:
+        """Return J(x) u without the matrix."""
+        i, j, k, c = self._triples
+        first, second = np.bincount(i, c * x[k] * u[j], self._dim), np.bincount(j, c * x[k] * u[i], self._dim)
+        return np.asarray(first - second, dtype=np.float64)
+
+    def _rounded_product(self, x: Floats, u: Floats) -> Floats:
+        """Return 2^12 times the sums of the absolute terms of J(x) u: constants and coefficients may be rounded."""
+        i, j, k, c = self._triples
+        terms = 2.0**12 * np.abs(c * x[k])
+        first, second = np.bincount(i, terms * np.abs(u[j]), self._dim), np.bincount(j, terms * np.abs(u[i]), self._dim)
+        return np.asarray(first + second, dtype=np.float64)
 
     def structure_matrix(self, x: Any) -> NDArray[Any]:
         """Return J(x), ``J_ij = sum_k c_ij^k x_k``: the Poisson bracket ``{F, G} = grad F . J(x) grad G``.
@@ -277,13 +293,21 @@ class Structure:
         position = int(np.searchsorted(row, j))
         return not (position < row.size and row[position] == j)
 
-    def casimirs(self, max_degree: int = 4) -> dict[str, Polynomial]:
-        """Find the polynomial Casimirs C, J(x) grad C(x) = 0, up to a degree, from the structure constants alone.
+    def casimirs(self, max_degree: int = 4) -> Casimirs:
+        """Find Casimirs C, J(x) grad C(x) = 0, from the structure constants alone.
 
-        The homogeneous solutions of each degree form a linear space. A basis of it modulo the products of Casimirs of
-        lower degree is returned. So every polynomial Casimir up to `max_degree` is a polynomial in the ones returned.
-        They can be more than ``dim - generic_rank()``, with relations between them (A5,2 has C1 ... C4 for
-        three independent ones), or fewer, since Casimirs need not be polynomials (A3,7).
+        The homogeneous polynomial solutions of each degree form a linear space. A basis of it modulo the products of
+        Casimirs of lower degree is returned. So every polynomial Casimir up to `max_degree` is a polynomial in the
+        ones returned. For this they can be more than the ``dim - generic_rank()`` independent ones, with relations
+        between them: A5,2 has C1 ... C4 for three, since C4 is a quotient of polynomials in the others. The attribute
+        `independent` names as many as are functionally independent.
+
+        If these are fewer than the corank, Casimirs that are not polynomials are added: quotients, sums of logarithms,
+        quotients and angles of semi-invariants up to `max_degree`, polynomials P with J(x) grad P = chi P, chi
+        constant. Algebras with a diagonal or triangular action on an ideal have such. They are found if the constants
+        fulfil the Jacobi identity exactly, as simple fractions or as floats, and eigenvalues are rational, or pairs of
+        rational real and imaginary parts, in a summand of at most 250 monomials of a degree. If some are still missing,
+        one warning states how many, and how to give them to a system.
 
         If the constants round simple fractions (`coadjoint.algebra.exact.elimination`), the equations are solved
         exactly and every solution is verified in exact arithmetic. Otherwise singular values decide if they leave a
@@ -297,11 +321,19 @@ class Structure:
 
         Returns
         -------
-        dict of str to Polynomial
-            By degree and leading monomial: ``"C2"`` if there is one of degree 2, ``"C2_1", "C2_2"`` if there are two.
-            The Casimirs of one degree are the rows of a reduced row echelon form over the monomials in the order of
-            `Polynomial.monomials`, scaled to coprime integers with a positive leading one; in floats the leading
-            coefficient is 1. The repr of an empty result explains why it is empty.
+        dict of str to Polynomial or Invariant
+            Polynomials by degree and leading monomial: ``"C2"`` if there is one of degree 2, ``"C2_1", "C2_2"`` if
+            there are two. Those of one degree are the rows of a reduced row echelon form over the monomials in the
+            order of `Polynomial.monomials`, scaled to coprime integers with a positive leading one; in floats the
+            leading coefficient is 1. Then others, ``"I"`` or ``"I1", "I2", ...``, NaN where undefined.
+            The dict has the attributes `corank`, the number of independent Casimirs of any kind; `independent`, names
+            of independent ones among those found; `missing`, the difference; and `sentence`, which ends the repr of an
+            empty or incomplete result.
+
+        Warns
+        -----
+        UserWarning
+            Fewer independent Casimirs were found than there are. Systems search without warning.
 
         Raises
         ------
@@ -323,11 +355,30 @@ class Structure:
         >>> import coadjoint as co
         >>> co.algebras.so(4).casimirs()
         {'C2_1': x1^2 + x2^2 + x3^2 + x4^2 + x5^2 + x6^2, 'C2_2': x1*x6 - x2*x5 + x3*x4}
+        >>> weights = co.LieAlgebra.from_brackets("[d, a] = a; [d, b] = 2 b; [d, c] = 1.5 c; [d, z] = 0.3 z")
+        >>> found = weights.casimirs()
+        >>> found
+        {'I1': 3 log|a| - 10 log|z|, 'I2': 3 log|b| - 20 log|z|, 'I3': (c)/(z^5)}
+        >>> found.corank, found.independent, found.missing
+        (3, ('I1', 'I2', 'I3'), 0)
         """
-        from coadjoint.algebra.invariants.casimirs import EmptyCasimirs, casimirs
+        found = self._find_casimirs(max_degree)
+        if found.missing:
+            warn_caller(f"casimirs() {found.sentence}", UserWarning)
+        return found
+
+    def _find_casimirs(self, max_degree: int = 4) -> Casimirs:
+        """Find Casimirs as `casimirs` does, without the warning."""
+        from coadjoint.algebra.invariants.casimirs import Casimirs, casimirs
 
         coordinates = names_of_basis(self.basis)
-        polynomials = {
-            key: casimir.named(coordinates) for key, casimir in casimirs(self._triples, self._dim, max_degree).items()
+
+        def named(polynomial: Polynomial) -> Polynomial:
+            return polynomial.named(coordinates)
+
+        found, corank, independent = casimirs(self._triples, self._dim, max_degree)
+        functions = {
+            key: named(one) if isinstance(one, Polynomial) else one.transformed(named).invariant()
+            for key, one in found.items()
         }
-        return polynomials or EmptyCasimirs(self._dim - self.generic_rank(), max_degree, list(self._casimirs))
+        return Casimirs(functions, corank, independent, max_degree, list(self._casimirs))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.sampled_checks import SEED, sample_points
 from coadjoint.errors import in_one_line
 from coadjoint.kernels.tables.compiled import compiled_derivative
 from coadjoint.systems.coordinates import CoordinateGroups
@@ -19,7 +20,7 @@ from coadjoint.systems.forces.torque import sample_state
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
 from coadjoint.systems.hamiltonians.terms import FunctionTerm
 from coadjoint.systems.hamiltonians.user_hamiltonian import JaxFunction
-from coadjoint.systems.user_functions import SEED, first_difference, sample_points
+from coadjoint.systems.user_functions import first_difference
 
 Floats = NDArray[np.float64]
 Reference = Callable[[Floats, float], Floats]

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import cached_if_small, check_available_memory
@@ -44,7 +43,7 @@ MAX_SEARCH_SIZE = 5000
 MAX_SEARCH_DEGREE = 4
 
 # Algebras are immutable and compare by value, so a scan over Hamiltonians searches once.
-_CASIMIR_CACHE: WeakKeyDictionary[LieAlgebra, dict[str, Polynomial]] = WeakKeyDictionary()
+_CASIMIR_CACHE: WeakKeyDictionary[LieAlgebra, Mapping[str, Any]] = WeakKeyDictionary()
 
 
 def known_or_found_casimirs(algebra: LieAlgebra) -> Mapping[str, Any]:
@@ -62,11 +61,11 @@ def known_or_found_casimirs(algebra: LieAlgebra) -> Mapping[str, Any]:
         return known
     if algebra not in _CASIMIR_CACHE:
         try:
-            _CASIMIR_CACHE[algebra] = algebra.casimirs(degree)
+            _CASIMIR_CACHE[algebra] = algebra._find_casimirs(degree)
         except ValueError:  # undecidable with rounded constants
             _CASIMIR_CACHE[algebra] = {}
     casimirs = _CASIMIR_CACHE[algebra]
-    return casimirs if len(casimirs) > len(known) else known
+    return casimirs if len(getattr(casimirs, "independent", ())) > len(known) else known
 
 
 def _search_size(dim: int, degree: int, constants: int) -> float:
@@ -127,8 +126,8 @@ class LiePoissonSystem(System):
     TypeError, ValueError
         An argument of the wrong type; a sign that is not +1 or -1; a Hamiltonian of another dimension; a function
         written with the name of another coordinate; coordinates of a piece of a `SplitHamiltonian` that do not commute;
-        a Casimir or an integral that is not constant (checked if its gradient is known); a representation with other
-        commutators.
+        a Casimir or an integral that is not constant (by differences at sample points if its gradient is not known); a
+        representation with other commutators.
 
     Notes
     -----

@@ -24,7 +24,7 @@ from coadjoint.systems.system_checks import (
     read_sign,
 )
 from coadjoint.systems.user_functions import check_derivative, takes_time
-from coadjoint.validation import read_integer, set_fields
+from coadjoint.validation import read_bool, read_integer, set_fields
 
 BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 
@@ -34,14 +34,15 @@ BYTES_PER_PRODUCT = 40  # peak, while J(x) is checked
 class PoissonSystem(System):
     """The system ``x' = sign * J(x) grad H(x)`` with any skew-symmetric function J.
 
-    Use it for brackets that are not linear in x (Lotka-Volterra, nonholonomic systems; J need not satisfy the Jacobi
-    identity). The energy-conserving schemes support it. Splitting does not, since its flows would not be linear. If J
-    is linear in x, use `LiePoissonSystem`.
+    Use it for brackets that are not linear in x (Lotka-Volterra, and with ``jacobi=False`` nonholonomic systems). The
+    energy-conserving schemes support it. Splitting does not, since its flows would not be linear. If J is linear in x,
+    use `LiePoissonSystem`.
 
     Parameters
     ----------
     structure_matrix : callable
-        Pure function of x, shape (n,), that returns J(x), a skew (n, n) array. Checked at sample points.
+        Pure function of x, shape (n,), that returns J(x), a skew (n, n) array. Checked at sample points, as is the
+        Jacobi identity, by `derivative` or differences.
     hamiltonian : Quadratic, Polynomial, Separable, SplitHamiltonian, Hamiltonian, function or text
         The energy, as for `LiePoissonSystem`; a function or a text needs `dim`.
     sign : {+1, -1}
@@ -51,11 +52,14 @@ class PoissonSystem(System):
     derivative : callable, optional
         Function of x that returns ``d J_ij / d x_k``, shape (n, n, n); needed for exact tangents only.
     casimirs : mapping, optional
-        Name to `Polynomial`, `Invariant` or function of x, with ``J(x) grad C(x) = 0``.
+        Name to `Polynomial`, `Invariant` or function of x, with ``J(x) grad C(x) = 0``; checked at sample points
+        where they are finite, by differences where the gradient is not given.
     name : str, optional
         Name in messages, files and pictures.
     parameters, exact
         As for `LiePoissonSystem`.
+    jacobi : bool, optional
+        False for a bracket that need not fulfil the Jacobi identity, which is then not checked.
 
     Attributes
     ----------
@@ -65,12 +69,19 @@ class PoissonSystem(System):
         Bound to `dim`.
     algebra, representation
         None; present for compatibility with `LiePoissonSystem`.
+    jacobi : bool
+        As given.
 
     Raises
     ------
     TypeError, ValueError
         J is not a function, has the wrong shape or is not skew at a sample point; the dimension is unknown; or as for
         `LiePoissonSystem`.
+
+    Warns
+    -----
+    UserWarning
+        J violates the Jacobi identity at a sample point, and `jacobi` is not False.
 
     Notes
     -----
@@ -93,6 +104,7 @@ class PoissonSystem(System):
     _casimirs: dict[str, Any]
     _parameters: dict[str, Any] | None
     closed_form: Callable[..., Any] | None
+    jacobi: bool
 
     def __init__(
         self,
@@ -105,6 +117,7 @@ class PoissonSystem(System):
         name: str | None = None,
         parameters: Mapping[str, Any] | None = None,
         exact: Callable[..., Any] | None = None,
+        jacobi: bool = True,
     ) -> None:
         functions = {"structure_matrix": structure_matrix} | ({} if derivative is None else {"derivative": derivative})
         for what, function in functions.items():
@@ -129,16 +142,17 @@ class PoissonSystem(System):
         set_fields(
             self,
             hamiltonian=in_coordinates_of(self, H),
+            jacobi=read_bool(jacobi, "jacobi"),
             _parameters=read_parameters(parameters),
             closed_form=read_closed_form(exact),
         )
-        check_structure(self)
         if derivative is not None:
             shape = (self.dim, self.dim)
             names = ("structure_matrix", "derivative")
             check_derivative(
                 structure_matrix, derivative, names=names, shapes=(shape, (*shape, self.dim)), n=self.dim, timed=False
             )
+        check_structure(self)  # its differences use the derivative
         set_fields(self, _casimirs=read_casimirs({} if casimirs is None else casimirs, self))
 
     def _absolute_product(self, x: npt.NDArray[Any], u: npt.NDArray[Any]) -> npt.NDArray[Any]:

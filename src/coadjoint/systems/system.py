@@ -86,6 +86,7 @@ class System:
     frame_rate: Callable[..., Any] | None = None  # rate at which the frame of the attitude turns, a function of time
     structure_function: Callable[..., Any] | None = None
     derivative_function: Callable[..., Any] | None = None
+    jacobi = True  # whether to warn if J(x) of `structure_function` violates the Jacobi identity at sample points
     _checked_function: Callable[..., Any] | None = None
     _unforced: System | None = None
     _parameters: dict[str, Any] | None = None

@@ -6,19 +6,27 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from coadjoint.algebra.invariants.invariant import Invariant
+from coadjoint.algebra.invariants.sampled_checks import (
+    SEED,
+    check_casimir,
+    evaluate,
+    gradient_and_scale,
+    rate_along,
+    sample_points,
+)
 from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import unknown_name
+from coadjoint.long_operations import warn_caller
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import KINDS, coordinate_names, numberless
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.user_functions import check_places, check_skew, evaluate, sample_points, takes_time
+from coadjoint.systems.user_functions import check_places, check_skew, takes_time
 from coadjoint.validation import is_integer, is_real, read_integer, read_list, read_title, set_fields
 
 
@@ -110,14 +118,11 @@ class KnownInvariants(Mapping[str, Any]):
 
 def read_casimirs(casimirs: Mapping[str, Any], system: Any) -> dict[str, Any]:
     """Validate Casimirs by name; wrap plain functions, and check ``J(x) grad C(x) = 0`` at sample points."""
-    # The tolerance is u times the number of operations times the sum of absolute products in each component for
-    # polynomials; gradients of an `Invariant` may lose 20 bits.
     if isinstance(casimirs, KnownInvariants):
         return dict(casimirs)
     result = read_invariants(casimirs, system, "Casimir")
     for name, casimir in result.items():
-        if casimir.gradient is not None:
-            _check(name, casimir, system)
+        check_casimir(name, casimir, system.dim, system._product, system._absolute_product)
     return result
 
 
@@ -159,47 +164,16 @@ def read_invariants(argument: Any, system: Any, kind: str) -> dict[str, Any]:
     return result
 
 
-def gradient_and_scale(
-    name: str, invariant: Any, x: npt.NDArray[np.float64], kind: str = "Casimir"
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], int] | None:
-    """Return gradient (n,) at a point, sums of its absolute products (n,), and their number; None if not finite."""
-    n = x.size
-    with np.errstate(all="ignore"):
-        gradient, size, operations = invariant.gradient_and_size(x)
-    if gradient.shape != (n,):
-        raise ValueError(f"the gradient of the {kind} {short(name)} has shape {gradient.shape}; it must have ({n},)")
-    if not np.all(np.isfinite(gradient)):
-        return None
-    return np.asarray(gradient, dtype=np.float64), np.asarray(size, dtype=np.float64), operations
-
-
-def _check(name: str, casimir: Polynomial | Quadratic | Invariant, system: Any) -> None:
-    for x in sample_points(system.dim):
-        scaled = gradient_and_scale(name, casimir, x)
-        if scaled is None:
-            continue
-        gradient, bound, operations = scaled
-        defect = np.abs(system._product(x, gradient))
-        tolerance = operations * UNIT_ROUNDOFF * system._absolute_product(x, bound).max(initial=0.0)
-        if defect.max(initial=0.0) > tolerance:
-            i = int(np.argmax(defect))
-            raise ValueError(
-                f"{short(name)} is not a Casimir: component {i} of J(x) grad C(x) is {defect[i]:.3g} at a sample "
-                "point, and it must vanish everywhere"
-            )
-
-
 TIMES = (0.0, 1.0)  # at which integrals are checked: a field may rest at time zero
 
 
 @ignore_overflow
 def read_integrals(integrals: Any, system: Any) -> Mapping[str, Any]:
-    """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points where grad F is known."""
+    """Validate integrals by name; check ``grad F(x) . J(x) grad H(x) = 0`` at sample points, or by differences."""
     if isinstance(integrals, KnownInvariants):
         return integrals
     result, H = read_invariants(integrals, system, "integral"), system.hamiltonian
-    points = sample_points(system.dim) if any(F.gradient is not None for F in result.values()) else []
-    for x in points:
+    for x in sample_points(system.dim) if result else []:
         for t in TIMES if H.timed else TIMES[:1]:
             force = evaluate(lambda y, t=t: H.gradient(y, t), x, False)
             if force is None or not np.all(np.isfinite(force)):
@@ -209,22 +183,29 @@ def read_integrals(integrals: Any, system: Any) -> Mapping[str, Any]:
                 _, bound, work = gradient_and_scale("energy", H, x) or (force, bound, work)
             field, sizes = system._product(x, force), system._absolute_product(x, bound)
             for name, F in result.items():
-                scaled = None if F.gradient is None else gradient_and_scale(name, F, x, "integral")
-                if scaled is None:
-                    continue
-                gradient, scale, operations = scaled
-                # Products of long vectors by BLAS wait for its threads.
-                rate = abs(float(np.sum(gradient * field)))
-                if rate > (work + operations) * UNIT_ROUNDOFF * float(np.sum(scale * sizes)):
+                if F.gradient is None:
+                    found = rate_along(F.value, x, field, sizes * max(1.0, work / 2**10))
+                else:
+                    scaled = gradient_and_scale(name, F, x, "integral")
+                    if scaled is None:
+                        continue
+                    gradient, scale, operations = scaled
+                    # Products of long vectors by BLAS wait for its threads.
+                    rounding = (work + operations) * UNIT_ROUNDOFF * float(np.sum(scale * sizes))
+                    found = float(np.sum(gradient * field)), rounding
+                if found is not None and abs(found[0]) > found[1]:
                     raise ValueError(
-                        f"{short(name)} is not an integral: it changes at the rate {rate:.3g} at a sample point, and "
-                        "its bracket with the Hamiltonian must vanish everywhere"
+                        f"{short(name)} is not an integral: it changes at the rate {abs(found[0]):.3g} at a sample "
+                        "point, and its bracket with the Hamiltonian must vanish everywhere"
                     )
     return result
 
 
 def check_structure(system: Any) -> None:
-    """Raise an error unless `structure_function` is a function whose values at sample points are skew (n, n)."""
+    """Raise an error unless `structure_function` is a function whose values at sample points are skew (n, n).
+
+    Warn if they violate the Jacobi identity, unless `jacobi` of the system is False.
+    """
     function = system.structure_function
     if function is None or function is system._checked_function:
         return
@@ -235,6 +216,40 @@ def check_structure(system: Any) -> None:
         )
     check_skew(function, "structure_matrix", system.dim)
     set_fields(system, _checked_function=function)
+    defect = jacobi_defect(system) if system.jacobi else None
+    if defect is not None:
+        warn_caller(
+            f"J(x) of {system.name} violates the Jacobi identity, by {defect:.3g} in a sample direction, so that it is "
+            "no Poisson bracket; correct it, or give jacobi=False if it need not be one, as of a nonholonomic system",
+            UserWarning,
+        )
+
+
+def jacobi_defect(system: Any) -> float | None:
+    """Return the cyclic sum of (J u . grad)(v . J w) at a sample point if it exceeds its error, else None."""
+    # By differences, or by `derivative_function`, whose values may lose 20 bits.
+    n, function, slope = system.dim, system.structure_function, system.derivative_function
+    vectors = np.random.default_rng(SEED + 4).standard_normal((3, n))
+    for x in sample_points(n) if n > 2 else []:
+        J, dJ = evaluate(function, x, False), None if slope is None else evaluate(slope, x, False)
+        if J is None or not np.all(np.isfinite(J)):
+            continue
+        total = error = 0.0
+        for shift in range(3):
+            u, v, w = np.roll(vectors, shift, axis=0)
+            if dJ is not None:
+                total += float(v @ (dJ @ (J @ u)) @ w)
+                size = np.abs(v) @ (np.abs(dJ) @ (np.abs(J) @ np.abs(u))) @ np.abs(w)
+                error += 2.0**20 * UNIT_ROUNDOFF * float(size)
+                continue
+            found = rate_along(lambda y, v=v, w=w: v @ function(y) @ w, x, J @ u, np.abs(J) @ np.abs(u))
+            if found is None:
+                error = np.inf
+                break
+            total, error = total + found[0], error + found[1]
+        if abs(total) > error:
+            return abs(total)
+    return None
 
 
 def check_system(system: Any) -> None:

@@ -12,14 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.invariants.invariant import Forms
+from coadjoint.algebra.invariants.sampled_checks import SEED, difference_along, evaluate, sample_points
 from coadjoint.algebra.polynomials.monomials import Coefficient
 from coadjoint.optional_packages import installed
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import read_numbers
 
-SEED = 1993  # of sample points; any other would do
-SAMPLE_TIME = 0.625  # where functions of the time are evaluated: not zero, and exact in binary
 LEAST_SHARED_BODIES, BODIES_OF_A_SHARE, MAX_SHARES = 57, 16, 32
 """Bodies from which on threads share a member of 18 coordinates each; what is done once for each share is small."""
 MOVED = 2.0**-30  # part of its arguments by which those of a function may be moved for the same values
@@ -31,8 +30,6 @@ KNOWN_NAMES = {
     "r": ("r", "position"),
 }
 """Names of the state, the time, a duration, an attitude and a position, by which arguments are recognized."""
-MANY_COORDINATES = 1 << 16
-"""Dimension above which one point is a sample."""
 
 
 @dataclass(frozen=True)
@@ -244,33 +241,6 @@ def all_take_time(functions: dict[str, Callable[..., Any] | None]) -> bool:
     return any(timed.values())
 
 
-def sample_points(n: int) -> list[npt.NDArray[np.float64]]:
-    """Return seeded sample points of different kinds: mixed signs, all positive, small, and larger than one."""
-    # Of many coordinates, which are a sample themselves, only the first.
-    count = 1 if n > MANY_COORDINATES else 4
-    draw = np.random.default_rng(SEED).uniform(0.25, 1.0, size=(count, n))
-    signs = np.where(np.random.default_rng(SEED + 1).uniform(size=n) < 0.5, -1.0, 1.0)
-    return [draw[0] * signs, draw[1], 0.125 * draw[2], 1.0 + 7.0 * draw[3]] if count > 1 else [draw[0] * signs]
-
-
-def evaluate(
-    function: Callable[..., Any], x: Any, timed: bool, *, convert: bool = True, failures: list[Exception] | None = None
-) -> Any:
-    """Return the value of a function at a sample point; None if it fails there, which may lie outside its domain."""
-    with np.errstate(all="ignore"):
-        try:
-            result = function(x, SAMPLE_TIME) if timed else function(x)
-            if result is None:
-                raise TypeError("it returns None")
-            if isinstance(result, bool | np.bool_):
-                raise TypeError("it returns a truth value, as a comparison does")
-            return np.asarray(result, dtype=np.float64) if convert else result
-        except (ArithmeticError, ValueError, TypeError, IndexError) as reason:
-            if failures is not None:
-                failures.append(reason)
-            return None
-
-
 def numbers_at_samples(function: Callable[..., Any], n: int, timed: bool) -> list[Any]:
     """Return the values of a Hamiltonian at sample points; raise TypeError if one is there, and no single number."""
     found, failures = [], list[Exception]()
@@ -324,8 +294,6 @@ def check_derivative(
     timed: bool,
 ) -> None:
     """Raise an error if `derivative` has the wrong shape, or disagrees with the central difference of `function`."""
-    # The difference of the central differences for steps e and e/2 estimates 3/4 of the truncation error; round-off is
-    # u |f| / e. Factors 16 and 2^10 allow for higher orders and a loss of ten bits. Non-finite points are skipped.
     evaluated, failure = False, ""
     failures: list[Exception] = []
     for x in sample_points(1 if n is None else n):
@@ -356,22 +324,11 @@ def _compare(
 ) -> None:
     direction = np.random.default_rng(SEED + 2).standard_normal(x.size)
     direction /= np.linalg.norm(direction)
-    step = UNIT_ROUNDOFF ** (1.0 / 3.0) * float(np.linalg.norm(x)) / np.sqrt(x.size)
-    differences, size = [], np.abs(value).max(initial=0.0)
-    for h in (step, 0.5 * step):
-        right, left = (
-            evaluate(function, end if n is not None else float(end[0]), timed)
-            for end in (x + h * direction, x - h * direction)
-        )
-        if right is None or left is None:
-            return
-        size = max(size, np.abs(right).max(initial=0.0), np.abs(left).max(initial=0.0))
-        differences.append((right - left) / (2.0 * h))
-    coarse, fine = differences
-    declared = slope @ direction if n is not None else slope * direction[0]
-    if not (np.all(np.isfinite(coarse)) and np.all(np.isfinite(fine))):
+    found = difference_along(function, value, x, direction, timed, vector=n is not None)
+    if found is None:
         return
-    tolerance = 16.0 * np.abs(coarse - fine).max(initial=0.0) + 2.0**10 * UNIT_ROUNDOFF * size / step
+    fine, tolerance = found
+    declared = slope @ direction if n is not None else slope * direction[0]
     error = np.abs(fine - declared).max(initial=0.0)
     if error > tolerance:
         index = np.unravel_index(np.argmax(np.abs(fine - declared)), np.shape(fine)) if np.ndim(fine) else ()

@@ -141,6 +141,25 @@ def test_derivatives(name):
     np.testing.assert_allclose(H.hessian(x) @ d, slope_of(H.gradient, x, d), rtol=0, atol=1e-10 * n * size)
 
 
+@pytest.mark.thinned(4)
+@pytest.mark.parametrize("name", [name for name, s in EVERY.items() if s.dim <= 64 and not s.has_matrices])
+def test_casimirs_of_every_system_are_accepted_as_functions(name):
+    """In three systems of units: a multiple of the state, where the bracket is linear, has the same Casimirs."""
+    system = EVERY[name]
+    for unit in (1e-7, 1.0, 1e30):
+        given = {
+            label: lambda x, C=C, unit=unit: C(unit * x) if system.algebra is not None else unit * C(x)
+            for label, C in system.casimirs.items()
+        }
+        if system.algebra is not None:
+            again = co.LiePoissonSystem(system.algebra, co.Quadratic(1.0), casimirs=given)
+        elif system.structure_function is not None:
+            again = co.PoissonSystem(system.structure_function, co.Quadratic(1.0), dim=system.dim, casimirs=given)
+        else:
+            return
+        assert list(again.casimirs) == list(given)
+
+
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("name", EVERY)
 def test_invariants_are_constant_along_the_field(name):

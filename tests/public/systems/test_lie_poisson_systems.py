@@ -81,8 +81,8 @@ def test_time_reaches_the_jacobian(sign):
 
 
 def test_known_casimirs_keep_their_names_unless_a_search_finds_more():
-    # Its Casimir, x1^0.37 x2, is no polynomial, so a search in the sums below finds those of so(3) again.
-    other = co.LieAlgebra.from_brackets(3, {(0, 2): {0: 1.0}, (1, 2): {1: -0.37}})
+    # The weights are roots of s^2 - s - 1, so that a search in the sums below finds those of so(3) again.
+    other = co.LieAlgebra.from_brackets(3, {(0, 2): {0: 1.0, 1: 1.0}, (1, 2): {0: 1.0}})
     both = co.algebras.direct_sum(co.algebras.so(3), other)
     assert both.dim - both.generic_rank() == 2
     assert co.LiePoissonSystem(both, co.Quadratic(1.0)).casimirs == {

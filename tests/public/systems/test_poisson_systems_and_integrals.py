@@ -51,7 +51,7 @@ def test_field_and_jacobian_of_random_brackets(seed, sign):
 
     M = rng.uniform(-1.0, 1.0, (4, 4))
     H = co.Quadratic(M + M.T, linear=rng.uniform(-1.0, 1.0, 4))
-    system = co.PoissonSystem(structure, H, derivative=derivative, sign=sign)
+    system = co.PoissonSystem(structure, H, derivative=derivative, sign=sign, jacobi=False)
     x = rng.uniform(0.5, 1.5, 4) * rng.choice([-1.0, 1.0], 4)
     np.testing.assert_allclose(system.vector_field(x), sign * (structure(x) @ H.gradient(x)), rtol=1e-13, atol=1e-13)
     jacobian = system.jacobian(x)
@@ -143,3 +143,62 @@ def test_casimirs_of_the_time_are_refused_and_observed_functions_of_it_recorded(
     sol = co.integrate(body(), (1.0, 0.5, 0.25), (0, 1), 0.5, observe=observe)
     for values in sol.observed.values():
         np.testing.assert_array_equal(values, sol.x[:, 2] + sol.t)
+
+
+BRACKETS = {
+    "Lotka-Volterra": (lambda x: np.outer(x, x) * A, lambda x: KERNEL @ np.log(np.abs(x))),
+    "(1 + x1^2) so(3)": (lambda x: (1 + x[0] ** 2) * SO3.structure_matrix(x), lambda x: np.sqrt(x @ x)),
+    "canonical": (lambda x: np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 0]]), lambda x: np.exp(x[2])),
+}
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e30])
+@pytest.mark.parametrize("name", BRACKETS)
+def test_functions_are_checked_by_differences(name, unit):
+    """Right Casimirs in three units and as products; with a foreign part of 10^-5 they are refused."""
+    J, C = BRACKETS[name]
+
+    def bracket(x):
+        return unit * J(x)
+
+    system = co.PoissonSystem(bracket, co.Quadratic(1.0), dim=3, casimirs={"C": C, "C^2": lambda x: unit * C(x) ** 2})
+    assert list(system.casimirs) == ["C", "C^2"]
+    with refused(ValueError, "'C'", "not a Casimir", "rate"):
+        co.PoissonSystem(
+            bracket, co.Quadratic(1.0), dim=3, casimirs={"C": lambda x: unit * (C(x) + 1e-5 * x[0] * x[1])}
+        )
+    jumps = {"angle": lambda x: np.floor(5 * C(x)), "nowhere": lambda x: np.log(-np.abs(x[0]))}
+    assert len(co.PoissonSystem(bracket, co.Quadratic(1.0), dim=3, casimirs=jumps).casimirs) == 2
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e30])
+def test_brackets_that_violate_the_jacobi_identity_warn(unit):
+    """J u = b x u fulfils it if b . curl b = 0; here that is -x1 x3. By differences, and by derivatives."""
+
+    def J(x):
+        b = unit * np.array([x[0] * x[1], x[1], x[2]])
+        return np.array([[0 * b[0], b[2], -b[1]], [-b[2], 0 * b[0], b[0]], [b[1], -b[0], 0 * b[0]]])
+
+    def slope(x):
+        return np.stack([(J(x + h) - J(x - h)) / 2 for h in np.eye(3)], axis=-1)  # J is quadratic
+
+    for derivative in (None, slope):
+        with pytest.warns(UserWarning, match="mine violates the Jacobi identity.*jacobi=False") as told:
+            co.PoissonSystem(J, co.Quadratic(1.0), dim=3, derivative=derivative, name="mine")
+        assert len(told) == 1 and told[0].filename == __file__
+        system = co.PoissonSystem(J, co.Quadratic(1.0), dim=3, derivative=derivative, jacobi=False)
+        assert not system.jacobi
+    with refused(TypeError, "jacobi"):
+        co.PoissonSystem(J, co.Quadratic(1.0), dim=3, jacobi="no")
+
+
+@pytest.mark.parametrize("unit", [1e-7, 1.0, 1e30])
+def test_integrals_and_casimirs_of_algebras_are_checked(unit):
+    with refused(ValueError, "'f'", "integral", "rate"):
+        co.LiePoissonSystem(SO3, co.Quadratic([0.3 * unit, 0.3 * unit, 0.7 * unit]), integrals={"f": lambda x: x[0]})
+    given = {"f": lambda x: np.tanh(x[2]), "size": lambda x: x @ x}
+    assert co.LiePoissonSystem(SO3, co.Quadratic([0.3 * unit, 0.3 * unit, 0.7 * unit]), integrals=given).integrals
+    constants = [(0, 1, 2, unit), (1, 2, 0, unit), (2, 0, 1, unit)]
+    with refused(ValueError, "'q'", "not a Casimir"):
+        co.LieAlgebra(constants, dim=3, casimirs={"q": co.Polynomial("x1^2 + x2^2", dim=3)})
+    assert co.LieAlgebra(constants, dim=3, casimirs={"q": co.Invariant(lambda x: np.cos(x @ x))}).casimirs_known

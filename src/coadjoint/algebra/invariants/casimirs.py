@@ -1,12 +1,13 @@
-"""Polynomial Casimirs computed from the structure constants."""
+"""Casimirs computed from the structure constants: polynomials, and functions of semi-invariants where these fail."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ from coadjoint.algebra.invariants.casimir_equations import (
     numerical_kernel,
     numerical_pivots,
 )
+from coadjoint.algebra.invariants.invariant import LogarithmicSum
+from coadjoint.algebra.invariants.semi_invariants import Gradients, semi_invariant_casimirs
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.long_operations import long_operation, note_progress
 from coadjoint.validation import read_integer
@@ -91,12 +94,24 @@ def _of_degree(
     return [_polynomial(vector, basis, dim) for index, vector in enumerate(space) if index not in generated]
 
 
-def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polynomial]:
-    """Return generators of the polynomial Casimirs of one summand up to a degree, by degree and leading monomial."""
-    independent = dim - generic_rank(triples, dim)
-    if independent == 0:
-        return []
-    if independent > 1:
+class SummandCasimirs(NamedTuple):
+    """Casimirs of a direct summand, the numbers of the polynomials that are independent, and of all that exist."""
+
+    polynomials: list[Polynomial]
+    independent: list[int]
+    others: list[LogarithmicSum]
+    corank: int
+
+
+def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> SummandCasimirs:
+    """Return generators of the polynomial Casimirs of one summand up to a degree, by degree and leading monomial.
+
+    If fewer than the corank are independent, others are sought among functions of semi-invariants.
+    """
+    corank = dim - generic_rank(triples, dim)
+    if corank == 0:
+        return SummandCasimirs([], [], [], 0)
+    if corank > 1:
         check_size(dim, max_degree, triples.c.size)
     integers = rational_constants(triples, dim)
     generators: list[Polynomial] = []
@@ -104,60 +119,106 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> list[Polyno
         check_size(dim, degree, triples.c.size)
         generators += _of_degree(triples, integers, dim, degree, generators)
         # Roots and factors of Casimirs are Casimirs, so with one independent Casimir all are powers of the lowest.
-        if generators and independent == 1:
+        if generators and corank == 1:
             break
-    return generators
+    gradients = Gradients(dim, integers is not None)
+    independent = [number for number, casimir in enumerate(generators) if gradients.add(casimir)]
+    missing = corank - len(independent)
+    others: list[LogarithmicSum] = []
+    exact = rational_constants(triples, dim, Fraction) if integers is None else integers
+    if missing and exact is not None:
+        others = semi_invariant_casimirs(triples, exact, dim, max_degree, missing, gradients)
+    return SummandCasimirs(generators, independent, others, corank)
 
 
-class EmptyCasimirs(dict[str, Polynomial]):
-    """An empty dict of polynomial Casimirs whose repr explains that none were found up to `degree`.
+class Casimirs(dict[str, Any]):
+    """Casimirs by name, with the number of independent ones that exist and the names of those that are here.
 
-    >>> EmptyCasimirs(1, 4, ["log C"])
-    {} (no polynomial up to degree 4; of Casimirs of any kind there is 1; casimirs_known has: log C)
+    The repr of an incomplete or empty result ends with `sentence`.
+
+    Attributes
+    ----------
+    corank : int
+        Number of independent Casimirs of any kind, ``dim - generic_rank()``.
+    independent : tuple of str
+        Names of functionally independent ones among those found; all others are functions of them.
+    missing : int
+        ``corank - len(independent)``.
+    sentence : str
+        What is missing and how to give it, or why there is none; empty if nothing is missing.
+
+    Examples
+    --------
+    >>> Casimirs({}, 1, (), 4, ["log C"])
+    {} (found 0 of 1 independent Casimirs up to degree 4; casimirs_known has: log C)
     """
 
-    def __init__(self, count: int, degree: int, known: list[str]) -> None:
-        super().__init__()
-        self.count, self.degree, self.known = count, degree, known
+    def __init__(
+        self, found: Mapping[str, Any], corank: int, independent: Sequence[str], degree: int, known: Sequence[str]
+    ) -> None:
+        super().__init__(found)
+        self.corank, self.independent, self.degree, self.known = corank, tuple(independent), degree, tuple(known)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.count, self.degree, self.known)
+        return type(self), (dict(self), self.corank, self.independent, self.degree, self.known)
+
+    @property
+    def missing(self) -> int:
+        """Number of independent Casimirs that were not found."""
+        return self.corank - len(self.independent)
+
+    @property
+    def sentence(self) -> str:
+        """What is missing and how to give it."""
+        if not self.corank:
+            return "there is no Casimir of any kind: the rank of J is the dimension"
+        if not self.missing:
+            return ""
+        found = f"found {len(self.independent)} of {self.corank} independent Casimirs up to degree {self.degree}"
+        if self.known:
+            return f"{found}; casimirs_known has: {', '.join(self.known)}"
+        return (
+            f"{found}; give the {self.missing} missing as functions of x, "
+            "LiePoissonSystem(..., casimirs={'C': lambda x: ...}), or raise max_degree"
+        )
 
     def __repr__(self) -> str:
-        if not self.count:
-            return "{} (there is no Casimir of any kind: the rank of J is the dimension)"
-        verb = "is" if self.count == 1 else "are"
-        named = f"; casimirs_known has: {', '.join(self.known)}" if self.known else ""
-        explanation = f"no polynomial up to degree {self.degree}; of Casimirs of any kind there {verb} {self.count}"
-        return f"{{}} ({explanation}{named})"
+        sentence = self.sentence
+        return dict.__repr__(self) + (f" ({sentence})" if sentence else "")
 
 
 @long_operation("casimirs")
-def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> dict[str, Polynomial]:
-    """Return generators of the polynomial Casimirs up to a degree: the implementation of `LieAlgebra.casimirs`."""
+def casimirs(triples: Triples, dim: int, max_degree: int = 4) -> tuple[dict[str, Any], int, list[str]]:
+    """Return Casimirs up to a degree, the corank, and names of independent ones; see `LieAlgebra.casimirs`."""
     max_degree = read_integer(max_degree, "max_degree")
-    solved: dict[tuple[int, tuple[bytes, ...]], list[Polynomial]] = {}
-    placed: list[tuple[Integers, Polynomial]] = []
-    exponents = 0
+    solved: dict[tuple[int, tuple[bytes, ...]], SummandCasimirs] = {}
+    placed: list[tuple[Polynomial, bool]] = []
+    others: list[LogarithmicSum] = []
+    exponents = corank = 0
     for coordinates, constants in summands(triples, dim):
         key = coordinates.size, tuple(column.tobytes() for column in constants)
         if key not in solved:  # equal summands are solved once
             solved[key] = summand_casimirs(constants, coordinates.size, max_degree)
-        placed += [(coordinates, polynomial) for polynomial in solved[key]]
-        exponents += sum(len(polynomial.monomials) for polynomial in solved[key]) * dim
+        found, where = solved[key], coordinates.tolist()
+        corank += found.corank
+        exponents += sum(len(polynomial.monomials) for polynomial in found.polynomials) * dim
         if exponents > MAX_EXPONENTS:
             raise ValueError(
                 f"the Casimirs of this direct sum of dimension {dim} need more than {MAX_EXPONENTS} exponents as "
                 f"polynomials in all coordinates; compute the Casimirs of one summand instead"
             )
-    polynomials = [embedded(polynomial, coordinates.tolist(), dim) for coordinates, polynomial in placed]
-    result: dict[str, Polynomial] = {}
-    polynomials.sort(key=lambda polynomial: (polynomial.degree, [-e for e in next(iter(polynomial.monomials))]))
-    for degree, same_degree in itertools.groupby(polynomials, key=lambda polynomial: polynomial.degree):
+        placed += [(embedded(p, where, dim), number in found.independent) for number, p in enumerate(found.polynomials)]
+        others += [one.transformed(partial(embedded, coordinates=where, dim=dim)) for one in found.others]
+    result: dict[str, Any] = {}
+    independent: list[str] = []
+    placed.sort(key=lambda one: (one[0].degree, [-e for e in next(iter(one[0].monomials))]))
+    for degree, same_degree in itertools.groupby(placed, key=lambda one: one[0].degree):
         group = list(same_degree)
         names = [f"C{degree}"] if len(group) == 1 else [f"C{degree}_{number + 1}" for number in range(len(group))]
-        result.update(zip(names, group, strict=True))
-    return result
+        result.update(zip(names, (polynomial for polynomial, _ in group), strict=True))
+        independent += [name for name, (_, counts) in zip(names, group, strict=True) if counts]
+    names = ["I"] if len(others) == 1 else [f"I{number + 1}" for number in range(len(others))]
+    return result | dict(zip(names, others, strict=True)), corank, independent + names
 
 
 def embedded(polynomial: Polynomial, coordinates: Sequence[int], dim: int) -> Polynomial:

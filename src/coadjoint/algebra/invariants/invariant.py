@@ -251,9 +251,14 @@ class LogarithmicSum:
         )
 
 
+def _format_weight(value: Number) -> str:
+    """Format an integer or a simple fraction as it is, and any other number as a float."""
+    return str(value) if Fraction(value).denominator <= MAX_PERIOD_DENOMINATOR else repr(rounded(value))
+
+
 def _format_term(term: InvariantTerm) -> str:
     """Format one term."""
-    weight = "" if term.weight == 1 else "-" if term.weight == -1 else f"{term.weight} "
+    weight = "" if term.weight == 1 else "-" if term.weight == -1 else f"{_format_weight(term.weight)} "
     if term.kind == QUOTIENT:
         return f"{weight}({term.first!r})/({term.second!r})"
     return (

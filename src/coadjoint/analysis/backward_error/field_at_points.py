@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.analysis.backward_error.step_series import field_at
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
@@ -18,7 +19,6 @@ from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian
 from coadjoint.systems.system import System
-from coadjoint.systems.user_functions import sample_points
 from coadjoint.validation import read_finite, read_number
 
 Floats = npt.NDArray[np.float64]

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.invariants.sampled_checks import evaluate, sample_points
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.bodies.body import (
     IN_SPACE,
@@ -33,7 +34,7 @@ from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.split_hamiltonian import SplitHamiltonian
 from coadjoint.systems.registry import ready_made
-from coadjoint.systems.user_functions import callable_from_compiled, check_arguments, evaluate, sample_points
+from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
 from coadjoint.validation import as_tuples, read_finite, set_fields
 
 Floats = npt.NDArray[np.float64]

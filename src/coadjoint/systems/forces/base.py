@@ -12,10 +12,10 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
 from coadjoint.keyword_hints import ExplainedCalls
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.coordinates import check_moved, kinds_of
-from coadjoint.systems.user_functions import SAMPLE_TIME, sample_points
 from coadjoint.validation import as_tuples, read_finite, read_integer, set_fields, to_array
 
 Plain = float | tuple[Any, ...]

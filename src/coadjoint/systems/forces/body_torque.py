@@ -11,12 +11,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_systems import read_attitudes
 from coadjoint.systems.forces.base import read_matrix
 from coadjoint.systems.forces.torque import StateTorque, check_attitude, constant_in_time, torque_on_state
-from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments, sample_points
+from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
 from coadjoint.validation import as_tuples, read_choice, read_finite
 
 

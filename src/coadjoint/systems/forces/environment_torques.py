@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
     body_products,
@@ -17,7 +18,7 @@ from coadjoint.systems.forces.body_torque import (
     read_tensor,
     tensor,
 )
-from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, check_arguments
+from coadjoint.systems.user_functions import callable_from_compiled, check_arguments
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 

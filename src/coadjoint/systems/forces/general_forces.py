@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.systems.coordinates import momenta_of, rest_of
 from coadjoint.systems.forces.base import (
@@ -23,7 +24,7 @@ from coadjoint.systems.forces.base import (
     state_vector,
 )
 from coadjoint.systems.forces.torque import is_on_bodies, shapes_on, torque_vector
-from coadjoint.systems.user_functions import SAMPLE_TIME, check_arguments
+from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_bool, read_finite, read_title
 
 DIFFERENCE_TIME = 2.0**-12  # step of differences of order four: their error, its fourth power, is that of rounding

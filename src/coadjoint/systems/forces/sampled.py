@@ -10,11 +10,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.body_torque import check_one_body, limited_by, read_limits
 from coadjoint.systems.forces.torque import StateTorque, sample_state
-from coadjoint.systems.user_functions import SAMPLE_TIME, callable_from_compiled, sample_points
+from coadjoint.systems.user_functions import callable_from_compiled
 from coadjoint.validation import read_integer, read_positive
 
 DIFFERENCE_TIME = 2.0**-16  # of differences of a flow, whose error is proportional to its square

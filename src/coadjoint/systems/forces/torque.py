@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import (
     KNOWN_NAMES,
-    SAMPLE_TIME,
     attitude_arguments,
     callable_from_compiled,
     check_arguments,

@@ -12,17 +12,11 @@ from typing import Any
 
 import numpy as np
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, evaluate, sample_points
 from coadjoint.errors import in_one_line
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.created_arrays import with_new_arrays
-from coadjoint.systems.user_functions import (
-    SAMPLE_TIME,
-    evaluate,
-    first_difference,
-    sample_points,
-    with_multiples,
-    without_multiples,
-)
+from coadjoint.systems.user_functions import first_difference, with_multiples, without_multiples
 from coadjoint.validation import is_real
 
 DERIVED_MODULE = "derived_by_coadjoint"

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, evaluate, sample_points
 from coadjoint.algebra.polynomials.formula_tree import (
     FUNCTIONS,
     NOTATION,
@@ -27,7 +28,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.hamiltonians.terms import built_in
 from coadjoint.systems.hamiltonians.traced_function import TracingError, traced
-from coadjoint.systems.user_functions import SAMPLE_TIME, check_derivative, evaluate, sample_points
+from coadjoint.systems.user_functions import check_derivative
 
 REQUIRED_ATTRIBUTES = ("dim", "timed", "bind", "value", "gradient", "hessian", "terms")
 X64 = ', which JAX has with jax.config.update("jax_enable_x64", True)'

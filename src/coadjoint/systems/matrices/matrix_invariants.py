@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.families.matrix_algebra import MatrixAlgebra, MatrixFamily
+from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
-from coadjoint.systems.user_functions import SAMPLE_TIME, takes_time
+from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import is_real
 
 if TYPE_CHECKING:
