@@ -326,9 +326,13 @@ OPTIONS = {
         [co.Event(co.Quadratic([1, 0, 0], [0, Fraction(1, 3), 0], -Fraction(1, 8)), name="far"), co.Event(0, -1)],
         *[co.Event(co.Quadratic([0, 1, 0], constant=-0.02), way, count=1, terminal=True) for way in (1, -1)],
     ],
+    "observe": [
+        {"height": co.Polynomial.variable(1, 3), "form": co.Quadratic([1, 0, 0], [0, Fraction(1, 3), 0])},
+        {"wave": co.formula("sin(x1) - x2*x3/2", dim=3)},
+    ],
 }
-# Parameters that change no number of a solution; functions in `observe` are not stored.
-WITHOUT_EFFECT = {"system", "observe", "threads", "progress", "archive", "rtol", "atol"}
+# Parameters that change no number of a solution.
+WITHOUT_EFFECT = {"system", "threads", "progress", "archive", "rtol", "atol"}
 
 
 def test_every_parameter_of_a_run_is_stored():

@@ -293,7 +293,7 @@ def test_what_forces_exclude_is_refused(call, error, named):
 @pytest.mark.parametrize(
     ("make", "error", "named"),
     [
-        (lambda f: f.LinearDamping(np.ones((2, 3))), ValueError, ("LinearDamping", "(n, n)")),
+        (lambda f: f.LinearDamping(np.ones((2, 3))), ValueError, ("LinearDamping", "(2, 3)", "or (3, 3)")),
         (lambda f: f.LinearDamping(0.1, [1.0]), ValueError, ("toward of LinearDamping", "shape")),
         (lambda f: f.Torque(lambda x: x[:2]), ValueError, ("torque", "(2,)", "(3,)")),
         (lambda f: f.Torque(lambda x: x[None]), ValueError, ("torque", "(1, 3)", "(3,)")),
