@@ -104,6 +104,7 @@ def without_jacobi() -> Case:
             co.Quadratic(full_matrix(6, 3)),
             derivative=rotation_unlike_jacobi_derivative,
             name="skew without Jacobi",
+            jacobi=False,
         ),
         np.array([0.5, 0.7, -0.4]),
     )

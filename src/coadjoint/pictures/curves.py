@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.files.datasets.variables import parameters_of
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.style import (
     colour,
@@ -24,6 +23,7 @@ from coadjoint.pictures.style import (
     setting,
     thickness,
 )
+from coadjoint.systems.batch import differing_numbers
 
 Floats = npt.NDArray[np.float64]
 
@@ -127,8 +127,8 @@ def differing_parameters(drawn: PlottedRun) -> dict[str, npt.NDArray[Any]]:
         pairs = zip(system.axes.items(), indices, strict=True)
         columns = {name: index if axis.values is None else axis.values[index] for (name, axis), index in pairs}
     else:
-        found = parameters_of(system).values()
-        columns = {str(about["long_name"]).rpartition(".")[2]: values[members] for _, values, about in found}
+        numbers = differing_numbers(system).items()
+        columns = {place.rpartition(".")[2]: values[members] for place, values in numbers}
     return {name: values for name, values in columns.items() if np.any(values != values[0])}
 
 

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import of
+from coadjoint.systems.coefficients import linear_of
+from coadjoint.systems.forces.base import Force
 from coadjoint.systems.lie_poisson import LiePoissonSystem, known_or_found_casimirs
 from coadjoint.systems.poisson import PoissonSystem
 from coadjoint.systems.system import System
@@ -263,3 +265,44 @@ def check_axis_name(name: str, others: Iterable[str] = ()) -> None:
         raise ValueError(f"{short(name)} is no name of an axis; give letters, digits and underscores, no end {SUFFIX}")
     if name in DIMENSIONS or name in others:
         raise ValueError(f"the axis {name!r} has the name of another dimension of the dataset; take another name")
+
+
+def differing_numbers(batch: Batch) -> dict[str, NDArray[Any]]:
+    """Return the numbers in which the systems differ, over the members, by their places such as forces[0].rate."""
+    numbers_of_systems = [dict(_numbers_of(system)) for system in batch.distinct]
+    found = dict[str, NDArray[Any]]()
+    for name in numbers_of_systems[0]:
+        values = [numbers.get(name) for numbers in numbers_of_systems]
+        shapes = {_shape_of_numbers(value) for value in values}
+        if len(shapes) == 1 and None not in shapes:
+            array = np.array(values)[batch.owners]
+            for indices in np.ndindex(*array.shape[1:]):
+                found[f"{name}{''.join(f'[{k}]' for k in indices)}"] = array[(slice(None), *indices)]
+    return {name: values for name, values in found.items() if np.any(values != values[0])}
+
+
+def _numbers_of(system: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the parameters of a system, the linear term of a run with inputs, and the parameters of its forces."""
+    plain = system.unforced
+    base = plain._base_parameters
+    known = plain.parameters if base is None else {**base, "linear": linear_of(plain.hamiltonian)}
+    yield from ((f"system.parameters.{name}", value) for name, value in (known or {}).items())
+    for k, force in enumerate(system.forces):
+        yield from _numbers_of_force(f"forces[{k}]", force)
+
+
+def _numbers_of_force(place: str, force: Force) -> Iterator[tuple[str, Any]]:
+    for name, value in force.parameters().items():
+        if isinstance(value, Force):
+            yield from _numbers_of_force(f"{place}.{name}", value)
+        else:
+            yield f"{place}.{name}", value
+
+
+def _shape_of_numbers(value: Any) -> tuple[int, ...] | None:
+    """Return the shape of a number or of an array of numbers; None for anything else."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged lists
+        return None
+    return array.shape if array.dtype.kind in "iuf" else None

@@ -95,7 +95,7 @@ def close(found, wanted, rtol, where=""):
         assert found == wanted, where
     else:
         assert np.shape(found) == np.shape(wanted), where
-        size = np.nanmax(np.abs(wanted), initial=0.0)
+        size = np.max(np.nan_to_num(np.abs(wanted)), initial=0.0)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=rtol * size, err_msg=where)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,9 +21,8 @@ from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import are_rotations, rotations_of
 from coadjoint.short_repr import short
-from coadjoint.systems.coefficients import linear_of
+from coadjoint.systems.batch import differing_numbers
 from coadjoint.systems.coordinates import coordinate_names
-from coadjoint.systems.forces.base import Force
 from coadjoint.systems.matrices.fluid_system import FluidSystem
 from coadjoint.systems.matrices.labelled_fields import CARRIED_FIELD, RELATIVE_VORTICITY
 
@@ -223,46 +222,15 @@ def coordinates_of(solution: Solution) -> Variables:
 
 def parameters_of(system: Any) -> Variables:
     """Return the numbers in which the systems of a batch differ, over the members, named like those of a sweep."""
-    if not system.is_batch:
-        return {}
-    numbers_of_systems = [dict(_numbers_of(member)) for member in system.distinct]
-    differing = dict[str, list[Any]]()
-    for name in numbers_of_systems[0]:
-        values = [numbers.get(name) for numbers in numbers_of_systems]
-        shapes = {_shape_of_numbers(value) for value in values}
-        if len(shapes) == 1 and None not in shapes:
-            differing[name] = values
-    return {
-        name: (dims, values[system.owners], attributes)
-        for name, (dims, values, attributes) in over_members(differing).items()
-        if np.any(values != values[0])
-    }
+    return over_members(differing_numbers(system)) if system.is_batch else {}
 
 
-def _numbers_of(system: Any) -> Iterator[tuple[str, Any]]:
-    """Yield the parameters of a system, the linear term of a run with inputs, and the parameters of its forces."""
-    plain = system.unforced
-    base = plain._base_parameters
-    known = plain.parameters if base is None else {**base, "linear": linear_of(plain.hamiltonian)}
-    yield from ((f"system.parameters.{name}", value) for name, value in (known or {}).items())
-    for k, force in enumerate(system.forces):
-        yield from _numbers_of_force(f"forces[{k}]", force)
-
-
-def _numbers_of_force(place: str, force: Force) -> Iterator[tuple[str, Any]]:
-    for name, value in force.parameters().items():
-        if isinstance(value, Force):
-            yield from _numbers_of_force(f"{place}.{name}", value)
-        else:
-            yield f"{place}.{name}", value
-
-
-def over_members(values: Mapping[str, list[Any]]) -> Variables:
+def over_members(values: Mapping[str, Any]) -> Variables:
     """Return the settings of a sweep, key -> values, as coordinates over the members."""
     return {name: (("member",), numbers, {"long_name": key}) for name, (key, numbers) in as_coordinates(values).items()}
 
 
-def as_coordinates(values: Mapping[str, list[Any]]) -> dict[str, tuple[str, NDArray[Any]]]:
+def as_coordinates(values: Mapping[str, Any]) -> dict[str, tuple[str, NDArray[Any]]]:
     """Return the settings of a sweep as coordinates along the members: name -> key, and a value for each member."""
     # Whole states are omitted, since a dataset has them as ``x0``.
     coordinates: dict[str, tuple[str, NDArray[Any]]] = {}
@@ -286,15 +254,6 @@ def as_coordinates(values: Mapping[str, list[Any]]) -> dict[str, tuple[str, NDAr
                 last = last.removeprefix(table)
             coordinates[_unused(f"swept_{safe_name(last)}", coordinates)] = (full_key, column)
     return coordinates
-
-
-def _shape_of_numbers(value: Any) -> tuple[int, ...] | None:
-    """Return the shape of a number or of an array of numbers; None for anything else."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # ragged lists
-        return None
-    return array.shape if array.dtype.kind in "iuf" else None
 
 
 def accounts_of_work(solution: Solution) -> list[tuple[str, str]]:
