@@ -28,10 +28,17 @@ REPRESENTATION = structured(
     keep=(None, {}),
 )
 CASIMIRS = structured(
-    (None, {}, {"C": co.Polynomial({(0, 2): 1})}, {"C": co.Invariant(lambda x: x[0])}),
-    ({"C": 1.0}, {"C": None}, {1: co.Polynomial({(0, 2): 1})}, {"C": co.Polynomial({(0, 0, 2): 1})}),
+    (None, {}, {"C": co.Polynomial({(0, 0): 1})}),
+    (
+        {"C": 1.0},
+        {"C": None},
+        {1: co.Polynomial({(0, 2): 1})},
+        {"C": co.Polynomial({(0, 0, 2): 1})},
+        {"C": co.Polynomial({(0, 2): 1})},
+        {"C": co.Invariant(lambda x: x[0])},
+    ),
     keep=(None, "", {}),
-)
+).but_called("[cC]asimir")
 CONSTANTS = structured(
     ([(0, 1, 1, 1.0)], [], [(0, 1, 0, 2), (1, 0, 0, -2)], np.zeros((2, 2, 2))),
     ([(0, 1, 2, 1.0)], [(-1, 1, 0, 1.0)], [(0, 0, 1, 1.0)], [(0, 1, 1, math.nan)], [(0, 1, 1, 1j)], [(0, 1, 1, "1")],
