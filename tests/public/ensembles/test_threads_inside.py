@@ -136,7 +136,7 @@ MORE = {
 
 @pytest.mark.thinned(4)
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
-@pytest.mark.parametrize("name", long_where(["two stages by Newton and Krylov"], MORE))
+@pytest.mark.parametrize("name", long_where(["two stages by Newton and Krylov", "midpoint by Newton and Krylov"], MORE))
 def test_every_scheme_on_large_states_has_the_same_bits_and_energies(name):
     make, method, step = MORE[name]
     system = make()
