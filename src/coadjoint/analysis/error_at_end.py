@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.error_estimates import loses_digits
+from coadjoint.analysis.error_estimates import WHOLE_STEP_TOLERANCE, loses_digits
 from coadjoint.analysis.measured_steps import OF_ZERO, trial_states
 from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.methods.forced import effective_scheme
@@ -31,7 +31,6 @@ SAMPLED_REFINEMENTS = (1.5, 2.5)  # the same of runs with samples, rounded up to
 ROUNDOFF_FACTOR = 16.0
 # Largest number of saved points of a finer run, and of numbers saved at once.
 MAX_SAVED_POINTS = 256
-WHOLE_STEP_TOLERANCE = 2.0**-40  # relative tolerance for a whole number of steps
 MAX_SAVED_NUMBERS = 2**22
 # With fewer steps the error may not scale with the order; a finer run takes at least this many more.
 FEW_STEPS = 20

@@ -113,6 +113,13 @@ def clear_denominators(values: list[Fraction]) -> NDArray[Any]:
     return exact_numbers(value.numerator * (common // value.denominator) for value in values)
 
 
+def coprime_integers(values: Iterable[Any]) -> list[Any]:
+    """Return coprime integers in the ratios of some numbers, the first of them positive."""
+    integers = clear_denominators([Fraction(value) for value in values]).tolist()
+    common = math.gcd(*integers) * (1 if integers[0] > 0 else -1)
+    return [value // common for value in integers]
+
+
 def jacobi_exact(triples: Triples, integers: NDArray[Any], dim: int) -> bool:
     """Return whether integer constants fulfil the Jacobi identity exactly."""
     # Two random evaluations of a trilinear form that is not zero both vanish with probability < 2^-120 (Schwartz,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples, summands
-from coadjoint.algebra.exact.elimination import clear_denominators, generic_rank, rational_constants
+from coadjoint.algebra.exact.elimination import coprime_integers, generic_rank, rational_constants
 from coadjoint.algebra.exact.sparse_sums import Integers
 from coadjoint.algebra.invariants.casimir_equations import (
     Vector,
@@ -61,10 +61,7 @@ def _polynomial(vector: Vector, basis: Integers, dim: int) -> Polynomial:
     """Convert coefficients to a polynomial; rational ones are scaled to primitive integers."""
     values = list(vector.values())
     if not any(isinstance(value, float) for value in values):
-        integers = clear_denominators(
-            [Fraction(value) for value in values]
-        ).tolist()  # primitive, since the first fraction is 1
-        values = [value // math.gcd(*integers) for value in integers]
+        values = coprime_integers(values)
     exponents = (np.bincount(basis[column], minlength=dim).tolist() for column in vector)
     return Polynomial({tuple(e): value for e, value in zip(exponents, values, strict=True)})
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.constants import Triples
-from coadjoint.algebra.exact.elimination import Span, clear_denominators
+from coadjoint.algebra.exact.elimination import Span, coprime_integers
 from coadjoint.algebra.exact.numbers import as_fraction, fraction, rational
 from coadjoint.algebra.invariants.casimir_equations import equations, monomial_count, monomials
 from coadjoint.algebra.invariants.invariant import ANGLE, LOGARITHM, QUOTIENT, LogarithmicSum
@@ -98,9 +98,7 @@ def semi_invariant_casimirs(
 def _simplified(invariant: LogarithmicSum) -> LogarithmicSum:
     """Scale to coprime weights if their ratios are simple, and return a quotient of polynomials for logarithms."""
     terms = sorted(invariant.terms, key=lambda term: _ORDER[term.kind])
-    weights = clear_denominators([Fraction(term.weight) for term in terms]).tolist()
-    common = math.gcd(*weights) * (1 if weights[0] > 0 else -1)
-    weights = [weight // common for weight in weights]
+    weights = coprime_integers(term.weight for term in terms)
     if max(map(abs, weights)) > MAX_WEIGHT:
         return LogarithmicSum(invariant.dim, tuple(terms)) * (1 / Fraction(terms[0].weight))
     scaled = tuple(term._replace(weight=weight) for term, weight in zip(terms, weights, strict=True))
@@ -148,7 +146,7 @@ def _shifted(triples: Triples, integers: NDArray[Any], dim: int, degree: int) ->
         if root is None:
             continue
         shifted = generic * generic - generic * (2 * root[0]) + _identity(count) * (root[0] ** 2 + root[1] ** 2)
-        block, _ = _kernel(_power(shifted if root[1] else generic - _identity(count) * root[0], power))
+        block, _ = _kernel((shifted if root[1] else generic - _identity(count) * root[0]) ** power)
         parts = [_restricted(action, block) for action in actions]
         own = _restricted(generic, block)
         for pieces, character in _of_block(parts, own, root):
@@ -236,13 +234,6 @@ def _identity(size: int) -> fmpq_mat:
     return fmpq_mat(size, size, [int(i == j) for i in range(size) for j in range(size)])
 
 
-def _power(matrix: fmpq_mat, power: int) -> fmpq_mat:
-    result = matrix
-    for _ in range(power - 1):
-        result = result * matrix
-    return result
-
-
 def _kernel(matrix: fmpq_mat) -> tuple[fmpq_mat, list[int]]:
     """Return a basis of the kernel as columns, and the rows in which it is the identity."""
     from flint import fmpq_mat
@@ -317,6 +308,5 @@ def _quotient(numerator: Polynomial, denominator: Polynomial) -> LogarithmicSum:
 
 def _primitive(polynomial: Polynomial) -> Polynomial:
     """Return the multiple with coprime integers, the first of which is positive."""
-    integers = clear_denominators([Fraction(value) for value in polynomial.monomials.values()])
-    common = math.gcd(*integers) * (1 if integers[0] > 0 else -1)
-    return Polynomial(dict(zip(polynomial.monomials, (value // common for value in integers), strict=True)))
+    integers = coprime_integers(polynomial.monomials.values())
+    return Polynomial(dict(zip(polynomial.monomials, integers, strict=True)))
