@@ -47,6 +47,7 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
             found = co.lyapunov(heavy_top(), UPRIGHT, **given, method=method)
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            warnings.simplefilter("default", co.LongWait)  # of a busy machine
             ensemble = co.lyapunov(heavy_top(), [0.5 * UPRIGHT, UPRIGHT], **given, method=method, exponents=2)
         assert ensemble.stretches[:, 1].tobytes() == np.ascontiguousarray(found.stretches[:, :2]).tobytes()
         step, product, wanted = co.stepper(heavy_top(), method, 0.125), np.eye(6), []

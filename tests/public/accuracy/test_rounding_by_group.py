@@ -185,6 +185,7 @@ def test_small_groups_that_keep_their_digits_do_not_warn(ratio):
     system, x0 = spins(ratio), SPINS / np.repeat([1.0, ratio], 3)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         sol = co.integrate(system, x0, (0, 20), 0.05, METHOD, save_every=20)
     better = co.integrate(system, x0, (0, 20), 0.05 / 8, METHOD, save_every=160)
     errors = np.linalg.norm((sol.x - better.x).reshape(-1, 2, 3), axis=2)[-1] / np.linalg.norm(x0.reshape(2, 3), axis=1)
@@ -206,6 +207,7 @@ def test_a_small_spin_that_steps_do_not_follow_is_warned_of(ratio):
     assert second > 0.1 > 0.02 > first
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         co.integrate(system, x0, (0, 10), 0.005)
 
 
@@ -225,6 +227,7 @@ def test_groups_that_are_zero_but_for_rounding_do_not_warn(start_of_L):
     x0[:3] = 0.0, 0.0, start_of_L
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         sol = co.integrate(body, x0, (0, STEPS * STEP), STEP, METHOD)
     assert sol.error_estimate(by_group=True)["r"] < 1e-3
 
@@ -292,6 +295,7 @@ def test_groups_whose_squares_are_no_numbers_raise_no_warning(group, size):
     x0[3 * group : 3 * group + 3] *= size
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         sol = co.integrate(lattice, x0, (0, 1 / max(1.0, size)), 0.1 / max(1.0, size))
         sol.step_error(by_group=True), sol.error_estimate(by_group=True)
 

@@ -34,6 +34,7 @@ def found_up_to(g, degree):
     """All Casimirs found, with the warning where one is missing."""
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", co.LongWait)  # of a busy machine
         found = g.casimirs(degree)
     assert found.corank == g.dim - g.generic_rank() == len(found.independent) + found.missing
     assert [found.sentence in str(one.message) for one in told] == [True] * bool(found.missing)

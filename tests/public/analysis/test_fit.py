@@ -424,6 +424,7 @@ def test_residuals_that_contradict_sigma_are_reported(factor):
     ready = co.prepare(co.systems.rigid_body((1.0, 1.9, 2.6)), SCHEME, 0.05)
     with warnings.catch_warnings(record=True) as noticed:
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", co.LongWait)  # of a busy machine
         found = co.fit(ready, X0, (0, 10), rates, {"inertia": (1, 2), "x0": True}, 5, sigma=GYRO)
     assert found.degrees_of_freedom == 123 - 5 and "118 degrees of freedom" in repr(found)
     assert [("contradict sigma" in str(one.message)) for one in noticed] == [True] * (factor > 1.0)
@@ -441,6 +442,7 @@ def test_rates_given_as_momenta_are_reported(name, sigma, known):
     start, unknown = (sol.x[0], {}) if known else (measured[0], {"x0": True})
     with warnings.catch_warnings(record=True) as noticed:
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", co.LongWait)  # of a busy machine
         co.fit(
             co.prepare(body, SCHEME, 0.05), start, (0, 10), {"x": measured}, {"inertia": (1, 2), **unknown}, 4,
             sigma={"x": sigma},

@@ -599,6 +599,7 @@ def test_gradients_through_steps_that_contract_warn_of_their_errors(members, for
         _, pullback = ready.vjp(x0, (0.0, 2 * step))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
+            warnings.simplefilter("ignore", co.LongWait)  # of a busy machine
             gradient = pullback(x=weights)["x0"]
         error = np.abs(gradient @ direction - tangents.x[-1] @ weight)
         size = np.abs(gradient * direction).sum(axis=1) + np.abs(tangents.x[-1] * weight).sum(axis=1)
@@ -630,6 +631,7 @@ def test_warnings_of_gradients_are_those_of_the_step_that_contracts_most(end, lo
     weights[-1] = 0.2, 0.6, 1.0
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
+        warnings.simplefilter("ignore", co.LongWait)  # of a busy machine
         pullback(x=weights)
     assert [warning.category for warning in caught] == [co.LargeStepWarning] * lost
 

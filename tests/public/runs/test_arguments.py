@@ -358,6 +358,7 @@ def test_choices_near_a_blow_up_are_refused_without_warnings(x0):
     system = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0]))
     with warnings.catch_warnings(), refused(ValueError):
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         co.choose(system, x0, (0, 1), 1e-6)
 
 

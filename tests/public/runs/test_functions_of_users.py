@@ -33,6 +33,7 @@ def test_one_text_at_many_sites():
     """Without the warning of many functions. Each spin turns about its axis, by a cosh(y)-slope that it keeps."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         system = spins([times(0.7251)] * 40 + [times(0.7251) for _ in range(40)])
         sol = co.integrate(system, np.tile([0.3, 0.4, -0.2], 80), (0.0, 0.5), 0.05, co.Splitting())
     angle = 0.5 * 0.7251 * np.sinh(0.3)
@@ -48,6 +49,7 @@ def test_many_functions_are_warned_of_before_they_are_compiled(pairs, warns):
     system = spins([times(5.0 + k) for k in range(pairs)])
     with warnings.catch_warnings():
         warnings.simplefilter("error", UserWarning)
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         if warns:
             with refused(UserWarning, "48", "functions"):
                 co.prepare(system, co.Splitting(), 0.1)

@@ -172,6 +172,7 @@ def test_a_compiled_step_reads_a_driven_system_at_any_time():
     field = system.structure_matrix(x)[:2, :3] @ [f * np.sinh(0.3), 4 * f, 1.0]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         found = co.stepper(system, Readings(), 0.25)(x, 0.75)
     np.testing.assert_allclose(found, [*values, after * np.sinh(0.3), 4 * after, *field], rtol=1e-13)
 
@@ -299,6 +300,7 @@ def test_a_step_may_run_other_loops(inner):
     for depth, method in enumerate((RunningAnother(inner), RunningAnother(RunningAnother(inner)))):
         with warnings.catch_warnings():
             warnings.simplefilter("error")
+            warnings.simplefilter("default", co.LongWait)  # of a busy machine
             found = co.integrate(system, x0, (0, 2), 0.1, method, threads=1)
         state = x0
         for _ in range(20):

@@ -133,6 +133,7 @@ def test_a_changed_default_warns_once():
     for name, function in calls.items():
         with warnings.catch_warnings(record=True) as noticed:
             warnings.simplefilter("always")
+            warnings.simplefilter("ignore", co.LongWait)  # of a busy machine
             function(absolute=True)
             function(absolute=False)
             still.to_grid(np.zeros((5, 5)))

@@ -101,6 +101,7 @@ def test_motors_hold_a_disturbance_at_the_angle_of_a_spring(first, h):
     sat = S.body(MOMENTS, wheels=TILTED).with_forces(*(forces[::-1] if first else forces))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("default", co.LongWait)  # of a busy machine
         sol = co.integrate(sat, sat.state(wheel_speeds=0.1 * SPEEDS), (0, 800), h)
     # The slowest mode decays at K / damping per unit of time; gyroscopic coupling slows it down.
     assert sol.rotation[-1].magnitude() == pytest.approx(np.arcsin(np.linalg.norm(torque) / K), abs=1e-8)
