@@ -19,7 +19,7 @@ from coadjoint.errors import (
     unknown_attribute,
     unknown_name,
 )
-from coadjoint.keyword_hints import ATTRIBUTES, FUNCTIONS, KEYWORDS, PICTURES
+from coadjoint.keyword_hints import vocabulary
 from coadjoint.short_repr import short
 from guards import bounded_work
 
@@ -111,21 +111,23 @@ def test_one_line_errors():
 
 def test_what_hints_name_exists():
     known = {*inspect.signature(co.integrate).parameters, *inspect.signature(co.systems.rigid_body).parameters}
-    for keyword, answer in KEYWORDS.items():
+    for keyword, answer in vocabulary("arguments").items():
         name, equals, _ = answer.partition("=")
         assert keyword not in inspect.signature(co.integrate).parameters
-        assert not equals or " " in name or name in known, keyword
+        assert equals and name in known, keyword
     run = co.integrate(co.systems.rigid_body(), (1.0, 0.1, 0.2), (0, 0.5), 0.25)
-    for name, answer in ATTRIBUTES.items():
+    attributes, functions = vocabulary("attributes of solutions"), vocabulary("functions")
+    for name, answer in attributes.items():
         first = re.split(r"[,( ]", answer)[0]
         assert (hasattr(type(run), first) or hasattr(run, first)) and not hasattr(run, name), answer
-    for answer in {*FUNCTIONS.values(), *KEYWORDS.values(), *ATTRIBUTES.values()}:
+    arguments = vocabulary("arguments") | vocabulary("arguments elsewhere")
+    for answer in {*functions.values(), *arguments.values(), *attributes.values()}:
         for name in re.findall(r"\bco\.([\w.]*\w)", answer):
             attrgetter(name)(co)  # an AttributeError has the name
         for name in re.findall(r"\bsol\.(\w+)", answer):
             assert hasattr(co.Solution, name), answer
-    assert all("co." in answer for answer in FUNCTIONS.values())
-    assert set(PICTURES.values()) <= set(co.plotting.kinds())
+    assert all("co." in answer for answer in functions.values())
+    assert set(vocabulary("pictures").values()) <= set(co.plotting.kinds())
 
 
 def represented(text):
