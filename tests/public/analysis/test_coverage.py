@@ -172,10 +172,13 @@ def test_intensities_of_few_members():
 
 
 @pytest.mark.parametrize("count", [6, pytest.param(SEEDS, marks=pytest.mark.long)])
-@pytest.mark.parametrize(("members", "samples", "sigma"), [(3, 201, 0.003), (3, 101, 0.02)])
-def test_identified_coefficients(count, members, samples, sigma):
-    """Three orbits of a body; some radii leave one degree of freedom, which is not enough to be chosen by."""
-    z, H = [], BODY.hamiltonian.to_polynomial()
+@pytest.mark.parametrize(
+    ("members", "samples", "sigma", "hidden"),
+    [(3, 201, 0.003, 0), (3, 101, 0.02, 1), (1, 81, 0.003, 2), (1, 81, 0.03, 5), (1, 41, 0.003, 5)],
+)
+def test_identified_coefficients(count, members, samples, sigma, hidden):
+    """Of a body; noise hides directions of a part of an orbit, and some radii leave one degree of freedom."""
+    z, undetermined, H = [], [], BODY.hamiltonian.to_polynomial()
     for seed in range(count):
         rng = np.random.default_rng(seed)
         x0 = rng.normal(size=(members, 3))
@@ -185,8 +188,11 @@ def test_identified_coefficients(count, members, samples, sigma):
         wanted = found.coefficients_of(H)
         error = [found.hamiltonian.monomials.get(e, 0.0) - w for e, w in zip(found.exponents, wanted, strict=True)]
         z.append(np.array(error) / found.standard_deviation)
+        undetermined.append(len(found.undetermined))
     z = np.abs(z)
-    assert np.max(z) < 5 and np.mean(z < 2) > 0.87 and 0.5 < np.mean(z < 1) < 0.9
+    few = 0.3 / np.sqrt(count)
+    assert np.max(z) < 5 and np.mean(z < 2) > 0.9 - few and 0.57 - few < np.mean(z < 1) < 0.8 + few
+    assert np.mean(undetermined) <= hidden, "no more than noise hides"
 
 
 def test_few_equations_have_students_factor():
