@@ -37,7 +37,7 @@ test: kernels
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	{ $(BIN)/mypy && $(MAKE) --no-print-directory pages; } > $(VENV)/checks.txt 2>&1 & checks=$$!; \
-	NUMBA_OPT=1 $(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci; tests=$$?; \
+	NUMBA_OPT=1 $(ONE_THREAD) $(BIN)/pytest -n 2 --dist loadfile -m "not long" --hypothesis-profile=ci; tests=$$?; \
 	wait $$checks || tests=1; cat $(VENV)/checks.txt; exit $$tests
 
 # Every page of the site is read, with warnings such as links that lead nowhere as errors, and none is written; pictures

@@ -7,11 +7,9 @@ import math
 import numpy as np
 import pytest
 from drawn_runs import BARE, BODY, SPIN, T0, TURN, axes_of, colour, limits_of, made, made_at, spinning
-from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 import coadjoint as co
-from refusals import refused
 
 level_surface = co.plotting.level_surface
 
@@ -94,33 +92,6 @@ def test_a_motion_that_stays_in_a_plane_or_at_a_point_has_a_box(x):
     np.testing.assert_allclose(limits, np.add.outer(x, [-1.0, 1.0]) * 1.0 + np.outer([4.6, -0.6, 0.4], [-1, 1]))
 
 
-def _three_dimensional(figure: Figure) -> list:
-    return [axes for axes in figure.axes if axes.name == "3d"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("system", "x0", "name", "shown_as"),
-    [
-        (
-            co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7])),
-            (1.0, 0.3, 0.5),
-            "x1*x3 + x2^2",
-            "$x_{1}\\,x_{3} + x_{2}^2$",
-        ),
-        (co.systems.paper_a37(), (1.0, 1.0, 1.0), "log C", "$\\log C$"),
-    ],
-)
-def test_surfaces_that_are_not_compact(
-    system: co.LiePoissonSystem, x0: tuple[float, ...], name: str, shown_as: str
-) -> None:
-    run = co.integrate(system, x0, (0.0, 10.0), 0.02)
-    orbit = _three_dimensional(run.plot())[0]
-    assert shown_as in orbit.get_title()
-    for i, limits in enumerate((orbit.get_xlim(), orbit.get_ylim(), orbit.get_zlim())):
-        assert limits[0] < run.x[:, i].min() and run.x[:, i].max() < limits[1]
-
-
 def test_the_surface_of_an_angle_goes_through_the_orbit_along_its_cut() -> None:
     """A spiral r = exp(2 angle) beside the axis of A3,7, on which the logarithm with the angle is a constant."""
     angle = np.linspace(0.5 * np.pi, 1.5 * np.pi, 400)
@@ -134,19 +105,6 @@ def test_the_surface_of_an_angle_goes_through_the_orbit_along_its_cut() -> None:
     distances = np.linalg.norm(seen[::20, None] - corners, axis=-1).min(axis=1)
     # A cell of the surface is a 36th of the box.
     assert np.max(distances) < 1.5 / 36 * np.ptp(corners, axis=0).max()
-
-
-def test_long_runs_are_thinned_to_what_can_be_seen() -> None:
-    run = co.integrate(BODY, (0.1, 1.0, 0.1), (0.0, 18000.0), 0.1)
-    _, components, orbit = run.plot().axes
-    (path,) = (line for line in orbit.lines if len(line.get_data_3d()[0]) > 1)
-    assert len(path.get_data_3d()[0]) <= 20_001
-    # 180 001 points and more than 600 turning points of each component: three envelopes that reach as far as they do
-    assert [band.get_label() for band in components.collections] == ["$x_{1}$", "$x_{2}$", "$x_{3}$"]
-    for i, band in enumerate(components.collections):
-        corners = band.get_paths()[0].vertices
-        assert corners[:, 0].max() == run.t[-1]
-        assert (corners[:, 1].min(), corners[:, 1].max()) == (run.x[:, i].min(), run.x[:, i].max())
 
 
 BOX = [(-1.3, 1.2)] * 3
@@ -176,15 +134,6 @@ def test_surface_is_closed() -> None:
     normal = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     outward = np.sign(np.einsum("ij,ij->i", normal, triangles.mean(axis=1)))
     assert np.linalg.norm((normal * outward[:, None]).sum(axis=0)) < 1e-7 * np.abs(normal).sum()
-
-
-def test_level_that_is_not_met_gives_nothing() -> None:
-    assert level_surface(co.algebras.so(3).casimirs_known["|x|^2"], 100.0, BOX, cells=5).shape == (0, 3, 3)
-
-
-def test_wrong_box_is_refused() -> None:
-    with refused(ValueError, "pairs"):
-        level_surface(lambda x: x[0], 0.0, [(0.0, 0.0)] * 3)
 
 
 @pytest.mark.parametrize(

@@ -114,20 +114,6 @@ def test_the_subtracted_casimirs_as_a_formula(name, sign):
     assert eval(formula, {"__builtins__": {}}, values) == pytest.approx(wanted, rel=1e-5)
 
 
-@pytest.mark.parametrize("size", [1, 5, 6, 7, 9])
-def test_a_part_of_many_generators_is_shown_by_the_first_six_and_their_number(size):
-    algebra = co.algebras.heisenberg(9)
-    system = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(19)), casimirs={})
-    groups = [[*range(size)], [*range(size, 9), 18], [*range(9, 18)]]
-    found = co.Splitting(parts=groups).describe(system)
-    lines = str(found).split("\n")
-    for own in groups:
-        names = tuple(algebra.basis[i] for i in own)
-        number = 1 + [part.generators for part in found.parts].index(names)
-        shown = names if len(names) <= 6 else (*names[:6], f"... ({len(names)})")
-        assert lines[number].startswith(f"  part {number}: {', '.join(shown)}: ")
-
-
 def test_number_of_parts_does_not_grow_with_a_lattice():
     """Three parts of equal components, and two of different ones, in which the sites of each sublattice are alike."""
     for side in (4, 10):
@@ -172,22 +158,3 @@ def test_two_copies_of_a_system_have_twice_the_operations_in_as_many_flows(name)
         assert len(both.generators) == 2 * len(single.generators)
     for said in (one, two):
         assert f"{said.multiplications} multiplications" in str(said) and f"{said.functions} sines" in str(said)
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("size", [2, 6, 7, 9])
-def test_a_sum_of_many_functions_is_shown_by_the_first_six_and_the_number_of_the_others(size):
-    algebra = co.algebras.heisenberg(5)
-
-    def energy(x):
-        total = 0.0 * x[0]
-        for i in range(size):
-            total = total + np.cos(x[i] * (i + 1))
-        return total
-
-    system = co.LiePoissonSystem(algebra, co.Hamiltonian(energy), casimirs={})
-    found = co.Splitting().describe(system)
-    shown = [f"a function of {name}" for name in algebra.basis[: min(size, 6)]]
-    shown += {7: ["1 more function"], 9: ["3 more functions"]}.get(size, [])
-    assert found.found == (f"the sum of {' and '.join(shown)}",)
-    assert str(found).split("\n")[1] == f"  a function in H is {found.found[0]}"
