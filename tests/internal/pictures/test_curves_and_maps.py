@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from types import SimpleNamespace
 
 import mpmath
@@ -11,12 +10,10 @@ import pytest
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3D
-from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 import coadjoint as co
 from coadjoint.pictures.artists import FadingLine
-from coadjoint.pictures.curves import COLUMNS, FAR_ALPHA, draw_series, envelope, towards_viewer, unit_vectors
-from coadjoint.pictures.kinds.directions import _rotation_to_vertical
+from coadjoint.pictures.curves import FAR_ALPHA, draw_series, unit_vectors
 from coadjoint.pictures.kinds.quantities import flip_times
 from coadjoint.pictures.kinds.vorticity import PROJECTIONS
 from coadjoint.pictures.plot_data import REFINED_TOLERANCE, REFINED_TURN, PlottedRun, _chord_duration
@@ -24,7 +21,6 @@ from coadjoint.pictures.plot_data import REFINED_TOLERANCE, REFINED_TURN, Plotte
 T0, FADING = 7.3, {"faint": FAR_ALPHA, "hollow": "white"}
 SENSES = [1.0, -1.0]
 BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
-SPIN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
 
 
 def drawn_with(t, values, joined):
@@ -55,23 +51,6 @@ def test_an_attitude_turns_where_the_momentum_rests():
     turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
     # It turns by one radian in a unit of time.
     assert 0.9 * REFINED_TURN < turned.max() <= REFINED_TURN * (1 + 1e-9)
-
-
-@pytest.mark.parametrize("points", [601, 3000, 6001, 7777])
-def test_envelopes_hold_every_point_in_its_own_stretch(points):
-    rng = np.random.default_rng(points)
-    t, values = T0 + np.sort(rng.random(points)), rng.normal(size=points)
-    values[-1], values[0] = 9.0, -9.0
-    edges = np.linspace(0, points, COLUMNS + 1).astype(int)
-    values[edges[10] : edges[11]] = np.nan
-    middle, low, high = envelope(t, values, COLUMNS)
-    # The stretches, one after the other: their ends are the points of a new column.
-    for k, (first, last) in enumerate(pairwise(edges)):
-        own = values[first:last]
-        np.testing.assert_array_equal([low[k], high[k]], [own.min(), own.max()])
-        inside = (t[0], t[-1])[k > 0] if k in (0, COLUMNS - 1) else 0.5 * (t[first] + t[last - 1])
-        assert middle[k] == inside
-    assert high[-1] == 9.0 and low[0] == -9.0
 
 
 @pytest.mark.thinned(1)
@@ -105,47 +84,6 @@ def test_no_line_of_a_map_crosses_its_edge(name, seed):
         np.testing.assert_allclose((x[0], y[0]), wanted, atol=2e-3)
 
 
-def uneven(count: int, sense: float, span: float = 4.0) -> np.ndarray:
-    """Return times of a span, three quarters of them in its first quarter."""
-    steps = np.where(np.arange(count - 1) < 0.75 * (count - 1), 1.0, 9.0)
-    steps *= np.random.default_rng(count).uniform(0.5, 1.5, count - 1)
-    return T0 + sense * span * np.append(0.0, np.cumsum(steps)) / steps.sum()
-
-
-@pytest.mark.parametrize("sense", SENSES)
-def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense):
-    t = uneven(200, sense, 10.0)
-    x = np.stack([np.cos(t - T0), -np.sin(t - T0), 0.0 * t + 0.5], axis=-1)
-    if np.sign(SPIN.vector_field(x[0])[1]) > 0:
-        x[:, 1] *= -1.0
-    field, wanted = SPIN.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
-    error = np.abs(np.diff(t)).max() ** 4 / 384.0
-    np.testing.assert_allclose(flip_times(field, t, x, 0), wanted, rtol=0, atol=error)
-    np.testing.assert_allclose(flip_times(field, t, x, 0, max_count=2), wanted[:2], rtol=0, atol=error)
-    # A saved point exactly at the second one, and a start and an end at which the coordinate is zero.
-    k = int(np.argmin(np.abs(t - wanted[1])))
-    t[k], x[k] = wanted[1], [0.0, x[k, 1], 0.5]
-    found = flip_times(field, t, x, 0)
-    assert len(found) == 3 and found[1] == pytest.approx(wanted[1], abs=1e-12)
-    np.testing.assert_allclose(flip_times(field, t, x, 1), T0 + sense * np.pi * np.arange(1, 4), rtol=0, atol=error)
-    x[k] = np.nan
-    assert len(flip_times(field, t, x, 0)) == 2
-
-
-@pytest.mark.parametrize(
-    ("alone", "style"),
-    [(slice(1, None, 2), "None"), (slice(2, None, 3), "-"), (slice(30, 31), "-"), (slice(0, 0), "-")],
-)
-def test_points_between_gaps_are_dots_since_lines_do_not_show_them(alone, style):
-    t, values = uneven(100, 1.0), np.linspace(1.0, 2.0, 100)
-    values[alone] = np.nan
-    axes = Figure().add_subplot()
-    draw_series(axes, t, values, True, color="C0", linewidth=1.0)
-    (line,) = axes.lines
-    assert line.get_linestyle() == style
-    np.testing.assert_array_equal(line.get_data(), [t, values])
-
-
 @pytest.mark.parametrize("sense", SENSES)
 def test_the_longest_chord_is_that_of_the_member_and_time_that_turn_most(sense):
     """x' = a (cos(w t^2), sin(w t^2)) has the acceleration 2 a w |t|, at fixed times none."""
@@ -162,20 +100,6 @@ def test_the_longest_chord_is_that_of_the_member_and_time_that_turn_most(sense):
         wanted = (8.0 * REFINED_TOLERANCE / max(turning)) ** 0.5
         # The difference over 1e-5 of the path leaves the third derivative, of relative size w t dt.
         assert _chord_duration(run) == pytest.approx(wanted, rel=2e-2)
-
-
-@pytest.mark.parametrize(
-    "v", [*np.random.default_rng(3).normal(size=(5, 3)), [0, 0, 2.0], [0, 0, -3.0], [1e-9, 0, -1.0]]
-)
-def test_a_vector_is_raised_by_the_shortest_rotation(v):
-    v = np.array(v, dtype=np.float64)
-    R, size = _rotation_to_vertical(v), np.linalg.norm(v)
-    # The divisor 1 + u3 is at least 1e-12, if u3 is not taken for -1.
-    np.testing.assert_allclose(R @ v / size, [0.0, 0.0, 1.0], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), rtol=0, atol=1e-12)
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    assert np.trace(R) == pytest.approx(1.0 + 2.0 * v[2] / size, abs=1e-8), "the angle is that between both"
-    np.testing.assert_array_equal(_rotation_to_vertical(0.0 * v), np.eye(3))
 
 
 @pytest.mark.parametrize("name", PROJECTIONS)
@@ -210,15 +134,6 @@ def space(elevation, around):
     axes.set(xlim=(-1.0, 3.0), ylim=(0.0, 1.5), zlim=(5.0, 6.0))
     axes.set_box_aspect((2.0, 1.0, 3.0))
     return axes
-
-
-@pytest.mark.parametrize("elevation, around", [(20.0, 35.0), (-50.0, 200.0), (0.0, -90.0)])
-def test_points_along_the_line_of_sight_are_drawn_at_one_place(elevation, around):
-    axes = space(elevation, around)
-    towards, start = towards_viewer(axes), np.array([0.7, 0.4, 5.3])
-    places = np.array([proj_transform(*(start + s * towards), axes.get_proj()) for s in (0.0, 0.1, 0.7)])
-    np.testing.assert_allclose(places[1:, :2], [places[0, :2]] * 2, rtol=0, atol=1e-12)
-    assert places[0, 2] > places[1, 2] > places[2, 2], "towards the viewer the depth decreases"
 
 
 @pytest.mark.parametrize("joined", [True, False])

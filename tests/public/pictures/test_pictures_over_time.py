@@ -11,16 +11,13 @@ from drawn_runs import (
     BODY,
     SENSES,
     T0,
-    Picture,
     axes_of,
     data,
     made,
     made_at,
-    shown,
-    spinning,
 )
 from matplotlib import colormaps
-from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_hex
 
 import coadjoint as co
@@ -29,8 +26,6 @@ from rounding import UNIT_ROUNDOFF
 CHORD_TOLERANCE = 1e-3
 """Largest distance of a chord from the motion, of the size of the path."""
 X0 = (0.1, 1.0, 0.1)
-GOOD = [[0.1, 1.0, 0.2], [1.0, 0.2, 0.3]]
-STYLE = ("color", "label", "linewidth")
 
 
 INERTIAS = ((1.0, 2.0, 3.0), (1.0, 2.0, 2.5), (1.5, 2.0, 3.2))
@@ -62,27 +57,6 @@ def uneven(count: int, sense: float, span: float = 4.0) -> np.ndarray:
     return T0 + sense * span * np.append(0.0, np.cumsum(steps)) / steps.sum()
 
 
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("count", [30, 1001])
-@pytest.mark.parametrize("sense", SENSES)
-def test_rows_of_sites_and_their_scale(sense, count):
-    t, x = uneven(count, sense), np.random.default_rng(2).normal(size=(count, 2, 6)) - 0.3
-    run = made_at(t, x, co.systems.toda_ring(3))
-    rows = np.unique(np.linspace(0, count - 1, min(count, 400)).round().astype(int))
-    for centred in (True, False):
-        axes = axes_of(run, "space-time", [1], sites=lambda n: [4, 0, 5], label="b", centred=centred)
-        (mesh,) = (found for found in axes.collections if isinstance(found, QuadMesh))
-        values = x[rows, 1][:, [4, 0, 5]]
-        np.testing.assert_array_equal(mesh.get_array(), values)
-        edges = mesh.get_coordinates()[:, 0, 1]
-        np.testing.assert_allclose(edges[1:-1], 0.5 * (t[rows][1:] + t[rows][:-1]), rtol=0, atol=1e-12)
-        assert edges[0] == pytest.approx(1.5 * t[0] - 0.5 * t[rows[1]])
-        assert mesh.get_coordinates()[0, :, 0].tolist() == [0.5, 1.5, 2.5, 3.5]
-        largest = np.abs(values).max()
-        assert mesh.get_clim() == ((-largest, largest) if centred else (values.min(), values.max()))
-    assert axes.get_title() == "b over site and time, member 1" and axes.get_xlabel() == "site"
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("members", [None, [1], [1, 0]])
 @pytest.mark.parametrize("sense", SENSES)
@@ -98,46 +72,6 @@ def test_errors_are_those_of_each_member_at_its_times(sense, members):
         wanted = np.abs(off[at, m]) / np.linalg.norm(starts[m])
         np.testing.assert_allclose(line.get_ydata()[1:], wanted[1:], rtol=0, atol=1e-13)
         assert not line.get_ydata()[0] > 1e-15 and axes.get_yscale() == "log"
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("sense", SENSES)
-@pytest.mark.parametrize(
-    ("side", "first", "last", "span"), [("center", 0.0, 5.0, 5.0), ("left", 0.0, 4.0, 12.0), ("right", 8.0, 12.0, 12.0)]
-)
-def test_changes_of_sign_are_marked_at_their_times(sense, side, first, last, span):
-    """A spin turns between two times, and rests before and after; it is at right angles half a unit after the first."""
-    tau = np.linspace(0.0, span, 2001)
-    run = spinning(np.pi / 2 - 0.5 + np.clip(tau, first, last) - first, T0 + sense * tau, sense)
-    axes = axes_of(run, "components", chosen=[0], flips=0)
-    times = T0 + sense * (first + 0.5 + np.array([0.0, np.pi]))
-    dotted = [line for line in axes.lines if line.get_linestyle() == ":"]
-    np.testing.assert_allclose([line.get_xdata() for line in dotted], np.stack([times] * 2, axis=1), rtol=0, atol=1e-9)
-    (text,) = (found for found in axes.texts if found.get_text())
-    assert float(text.get_text().rpartition(" ")[2]) == pytest.approx(np.pi, abs=1e-5)
-    (arrow,) = (found for found in axes.texts if not found.get_text())
-    ends = np.array([arrow.xyann, arrow.xy])
-    np.testing.assert_allclose(np.sort(ends[:, 0]), np.sort(times), rtol=0, atol=1e-9)
-    low, high = axes.get_ylim()
-    assert ends[0, 1] == ends[1, 1] == text.get_position()[1] == dotted[0].get_ydata()[1]
-    assert low < run.x[:, 0].min() and run.x[:, 0].max() < ends[0, 1] < high
-    shown = side if sense > 0 or side == "center" else {"left": "right", "right": "left"}[side]
-    assert text.get_ha() == shown
-    where = {"left": times.min(), "right": times.max(), "center": times.mean()}[shown]
-    assert text.get_position()[0] == pytest.approx(where, abs=1e-9)
-
-
-def test_changes_of_sign_are_those_of_the_member_that_is_chosen():
-    """Each member of a batch has a field of its own, by which the cubic between two points is made."""
-    systems = [co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, w])) for w in (-5.0, 1.0)]
-    tau = 0.2 * np.arange(30)
-    rising = np.sign(systems[1].vector_field(np.array([1.0, 0.0, 0.0]))[1])
-    x = np.stack([np.cos(tau), rising * np.sin(tau), 0.0 * tau], axis=-1)
-    run = made(np.stack([x, x], axis=1), co.batch(systems), T0 + tau)
-    texts = axes_of(run, "components", [1], chosen=[0], flips=0).texts
-    (said,) = (float(text.get_text().rpartition(" ")[2]) for text in texts if text.get_text())
-    # Both cubics are wrong by h^4 / 384; with the other field by a fifth of the interval.
-    assert said == pytest.approx(np.pi, abs=2 * 0.2**4 / 384 + 1e-5)
 
 
 def test_members_have_the_colours_of_their_energies_at_the_start():
@@ -158,17 +92,6 @@ def test_members_have_the_colours_of_their_energies_at_the_start():
     late = co.integrate(damped, states, (0, 2), 0.1, t_eval=[1.0, 1.5, 2.0])
     (bar,) = axes_of(late, "components", [2, 0], chosen=[1]).child_axes
     np.testing.assert_allclose(bar.get_ylim(), sorted(damped.energy(states[m]) for m in (2, 0)), rtol=1e-14)
-
-
-def test_one_member_of_an_ensemble_is_drawn_as_one():
-    run = co.integrate(BODY, GOOD[:1], (T0, T0 - 2.0), 0.1, attitude=True)
-    alone = co.integrate(BODY, GOOD[0], (T0, T0 - 2.0), 0.1, attitude=True)
-    for name in ("components", "drift", "body axis"):
-        both = [axes_of(each, name) for each in (run, alone)]
-        assert both[0].get_title() == both[1].get_title() and len(both[0].lines) == len(both[1].lines)
-        for one, other in zip(*(axes.lines for axes in both), strict=True):
-            np.testing.assert_array_equal(one.get_data(), other.get_data())
-            assert all(getattr(one, f"get_{part}")() == getattr(other, f"get_{part}")() for part in STYLE)
 
 
 SYSTEMS = {
@@ -256,27 +179,6 @@ def test_members_of_a_batch_have_their_own_fields():
     assert steps.max() ** 2 / 8 < 1.1 * CHORD_TOLERANCE * 2 * 2**0.5
 
 
-def keys_of(run, picture, **options):
-    """Return the labels in the key of a picture, with their colours."""
-    key = shown(run, picture, **options).get_legend()
-    return {text.get_text(): line.get_color() for text, line in zip(key.get_texts(), key.get_lines(), strict=True)}
-
-
-def test_members_of_a_batch_have_a_key_of_the_parameters_in_which_they_differ(tmp_path):
-    """The energy is the same for all, that of a rotation about the first axis."""
-    settings, third = [(k, d) for k in (1.5, 2.0) for d in (2.25, 2.375)], Picture("components", chosen=[2])
-    named = co.batch(lambda k, d: co.systems.rigid_body((1.0, k, d)), k=[1.5, 2.0], d=[2.25, 2.375])
-    run = co.integrate(named, (1.0, 0.0, 0.0), (T0, T0 + 1.0), 0.1)
-    co.integrate(named, (1.0, 0.0, 0.0), (T0, T0 + 1.0), 0.1).to_xarray().to_netcdf(tmp_path / "run.nc")
-    for one in (run, co.load(tmp_path / "run.nc")):
-        found = keys_of(one, third)
-        assert list(found) == [f"k = {k:.4g}, d = {d:.4g}" for k, d in settings] and len(set(found.values())) == 4
-        for m, shade in enumerate(found.values()):
-            (line,) = (line for line in shown(one, third).lines if line.get_color() == shade)
-            np.testing.assert_array_equal(line.get_ydata(), run.x[:, m, 2])
-    assert list(keys_of(run, third, members=[0, 2])) == ["k = 1.5", "k = 2"], "d is the same"
-
-
 PAIR = np.array([(1.0, 0.2, 0.5), (0.1, 1.0, 0.1)])
 END, STEP, TIMES = 13.0, 0.26, (5.05, 13.0)
 
@@ -292,14 +194,3 @@ def test_deviations_do_not_depend_on_whether_the_start_is_saved(kind, x0):
     assert len(found) == len(expected) > 0
     for values, reference in zip(found, expected, strict=True):
         assert np.array_equal(values, reference[1:])
-
-
-@pytest.mark.parametrize("ends", [(0.0, END), (END, 0.0)], ids=["forward", "backward"])
-@pytest.mark.parametrize("x0", [PAIR[0], PAIR], ids=["one", "members"])
-def test_modified_energies_deviate_from_those_of_the_initial_state(x0, ends):
-    lines = []
-    for times in (TIMES[:1], (ends[0], *TIMES[:1])):
-        sol = co.integrate(BODY, x0, ends, STEP, co.Splitting(order=2), t_eval=times)
-        lines.append([line.get_ydata()[-1] for line in co.plotting.draw_modified_energy(sol, (4, 6)).axes[0].lines])
-    assert np.allclose(*lines, rtol=1e-6, atol=0)
-    assert len(lines[0]) == 3 and min(lines[0]) > 0

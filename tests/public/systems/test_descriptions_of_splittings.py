@@ -114,47 +114,4 @@ def test_the_subtracted_casimirs_as_a_formula(name, sign):
     assert eval(formula, {"__builtins__": {}}, values) == pytest.approx(wanted, rel=1e-5)
 
 
-def test_number_of_parts_does_not_grow_with_a_lattice():
-    """Three parts of equal components, and two of different ones, in which the sites of each sublattice are alike."""
-    for side in (4, 10):
-        lattice = co.systems.spin_lattice("square", (side, side), periodic=True, dm=(0, 0, 0.3))
-        assert len(co.Splitting(order=2).describe(lattice).parts) == 5
-
-
-FULL = [[2.0, 0.3, 0.1], [0.3, 1.0, 0.2], [0.1, 0.2, 0.5]]
 CUBIC = {(2, 0, 0): 0.5, (0, 3, 0): 0.25, (1, 2, 0): 0.5, (0, 0, 2): 1.0}
-DOUBLED = {
-    "free body": (co.algebras.so(3), FULL, np.zeros(3), "free_body"),
-    "free body and gravity": (
-        co.algebras.e(3), np.diag([1.0, 2.0, 3.0, 0, 0, 0]), np.array([0, 0, 0, 0.5, 0, 0.25]), "free_body",
-    ),
-    "bond": (
-        co.algebras.copies(co.algebras.so(3), 2), np.kron([[0, 0.75], [0.75, 0]], np.eye(3)), np.zeros(6), "bonds",
-    ),
-    "coordinates": (co.algebras.so(3), np.diag([1.0, 2.0, 2.75]), np.zeros(3), "auto"),
-    "polynomial": (co.algebras.get("A3,7", a=0.5), CUBIC, None, [[0, 1], [2]]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", DOUBLED)
-def test_two_copies_of_a_system_have_twice_the_operations_in_as_many_flows(name):
-    algebra, M, linear, parts = DOUBLED[name]
-    n = algebra.dim
-    if linear is None:
-        H, none = co.Polynomial(M), (0,) * n
-        twice = co.Polynomial({whole: c for e, c in M.items() for whole in ((*e, *none), (*none, *e))})
-        doubled = [[*some, *(i + n for i in some)] for some in parts]
-    else:
-        H, twice = co.Quadratic(M, linear=linear), co.Quadratic(np.kron(np.eye(2), M), linear=np.tile(linear, 2))
-        doubled = parts
-    one = co.Splitting(order=4, parts=parts).describe(co.LiePoissonSystem(algebra, H))
-    two = co.Splitting(order=4, parts=doubled).describe(co.LiePoissonSystem(co.algebras.copies(algebra, 2), twice))
-    assert (two.flows, two.multiplications) == (one.flows, 2 * one.multiplications)
-    assert one.multiplications > 0 and one.functions > 0
-    for single, both in zip(one.parts, two.parts, strict=True):
-        # Rotations about one angle are one sine; shears have none.
-        assert (both.multiplications, both.functions) == (2 * single.multiplications, 2 * single.functions)
-        assert both.blocks == {kind: 2 * count for kind, count in single.blocks.items()}
-        assert len(both.generators) == 2 * len(single.generators)
-    for said in (one, two):
-        assert f"{said.multiplications} multiplications" in str(said) and f"{said.functions} sines" in str(said)
