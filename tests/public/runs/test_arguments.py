@@ -198,7 +198,7 @@ def test_classes_of_users_may_have_metaclasses():
         assert copy.deepcopy(made) == pickle.loads(pickle.dumps(made)) == made
     assert "toward" in wrong_call(type("Mine", (co.forces.LinearDamping,), {}), 0.1, toward=0.0, towards=1.0)
     for wrong in ({"ratio": 2.0}, {}):
-        with pytest.raises(TypeError, match="share|ratio"):
+        with pytest.raises(TypeError, match=r"share|ratio"):
             Halved(**wrong)
 
 
@@ -262,9 +262,6 @@ def test_durations_and_quantities_are_refused_with_what_to_give(value, instead):
             wrong()
 
 
-HUGE = 10**400
-
-
 @pytest.mark.parametrize(
     "number",
     [3, 3.0, np.uint8(3), np.float16(3), np.longdouble(3), Fraction(3), Decimal(3), mpmath.mpf(3)],
@@ -303,40 +300,6 @@ def test_masked_arrays_labels_and_foreign_objects_are_refused():
             co.Quadratic(value)
 
 
-@pytest.mark.parametrize("size", [1, 63, 64, 65])
-def test_numbers_that_are_not_finite_are_named(size):
-    """Below and above the size up to which plain Python sums; finite numbers with an overflowing sum are finite."""
-    for index in {0, size // 2, size - 1}:
-        for wrong in (np.nan, np.inf, -np.inf):
-            numbers = np.full(size, 1e308)
-            co.Quadratic(1.0, linear=numbers)
-            numbers[index] = wrong
-            with refused(ValueError, f"linear[{index}]", wrong):
-                co.Quadratic(1.0, linear=numbers)
-    for value in (HUGE, -HUGE, np.longdouble("1e400")):
-        with refused(ValueError, "step"):
-            co.integrate(BODY, X, (0, 1), value)
-        with refused(ValueError):
-            co.Composition(co.Splitting(), (value, -value, 1))
-
-
-def test_names_are_one_short_line():
-    for make in (
-        lambda name: co.LieAlgebra([], dim=1, name=name),
-        lambda name: co.LieAlgebra([], dim=1, basis=[name]),
-        lambda name: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), name=name),
-    ):
-        make("x" * 200)
-        for name in ("x" * 201, "x" * 10**6, "a\nb", "a\tb", "a\u2028b", "a\0", "\x1b[31m"):
-            with refused(ValueError, "one line", "200") as caught:
-                make(name)
-            assert len(str(caught.value)) < 1000
-    g = co.algebras.direct_sum(*[co.algebras.so(3)] * 100)
-    for _ in range(10):
-        g = co.algebras.subalgebra(g, np.eye(g.dim, dtype=int)[:3].tolist())
-    assert len(g.name) <= 200
-
-
 def test_polynomial_degrees_are_limited():
     assert co.Polynomial({(1024,): 1}).degree == 1024
     for make in (
@@ -347,28 +310,6 @@ def test_polynomial_degrees_are_limited():
     ):
         with refused(ValueError, "1024"):
             make()
-
-
-def test_powers_of_steps_stay_within_float64():
-    """The fourth power of 2^255 is a number, and that of 2^256 is none."""
-    functions = co.Separable({0: (np.sin, np.cos), 1: (np.cos, lambda y: -np.sin(y))})
-    found = co.modified_hamiltonian(co.LiePoissonSystem(co.algebras.so(3), functions), co.Splitting())
-    found(X, 2.0**255)
-    for wrong in (2.0**256, -(2.0**256)):
-        with refused(ValueError, "h is", "power 4"):
-            found(X, wrong)
-
-
-def test_batches_are_refused_where_one_system_is_needed():
-    batch = co.batch([BODY, BODY])
-    for wrong in (
-        lambda: co.stepper(batch, co.Splitting(), 0.1),
-        lambda: co.Splitting.tuned(batch, X),
-        lambda: co.Splitting().describe(batch),
-        *(lambda m=m: m.properties(batch) for m in (co.Splitting(), co.Taylor(), co.GaussLegendre(), co.RadauEnergy())),
-    ):
-        with refused(TypeError, "batch"):
-            wrong()
 
 
 def test_failed_ensemble_of_one_has_full_length():
