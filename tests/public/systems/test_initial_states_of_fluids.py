@@ -109,20 +109,6 @@ def test_fields_about_several_points_add_up_in_any_order(s):
 
 
 @fluids
-def test_matrices_of_another_size_are_refused(s):
-    for call in (s.to_grid, s.mode_array, s.energy_spectrum):
-        with refused(ValueError, "(5, 5)"):
-            call(np.zeros((5, 5)), absolute=True)
-    for call in (s.relative, s.absolute):
-        with refused(ValueError, "(5, 5)"):
-            call(np.zeros((5, 5)))
-    # the numbers of states are taken for them
-    W = s.random(3)
-    of_numbers, of_matrices = (s.to_grid(A[None], absolute=False) for A in (s.to_vector(W), W))
-    np.testing.assert_array_equal(of_numbers, of_matrices)
-
-
-@fluids
 def test_spectra_are_integrals(s):
     """Of the square of the vorticity on a grid that is fine enough, and of the square of the velocity by -psi omega."""
     W = s.random(2, degrees=(1, 6))
@@ -319,75 +305,7 @@ def test_other_grids_are_refused(latitude, longitude, named, tmp_path):
         SPHERE.from_file(file)
 
 
-@pytest.mark.parametrize("rows", [10**4, 10**9, 10**13, 10**17, -1])
-def test_headers_of_numpy_that_declare_other_data(rows, tmp_path):
-    """More data than the file has, more than the memory, more than addresses, and fewer than none."""
-    file, data = tmp_path / "state.npy", np.ones((25, 25)).tobytes()
-    for kept in (0, 16, len(data)):
-        with file.open("wb") as opened:
-            header = {"descr": "<f8", "fortran_order": False, "shape": (rows, 25)}
-            np.lib.format.write_array_header_1_0(opened, header)
-            opened.write(data[:kept])
-        with refused(ValueError, "state.npy"):
-            TORUS.from_file(file)
-
-
-@pytest.mark.filterwarnings("ignore:invalid escape sequence:DeprecationWarning")
-def test_damaged_files_of_numpy_are_refused(tmp_path):
-    """A header is parsed as Python, and a zip file may have the ending of an array."""
-    rng, file = np.random.default_rng(4), tmp_path / "state.npy"
-    np.save(file, np.ones((2, 3)))
-    whole = np.frombuffer(file.read_bytes(), dtype=np.uint8)
-    end, letters = int(np.flatnonzero(whole == ord("\n"))[0]), np.frombuffer(b"([{'\",:\\0 9Tx\n\0PK", dtype=np.uint8)
-    messages = []
-    for _ in range(200):
-        damaged = whole.copy()
-        damaged[rng.integers(0, end, rng.integers(1, 4))] = rng.choice(letters)
-        file.write_bytes(damaged.tobytes())
-        try:
-            assert TORUS.from_file(file).shape == TORUS.shape
-        except ValueError as refusal:
-            messages.append(str(refusal))
-    assert len(messages) > 60 and all("state.npy" in message and "\n" not in message for message in messages)
-    np.savez(tmp_path / "several.npz", np.ones(3))
-    (tmp_path / "several.npz").rename(file)
-    with refused(ValueError, "state.npy"):
-        TORUS.from_file(file)
-
-
-@pytest.mark.parametrize(
-    ("call", "kind", "named"),
-    [
-        (lambda: SPHERE.random(1, degrees=(2, 24)), ValueError, ("degrees[1]", "23")),
-        (lambda: SPHERE.random(1, spectrum=np.ones(25)), ValueError, ("spectrum", "24", "23")),
-        (lambda: TORUS.random(1, spectrum=np.ones(14)), ValueError, ("spectrum", "13", "12")),
-        (lambda: SPHERE.random(1, energy=1.0, enstrophy=1.0), ValueError, ("energy", "enstrophy")),
-        (lambda: TORUS.zonal_jet(width=1.0), ValueError, ("jets",)),
-        (lambda: TORUS.from_file(3), TypeError, ("file",)),
-        (lambda: TORUS.from_file("a.csv"), ValueError, ("a.csv", ".npy", ".nc")),
-        (lambda: TORUS.from_file("a.npy", variable="w"), ValueError, ("NetCDF",)),
-        (lambda: TORUS.from_file("not there.npy"), OSError, ("not there.npy",)),
-    ],
-)
-def test_refused_states(call, kind, named):
-    with refused(kind, *named):
-        call()
-
-
 def test_netcdf_without_xarray(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with refused(ImportError, "a.nc", "xarray", "h5netcdf"):
         TORUS.from_file("a.nc")
-
-
-@pytest.mark.parametrize("system", [co.systems.sphere_euler(N=8), co.systems.torus_euler(N=9)])
-def test_missing_and_surplus_arguments_are_counted_without_the_system(system):
-    name = type(system).__name__
-    with refused(TypeError, f"{name}.random needs seed; its arguments are seed, degrees"):
-        system.random()
-    with refused(TypeError, f"{name}.random was given 2 arguments, and takes seed, degrees"):
-        system.random(1, (2, 3))
-    with refused(TypeError, f"{name}.blobs needs places, strengths, widths; its arguments are places"):
-        system.blobs()
-    with refused(TypeError, "did you mean seed=?"):
-        system.random(sed=1)

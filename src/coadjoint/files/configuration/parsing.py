@@ -19,7 +19,7 @@ from coadjoint.errors import ConfigurationError, in_one_line, nearest
 from coadjoint.files.configuration.models import File
 from coadjoint.files.configuration.tables import MAX_SHOWN_LENGTH, wrong_keys
 from coadjoint.files.records.reconstruction import polynomial_of
-from coadjoint.keyword_hints import KEYWORDS
+from coadjoint.keyword_hints import vocabulary
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import declared_names
 from coadjoint.systems.forces import registry as described
@@ -154,7 +154,8 @@ def wrong_key(key: str, table: type[BaseModel]) -> str:
     near, known = nearest(key, table.model_fields), ", ".join(sorted(table.model_fields))
     if any(table in variants and any(key in one.model_fields for one in variants) for variants in tables.values()):
         return f"unknown key beside the others; known with them: {known}"
-    for meant in (key, KEYWORDS.get(key, "").partition("=")[0]):
+    usual = (vocabulary(kind).get(key, "") for kind in ("keys of files", "arguments"))
+    for meant in (key, *(text.partition("=")[0] for text in usual)):
         meant = "x" if meant == "x0" else meant
         if meant in table.model_fields:
             return f"unknown key; did you mean {meant!r}?"

@@ -26,7 +26,7 @@ from pydantic_core import PydanticCustomError
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formula_tree import read_parameters
-from coadjoint.files.records.reconstruction import BYTES_PER_COORDINATE, polynomial_of
+from coadjoint.files.records.reconstruction import polynomial_of
 from coadjoint.memory import check_available_memory
 from coadjoint.regular_files import read_array_file
 from coadjoint.short_repr import short
@@ -36,6 +36,7 @@ from coadjoint.validation import check_parameters, read_choice
 
 MAX_SHOWN_LENGTH = 60  # characters of a value in an error, most of a line
 NPY_SUFFIX = ".npy"
+BYTES_PER_COORDINATE = 400  # of an algebra with names of coordinates; measured, with a margin
 
 
 def as_written(rule: str) -> WrapValidator:

@@ -41,7 +41,6 @@ Axes = dict[str, Axis]
 MATRIX_KEYS = ("name", "matrices", "layers", "stream", "second_stream", "linear", "energy_sign", "powers", "not_stored")
 
 BYTES_PER_MEMBER = 100  # of a batch; a reference and its start
-BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 
 
 def system_of(entry: Entry, dim: int | None = None) -> System | Batch:
@@ -151,8 +150,6 @@ def _algebra_of(record: Entry, expected: int | None) -> LieAlgebra:
     record.reject_unknown("name", "dim", "basis", "constants", "representation", "casimirs")
     dim = record["dim"].integer(1)
     _check_dimension(record, dim, expected)
-    with as_value_errors(record):
-        check_available_memory(BYTES_PER_COORDINATE * dim, "an algebra")
     basis = record["basis"].texts(dim)
     constants = record["constants"].rows(dim, dim, dim)
     name = None if record["name"].value is None else record["name"].text()
