@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
@@ -374,3 +373,8 @@ def sampled_members(solution: Solution, system: Any, most: int) -> NDArray[np.in
     chosen = np.isin(owners, np.linspace(0, count - 1, min(count, most)).astype(np.int64))
     first = np.arange(len(order)) - np.searchsorted(owners, owners) < max(1, most // count)
     return np.sort(order[chosen & first])
+
+
+def error_by_comparison(difference: Any, left: float) -> Any:
+    """Return the error of a result from its difference to a better one, which has the fraction `left` of the error."""
+    return difference / (1.0 - left)
