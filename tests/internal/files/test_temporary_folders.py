@@ -52,9 +52,9 @@ def raising(number):
 @pytest.fixture
 def target(tmp_path):
     """The path of a result; descriptors and cleanups are released at the end."""
-    before, registered = open_descriptors(), list(interruption._cleanups)
+    before, registered = open_descriptors(), list(interruption.cleanups)
     yield tmp_path / "run.nc"
-    assert open_descriptors() == before and interruption._cleanups == registered
+    assert open_descriptors() == before and interruption.cleanups == registered
 
 
 @pytest.mark.parametrize("mask", [0, 0o022])
@@ -70,10 +70,10 @@ def test_temporary_folder_is_private(target, mask):
 
 @pytest.mark.parametrize("how", ["finished", "abandoned", "failed", "not created"])
 def test_only_a_finished_result_is_left(tmp_path, target, how):
-    registered = list(interruption._cleanups)
+    registered = list(interruption.cleanups)
     with contextlib.suppress(KeyError, FileNotFoundError):
         with PendingOutput(target if how != "not created" else tmp_path / "none" / "run.nc") as own:
-            assert interruption._cleanups == [*registered, own.abandon]
+            assert interruption.cleanups == [*registered, own.abandon]
             own.path.write_text("whole")
             if how == "failed":
                 raise KeyError

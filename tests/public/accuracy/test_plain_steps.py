@@ -1,4 +1,6 @@
-"""Runs agree with steps of `Method.step` in 40 digits, and have their orders in time."""
+"""Runs agree with steps of `Method.step` in 40 digits and in long steps, and sum without rounding."""
+
+from fractions import Fraction
 
 import mpmath
 import numpy as np
@@ -40,3 +42,27 @@ def test_steps_in_hundreds_of_digits(scheme):
             ends.append(scheme.step(case.system, x, mpmath.mpf(0), mpmath.mpf(0.125)))
     with mpmath.workdps(330):
         assert max(abs(a - b) for a, b in zip(*ends, strict=True)) < mpmath.mpf(10) ** -316
+
+
+HEISENBERG = co.LiePoissonSystem(co.algebras.get("A3,1"), co.Quadratic(np.zeros(3), linear=[0.0, 0.3, 0.0]))
+# Steps of other schemes are several increments, each of them rounded to the size of the state.
+SUMMED_PLAINLY = co.Splitting, co.Projected, co.ReversibleSteps
+
+
+def sums_plainly(method):
+    base = method.base if isinstance(method, co.Composition) else method
+    return isinstance(base, SUMMED_PLAINLY) and not getattr(base, "compensated", False)
+
+
+def test_schemes_sum_their_increments_without_rounding():
+    """A constant field, of which every scheme has the exact increment: 3000 of them are off by a unit of the sum."""
+    x0, h, steps = np.array([1.0, 0.4, 0.7]), 0.1, 3000
+    rate = HEISENBERG.vector_field(x0)[2]
+    exact = Fraction(x0[2]) + steps * Fraction(h) * Fraction(rate)
+    methods = schemes() | {f"example {one}": one for one in EXAMPLES if not one.own_steps}
+    for name, method in methods.items():
+        if serves(method, HEISENBERG):
+            end = co.integrate(HEISENBERG, x0, (0, steps * h), h, method, save_every=steps, watch=False).x[-1]
+            error = float(abs((Fraction(end[2]) - exact) / exact))
+            # Rounding of the increment in each step, once or twice, and of the sum.
+            assert (error < 4 * UNIT_ROUNDOFF) != sums_plainly(method), (name, error / UNIT_ROUNDOFF)

@@ -137,6 +137,20 @@ def starts(members, spins, seed):
     return (S / np.linalg.norm(S, axis=-1, keepdims=True)).reshape(members, 3 * spins)
 
 
+def test_members_that_are_not_swept_together_have_their_own_starts_and_temperatures():
+    """Those beyond 2^15 spins are swept later: the last ones stay near the state of lowest energy, others do not."""
+    pair, members = co.systems.spin_lattice(exchange=1.0), 2**14 + 5
+    x0, kT = starts(members, 2, 1), np.ones(members)
+    x0[-4:], kT[-4:] = np.tile([0.6, 0.0, 0.8], 2), 1e-6
+    states = co.thermal_states(pair, kT, x0=x0, sweeps=2, seed=3)
+    np.testing.assert_allclose(states.energy[0], pair.energy(x0), rtol=0, atol=16 * UNIT_ROUNDOFF)
+    np.testing.assert_allclose(states.energy[-1], pair.energy(states.x), rtol=0, atol=16 * UNIT_ROUNDOFF)
+    assert np.all(np.abs(states.energy[:, -4:] + 1.0) < 1e-4) and np.std(states.energy[-1, :-4]) > 0.1
+    assert len(np.unique(states.x[:, 0])) == members
+    alone = co.thermal_states(pair, kT[:2], x0=x0[:2], sweeps=2, seed=3)
+    assert np.array_equal(states.x[:2], alone.x)
+
+
 def test_spin_in_a_field_has_boltzmann_density():
     """cos(theta) has the density exp(b cos(theta)), b = B/kT, for both signs of the bracket."""
     B, T, members = 1.5, 0.75, 300

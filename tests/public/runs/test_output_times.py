@@ -38,6 +38,32 @@ def test_free_body_matches_its_closed_form(end):
     assert np.abs(turned.attitude - start @ g).max() < 12 * 100 * U
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("points", ["steps", "third step", "output times"])
+@pytest.mark.parametrize("span", [(0.0, 12.0), (7.0, 19.0), (-5.0, -17.0)])
+def test_events_end_runs_from_any_time_with_their_attitude(span, points):
+    """Of a Hamiltonian that is shifted by a Casimir, whose turn is that of the time since the start; and of members."""
+    method, step, event = co.Splitting(order=8), 1 / 32, co.Event(1, terminal=True)
+    options = {"save_every": 3} if points == "third step" else {}
+    options |= {"t_eval": random_times(*span, 12)} if points == "output times" else {}
+    x0 = np.array([X, [0.1, 0.4, -0.3]]) * [1.0, np.sign(span[1] - span[0]), 1.0]  # the same motions backward
+    single = co.integrate(BODY, x0[0], span, step, method, attitude=True, events=event, **options)
+    together = co.integrate(BODY, x0, span, step, method, attitude=True, events=event, **options)
+    for sol, member in ((single, ()), (together, (0,)), (together, (1,))):
+        start, events = x0[member or 0], (sol.events.of(*member) if member else sol.events)
+        end = events.t[-1]
+        assert abs(end - span[0]) > 1.0 and abs(end - span[1]) > 1.0
+        t = sol.t[np.isfinite(sol.x[(slice(None), *member, 0)])]
+        exact, g = BODY.exact(start, t - span[0], attitude=True)
+        x, attitude = (np.asarray(one)[(slice(len(t)), *member)] for one in (sol.x, sol.attitude))
+        # Order eight: 1e-12 over the span, beside the rounding of 400 steps.
+        np.testing.assert_allclose(x, exact, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(attitude, g, rtol=0, atol=1e-11)
+        _, there = BODY.exact(start, np.array([end - span[0]]), attitude=True)
+        np.testing.assert_allclose(events.attitude[-1], there[0], rtol=0, atol=1e-11)
+    assert single.t[-1] == single.events.t[-1] and single.t_span[1] == single.t[-1]
+
+
 @pytest.mark.parametrize("end", [80.0, -80.0])
 def test_multivalued_casimirs_are_unwrapped(end):
     # The Casimir of A3,7 has an angle, which winds up along the run.

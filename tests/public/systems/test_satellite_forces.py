@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ellipj
 
 import coadjoint as co
+from long import long_beyond
 from refusals import refused
 from satellite_forces import (
     AREAS,

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 from coadjoint.algebra.exact.numbers import parse_decimal
 from coadjoint.errors import ConfigurationError, in_one_line, nearest
 from coadjoint.files.configuration.models import MAX_SHOWN_LENGTH, File
-from coadjoint.keyword_hints import KEYWORDS
+from coadjoint.keyword_hints import vocabulary
 from coadjoint.methods import registry
 from coadjoint.short_repr import short
 from coadjoint.systems.registry import ready_made_systems
@@ -151,25 +151,11 @@ PLACES: Mapping[str, str] = types.MappingProxyType(
     }
 )
 """Argument of `integrate`, or key of a file -> its place in a file."""
-OTHER_NAMES: Mapping[str, str] = types.MappingProxyType(
-    {
-        **dict.fromkeys(("params", "args", "p"), "parameters"),
-        **dict.fromkeys(("out", "output_file", "filename", "netcdf", "results"), "file"),
-        **dict.fromkeys(("plot", "picture", "image"), "figure"),
-        **dict.fromkeys(("animation", "video"), "movie"),
-        **dict.fromkeys(("H", "energy", "formula"), "polynomial"),
-        **dict.fromkeys(("observables", "outputs"), "observe"),
-        **dict.fromkeys(("members", "ensemble", "count"), "samples"),
-        **dict.fromkeys(("duration", "end"), "t_span"),
-        **dict.fromkeys(("rtol", "atol"), "accuracy"),
-    }
-)
-"""Usual name of a key -> the argument or key of `PLACES`, beside the names of `keyword_hints.KEYWORDS`."""
 
 
 def place_meant(key: str) -> str | None:
     """Return the place in a file of what an argument or a usual name means, or None."""
-    argument = OTHER_NAMES.get(key) or KEYWORDS.get(key, key).partition("=")[0]
+    argument = vocabulary("keys of files").get(key) or vocabulary("arguments").get(key, key).partition("=")[0]
     return PLACES.get(argument)
 
 

@@ -33,11 +33,12 @@ from coadjoint.files.datasets.writers import CHECKSUM, checksum_of
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
 from coadjoint.files.records.entries import parsed
 from coadjoint.files.records.records import system_of
-from coadjoint.keyword_hints import NamedValues, suggest_keywords
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.regular_files import open_regular
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
+from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.times import output_times_of, times_of

@@ -15,9 +15,9 @@ from coadjoint.errors import in_one_line
 from coadjoint.files.datasets.export import stored_method
 from coadjoint.files.datasets.variables import OBSERVED_NAMES, SIZES, joined_complex
 from coadjoint.files.records.entries import parsed
-from coadjoint.keyword_hints import NamedValues
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import Start, start_of
 from coadjoint.runs.times import Times, times_of

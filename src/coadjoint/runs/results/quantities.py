@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.errors import in_one_line
+from coadjoint.errors import in_one_line, nearest
 from coadjoint.kernels.tables.recording import values_along
-from coadjoint.keyword_hints import NamedValues
-from coadjoint.short_repr import short
+from coadjoint.keyword_hints import vocabulary
+from coadjoint.short_repr import compact, short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula_of
@@ -32,6 +32,28 @@ if TYPE_CHECKING:
     from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 Floats = NDArray[np.float64]
+Value = TypeVar("Value")
+
+
+class NamedValues(dict[str, Value]):
+    """Dictionary of quantities of a run, whose KeyError has the name that is meant, or the nearest one.
+
+    >>> NamedValues({"energy": 0.0, "|x|^2": 1.0})["Energy"]
+    Traceback (most recent call last):
+    KeyError: "there is no 'Energy'; did you mean 'energy'?"
+    """
+
+    def __repr__(self) -> str:
+        return f"{{{', '.join(f'{name!r}: {compact(value)}' for name, value in self.items())}}}"
+
+    def __missing__(self, name: Any) -> Value:
+        """Raise the KeyError."""
+        text = f"there is no {short(name)}"
+        if not isinstance(name, str):
+            raise KeyError(f"{text}; give a name: {', '.join(self)}")
+        meant = vocabulary("attributes of solutions").get(name)
+        near = "energy" if meant == "energy" and "energy" in self else nearest(name, self)
+        raise KeyError(f"{text}; did you mean {near!r}?" if near else f"{text}; there are: {', '.join(self)}")
 
 
 class Observed(NamedTuple):

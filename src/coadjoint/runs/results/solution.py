@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.keyword_hints import NamedValues, suggest_keywords, unknown_solution_attribute
-from coadjoint.runs.results.quantities import Drift, scales_of_invariants
+from coadjoint.keyword_hints import suggest_keywords, unknown_solution_attribute
+from coadjoint.runs.results.quantities import Drift, NamedValues, scales_of_invariants
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, unfinished_members
 from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, is_driven, table_of_run
 from coadjoint.short_repr import short
