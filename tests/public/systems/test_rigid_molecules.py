@@ -1,4 +1,4 @@
-"""Rigid molecules: forces to many digits, DOP853 in quaternions, invariants, tables, and refusals."""
+"""Rigid molecules: forces to many digits, DOP853 in quaternions, invariants, tables."""
 
 import itertools
 
