@@ -155,3 +155,18 @@ def test_schemes_sum_their_increments_without_rounding():
         if abs((Fraction(end[2]) - exact) / exact) > 4 * UNIT_ROUNDOFF:
             rounded.add(name)
     assert rounded == {name for name, method in methods.items() if sums_plainly(method)}
+
+
+def test_schemes_of_matrices_sum_their_increments_without_rounding():
+    """3000 conjugations keep the sum of the squares to rounding of the last state, in a motion without order."""
+    flow, rng = co.systems.torus_euler(N=5), np.random.default_rng(1)
+    W = flow.algebra.projected(rng.normal(size=flow.shape) + 1j * rng.normal(size=flow.shape))
+    compared = 0
+    for scheme in EXAMPLES:
+        if serves(scheme, flow):
+            end = co.integrate(flow, W, (0, 60), 0.02, scheme, save_every=3000, watch=False).x[-1]
+            change = np.sum(np.abs(end) ** 2) / np.sum(np.abs(W) ** 2) - 1.0
+            assert abs(change) < 16 * UNIT_ROUNDOFF, (scheme, change / UNIT_ROUNDOFF)
+            assert np.abs(end - W).max() > 0.1
+            compared += 1
+    assert compared >= 6
