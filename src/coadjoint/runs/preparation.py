@@ -168,6 +168,11 @@ class Preparation(Immutable):
         copied.__dict__.update(vars(self), **fields, cache=_Cache(self.step, loops))
         return copied
 
+    def threads_for(self, members: int) -> tuple[int, int]:
+        """Return the threads of a run of so many members, and those that share a member."""
+        workers = min(members, self._threads)
+        return workers, min(self._threads // workers, MAX_THREADS_INSIDE)
+
     def in_one_thread(self) -> Self:
         """Return a copy that uses one thread, and whose further loops are its own."""
         return self._copy(dict(self.cache.loops), _threads=1)
@@ -273,9 +278,8 @@ class Preparation(Immutable):
         return plan.with_loops(loops, partial(self.system_at, values))
 
     def _new_plan(self, times: Times, groups: tuple[int, ...]) -> Plan:
-        loops, workers = self.loops(times.h), min(groups[0], self._threads)
-        options = self._watching, workers, min(self._threads // workers, MAX_THREADS_INSIDE)
-        plan = Plan(self.system, self.method, loops, times, groups, *options)
+        threads = self.threads_for(groups[0])
+        plan = Plan(self.system, self.method, self.loops(times.h), times, groups, self._watching, *threads)
         # The free memory is checked again for each large run.
         if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
             self.cache.plan = plan
