@@ -119,25 +119,50 @@ def connected(size: int, first: NDArray[Any], second: NDArray[Any]) -> Integers:
 
 def strongly_connected(size: int, first: NDArray[Any], second: NDArray[Any]) -> Integers:
     """Label each of `size` nodes with the smallest node of its strongly connected component (edges first -> second)."""
-    # Pairs connected both ways are joined first: most algebras are done then, and SciPy is not imported for them.
+    # Pairs connected both ways are joined first, which leaves little of most algebras to the search.
     both = np.isin(first * size + second, second * size + first)
     label = connected(size, first[both], second[both])
     first, second = label[first], label[second]
     left = first != second
-    if not left.any():
+    edges = np.unique(first[left] * size + second[left])
+    pairs = [(node, root) for node, root in _roots(edges // size, edges % size) if node != root]
+    if not pairs:
         return label
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    edges = coo_array((np.ones(left.sum()), (first[left], second[left])), (size, size))
-    _, component = connected_components(edges, connection="strong")
-    return connected(size, np.tile(np.arange(size), 2), np.concatenate([label, _first(component)]))
+    nodes, roots = np.array(pairs).T
+    return connected(size, np.concatenate([np.arange(size), nodes]), np.concatenate([label, roots]))
 
 
-def _first(labels: Integers) -> Integers:
-    """Return the index of the first equal label of each entry."""
-    _, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
-    return np.asarray(first[inverse], dtype=np.int64)
+def _roots(first: Integers, second: Integers) -> Iterator[tuple[int, int]]:
+    """Yield each node of the edges with one node of its strong component, the same for all of it (Tarjan 1972)."""
+    after: dict[int, list[int]] = {}
+    for start, end in zip(first.tolist(), second.tolist(), strict=True):
+        after.setdefault(start, []).append(end)
+        after.setdefault(end, [])
+    number: dict[int, int] = {}
+    lowest: dict[int, int] = {}
+    waiting: list[int] = []
+    done: set[int] = set()
+    for start in after:
+        path = [] if start in number else [(start, iter(after[start]))]
+        while path:
+            node, following = path[-1]
+            if node not in number:
+                number[node] = lowest[node] = len(number)
+                waiting.append(node)
+            for end in following:
+                if end not in number:
+                    path.append((end, iter(after[end])))
+                    break
+                if end not in done:
+                    lowest[node] = min(lowest[node], lowest[end])
+            else:
+                path.pop()
+                if path:
+                    lowest[path[-1][0]] = min(lowest[path[-1][0]], lowest[node])
+                if lowest[node] == number[node]:
+                    while node not in done:
+                        done.add(waiting[-1])
+                        yield waiting.pop(), node
 
 
 def parts(label: Integers) -> Iterator[Integers]:
