@@ -314,7 +314,7 @@ class MeasuredSteps:
         return [WorstStep(one, m, t, x[None]) for one, (m, t, x) in zip(truncations, fastest, strict=True)]
 
     def _fastest_step(self, k: int, m: int) -> tuple[float, Floats]:
-        """Return the time and the state (n,) at which the fastest step after known point k of a chosen member begins."""
+        """Return time and state (n,) where the fastest step after known point k of a chosen member begins."""
         h, t, state = self.h, float(self.t[k]), self.states(k)[0][m]
         steps = math.ceil(abs(float(self.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
         if not 1 < steps <= max(STEPS, most_steps(self.solution, state.size, h)):

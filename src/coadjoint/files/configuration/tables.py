@@ -165,7 +165,7 @@ class BracketAlgebra(Table):
         return LieAlgebra.from_brackets(dim, self.brackets or {}, basis=basis)
 
 
-class MatrixAlgebra(Table):
+class AlgebraOfMatrices(Table):
     """An algebra of your own, by square matrices, which are a basis and a representation."""
 
     basis: list[Name] | None = None
@@ -300,7 +300,7 @@ def _field_values(value: Any, folder: Path, key: str) -> Any:
 Algebra = Annotated[
     Annotated[CatalogueAlgebra, Tag("<name>")]
     | Annotated[BracketAlgebra, Tag("<brackets>")]
-    | Annotated[MatrixAlgebra, Tag("<matrices>")],
+    | Annotated[AlgebraOfMatrices, Tag("<matrices>")],
     by_key("<name>", matrices="<matrices>", brackets="<brackets>", dim="<brackets>", basis="<brackets>"),
 ]
 Energy = Annotated[
