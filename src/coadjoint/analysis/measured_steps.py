@@ -130,8 +130,7 @@ class MeasuredSteps:
             self.t, self._path = np.array([t0]), self.start[None]
         # Samples of forces are at whole steps.
         elapsed = (self.t - t0) / self.h
-        sampled = any(force.sampled for one in self.system.distinct for force in one.forces)
-        self.steps_begin = (np.abs(elapsed - np.rint(elapsed)) <= STEP_SHARE) | np.array(not sampled)
+        self.steps_begin = (np.abs(elapsed - np.rint(elapsed)) <= STEP_SHARE) | np.array(not self.system.has_samples)
 
     def states(self, k: int) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the states (members, n) at a known time, and who has one: who has not has that of the start."""
@@ -315,7 +314,7 @@ class MeasuredSteps:
         return [WorstStep(one, m, t, x[None]) for one, (m, t, x) in zip(truncations, fastest, strict=True)]
 
     def _fastest_step(self, k: int, m: int) -> tuple[float, Floats]:
-        """Return the time and the state (n,) at which the fastest step after known point k of a chosen member begins."""
+        """Return the time and the state (n,) before the fastest step of a chosen member after known point k."""
         h, t, state = self.h, float(self.t[k]), self.states(k)[0][m]
         steps = math.ceil(abs(float(self.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
         if not 1 < steps <= max(STEPS, most_steps(self.solution, state.size, h)):
