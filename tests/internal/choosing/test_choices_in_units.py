@@ -105,7 +105,7 @@ def test_a_group_that_is_zero_but_for_rounding_refuses_no_accuracy():
 
 
 def test_a_group_whose_rounding_grows_refuses_no_accuracy():
-    """A body without rotation on an orbit about its axis of symmetry, whose tensor is symmetric but for its last digits:
+    """A body without rotation on an orbit about its axis of symmetry; its tensor is symmetric but for its last digits:
     its rest is unstable, so that rounding grows a million times, and is 1e-10 of the orbital momentum.
     """
     R = Rotation.random(random_state=0).as_matrix()
