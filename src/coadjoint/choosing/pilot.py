@@ -55,7 +55,6 @@ WINDOW_STEPS = 240
 STEP_LENGTH_TOLERANCE = 1.07
 # Spans of at most this many windows are run as a whole.
 MAX_WHOLE_WINDOWS = 2.5
-OF_ZERO = 1.0 / 64.0  # change of a group by refinement, relative to its size, above which it is zero but for rounding
 # Relative change of the initial state whose growth is measured.
 PERTURBATION = 2.0**-30
 MAX_PERTURBATION_GROWTH = 0.1  # relative change of the state beyond which the growth is not that of small changes
@@ -145,9 +144,12 @@ class Pilot:
         self.points = POINTS if steps >= POINTS else min_steps
         coarse, self.reference, self.reference_steps = self._converged_reference()
         self.size = self.groups.sizes(self.reference)
-        # A group that is zero but for rounding has no size: it is lost at once, others only after their errors grew.
-        early = slice(self.points // 16 + 1)
-        lost = self.groups.norms(self.reference[early] - coarse[early]).max(axis=0) > OF_ZERO * self.size
+        # A group that is zero but for rounding has no size: it is lost at once, relative to its size until then, even
+        # if its rounding grows, and remains so; others are lost only after their errors grew.
+        differences = self.groups.norms(self.reference - coarse)
+        lost = np.ones(self.size.shape, dtype=bool)
+        for part in (self.points // 16 + 1, self.points + 1):
+            lost &= differences[:part].max(axis=0) > UNCONVERGED_CHANGE * self.groups.sizes(self.reference[:part])
         self.size = np.where(lost, np.inf, self.size)
         self.sensitivity = self._sensitivity(coarse)
         self.noise = self._noise(coarse, accuracy)

@@ -62,7 +62,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
     time = float(solution.t[-1]) - solution.t_span[0]
     steps = math.ceil(abs(time) / solution.step * (1.0 - WHOLE_STEP_TOLERANCE))
     # Samples are at starts of steps: only whole fractions of the step divide their periods for certain.
-    sampled = any(force.sampled for one in system.distinct for force in one.forces)
+    sampled = system.has_samples
     span = math.copysign(steps * solution.step, time) if sampled else time
     groups = CoordinateGroups(system)
     if steps == 0:

@@ -129,8 +129,7 @@ class MeasuredSteps:
             self.t, self._path = np.array([t0]), self.start[None]
         # Samples of forces are at whole steps.
         elapsed = (self.t - t0) / self.h
-        sampled = any(force.sampled for one in self.system.distinct for force in one.forces)
-        self.steps_begin = (np.abs(elapsed - np.rint(elapsed)) <= STEP_SHARE) | np.array(not sampled)
+        self.steps_begin = (np.abs(elapsed - np.rint(elapsed)) <= STEP_SHARE) | np.array(not self.system.has_samples)
 
     def states(self, k: int) -> tuple[Floats, NDArray[np.bool_]]:
         """Return the states (members, n) at a known time, and who has one: who has not has that of the start."""

@@ -50,6 +50,7 @@ class Batch:
     labels = of("first.labels")
     flows = of("first.flows")
     has_noise = of("first.has_noise")
+    has_samples = of("first.has_samples")
     states_of = of("first.states_of")
     rows_of = of("first.rows_of")
 

@@ -80,6 +80,7 @@ class System:
     labels: tuple[str, ...] = ()
     reversible: bool = True
     has_noise = False  # whether a force is random, so that neither a field nor states between two steps exist
+    has_samples = False  # whether a force holds numbers from the start of a step
     is_batch: Literal[False] = False
     has_matrices = False  # whether states are matrices, with streams, traces and spectra
     has_attitude = False  # whether attitudes of bodies are part of the state
@@ -314,7 +315,7 @@ class System:
         set_fields(forced, forces=acting, labels=labels_of(acting), _unforced=plain, _parameters=None, closed_form=None)
         set_fields(forced, name=truncate_title(f"{plain.name} with {', '.join(forced.labels)}"))
         reversible, random = all(force.reversible for force in acting), any(force.random for force in acting)
-        set_fields(forced, reversible=reversible, has_noise=random)
+        set_fields(forced, reversible=reversible, has_noise=random, has_samples=any(f.sampled for f in acting))
         return forced
 
     def among(self, first: int, last: int) -> Self:
@@ -326,7 +327,7 @@ class System:
     @property
     def flows(self) -> tuple[tuple[int, Force], ...]:
         """Flows of the forces with their positions, as in the first half of a step: laws are sampled before all act."""
-        if not any(force.sampled for force in self.forces):
+        if not self.has_samples:
             return tuple(enumerate(self.forces))
         from coadjoint.systems.forces.sampled import flows_of
 

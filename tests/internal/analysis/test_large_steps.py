@@ -259,3 +259,22 @@ def test_products_of_axes_that_vanish_at_the_start_are_not_lost(turn):
     x0 = body.state(turn, angular_velocity=(0.3, 0.2, 0.5))
     for end in (20.0, -20.0):
         assert told(lambda end=end: co.integrate(body, x0, (0, end), 0.05))[1] == []
+
+
+@pytest.mark.parametrize("forced", [False, True])
+def test_a_suspected_run_is_checked_by_few_gradients_and_loops(monkeypatch, forced):
+    """Six gradients for the size of an energy, and no loops of half a step for the error of a step."""
+    from coadjoint.analysis import error_estimates
+    from coadjoint.analysis.measured_steps import MeasuredSteps
+    from coadjoint.runs.preparation import Preparation
+
+    counts, gradients_at, loops = [], error_estimates.gradients_at, Preparation.loops
+    monkeypatch.setattr(error_estimates, "gradients_at", lambda s, x, t: counts.append(len(x)) or gradients_at(s, x, t))
+    body = co.systems.heavy_top()
+    body = body.with_forces(co.forces.LinearDamping(1e-3)) if forced else body
+    sol, found = told(lambda: co.integrate(body, (1.0, 0.0, 2.0, 0.1, 0.0, 1.0), (0, 64), 0.64, co.Splitting()))
+    assert counts == [6] and found
+    steps = []
+    monkeypatch.setattr(Preparation, "loops", lambda self, h: steps.append(abs(h)) or loops(self, h))
+    MeasuredSteps(sol, None)
+    assert set(steps) == {0.64}

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import coadjoint as co
 from coadjoint.systems.registry import gallery_entry_of
@@ -101,6 +102,18 @@ def test_a_group_that_is_zero_but_for_rounding_refuses_no_accuracy():
         x0 = np.array([L, 0, L, -0.2, 0.98, 0.0, 0.98, 0.2, 0.0, 1.0])
         choice = co.choose(satellite, x0, (0, 20), 1e-9)
         assert choice.error <= 1e-9 and choice.step > 1e-3
+
+
+def test_a_group_whose_rounding_grows_refuses_no_accuracy():
+    """A body without rotation on an orbit about its axis of symmetry; its tensor is symmetric but for its last digits:
+    its rest is unstable, so that rounding grows a million times, and is 1e-10 of the orbital momentum.
+    """
+    R = Rotation.random(random_state=0).as_matrix()
+    tensor = R @ np.diag([1.0, 1.0, 2.0]) @ R.T
+    satellite = co.systems.satellite((tensor + tensor.T) / 2, 100.0, 1.0)
+    x0 = np.array([0.0, 0.0, 0.0, *(100.0 * 5.0**-0.5 * R[:, 1]), *(5.0 * R[:, 0]), 1.0])
+    choice = co.choose(satellite, x0, (0, 300), 1e-9)
+    assert choice.error <= 1e-9 and choice.step > 1.0
 
 
 def test_prepared_runs_check_a_small_body_beside_a_large_one():
