@@ -5,7 +5,6 @@ import pytest
 from scipy import special, stats
 
 import coadjoint as co
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 METHODS = {
@@ -116,33 +115,6 @@ def test_every_sweep_of_over_relaxation_is_a_half_turn():
     turned = 2.0 * (drawn @ along.T) * along - drawn
     for k, spins in enumerate(found):
         np.testing.assert_allclose(spins.reshape(-1, 3), turned if k % 2 else drawn, rtol=0, atol=1e-14)
-
-
-def test_systems_without_thermal_states_are_refused_by_name():
-    pair = co.systems.spin_lattice()
-    for named, system in (
-        ("copies of so", co.systems.heavy_top(inertia=(1, 1, 2))),
-        ("quadratic form", co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 4): 1.0}))),
-        ("forces", pair.with_forces(co.forces.HeatBath(0.1, temperature=1.0, seed=1))),
-        ("time", co.systems.spin_lattice(field=lambda t: np.array([0.0, 0.0, np.cos(t)]))),
-        ("batch", co.batch([pair, pair])),
-        ("not made of spins", co.systems.torus_euler(3)),
-    ):
-        with refused(TypeError, named):
-            co.thermal_states(system, 1.0, seed=1)
-    for named, options in (
-        (["temperature", "0.0", "positive"], {"temperature": 0.0}),
-        (["temperature", "(2, 1)"], {"temperature": [[1.0], [2.0]]}),
-        (["temperature", "(0,)"], {"temperature": []}),
-        (["members"], {"temperature": [1.0, 2.0], "members": 3}),
-        (["x0", "shape"], {"x0": np.ones(5)}),
-        (["method"], {"method": "metropolis hastings"}),
-        (["sweeps"], {"sweeps": 0}),
-        (["needs about"], {"members": 2**40}),
-        (["range"], {"x0": np.full(6, 1e200)}),
-    ):
-        with refused(ValueError, *named):
-            co.thermal_states(pair, **{"temperature": 1.0, "seed": 1, **options})
 
 
 def test_a_member_has_the_same_bits_alone_and_continues_from_its_own_state():

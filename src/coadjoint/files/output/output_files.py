@@ -22,7 +22,6 @@ import numpy as np
 from coadjoint.errors import OneLineError
 from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, with_checksum, write_netcdf, write_zarr
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
-from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.regular_files import open_regular
 from coadjoint.validation import read_path, read_positive
@@ -198,6 +197,14 @@ def write_movie(frames: Any, target: Path, fps: float) -> None:
         (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.path, fps)
 
 
+def save_movie(path: str | Path, fps: float, draw: Callable[[], Any]) -> Path:
+    """Validate the path and the rate of a movie, then draw its frames and write it."""
+    target = check_movie(path)
+    rate = check_speed(fps, target)
+    write_movie(draw(), target, rate)
+    return target
+
+
 def _ffmpeg() -> str | None:
     from matplotlib import rcParams
 
@@ -207,11 +214,6 @@ def _ffmpeg() -> str | None:
 def _write_gif(frames: Any, path: Path, fps: float) -> None:
     """Write a GIF with one palette, of the colours of a few frames, each counted once."""
     from PIL import Image
-
-    width, height = frames.size
-    check_available_memory(
-        2 * frames.count * width * height, "a GIF of so many frames", "take fewer, or a smaller size"
-    )
 
     def images() -> Iterator[Image.Image]:
         samples = [np.unique(np.asarray(frame)[..., :3].reshape(-1, 3), axis=0) for frame in frames.samples()]

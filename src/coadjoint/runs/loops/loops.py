@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, NamedArrays, matrix_rows
+from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, NamedArrays, layout_of, matrix_rows
 from coadjoint.kernels.tables.compiled import NotWritable, as_structure
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.long_operations import note_progress
-from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.member_batches import (
     Columns,
@@ -137,7 +136,7 @@ class Loops:
 
     def layout(self, members: int, points: int, square: int) -> Layout:
         """Return the layout of the arrays of a run, with `square` entries of a group element."""
-        return Layout(Extent(members, points, self.size, square, self.tracked, self.memory))
+        return layout_of(Extent(members, points, self.size, square, self.tracked, self.memory))
 
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
         """Return the calls of the loops, in rounds that run one after the other; the last ones are cached."""
@@ -302,8 +301,6 @@ def loops_of_system(
     correction = _correction_of(system, loop, representation)
     matrices, rows = system.unforced if system.has_matrices else None, matrix_rows(system)
     loops = Loops(system.dim, ["energy", *tracked], [loop], [watch], [correction], matrices=matrices, rows=rows)
-    if system.dim > RELEASED_SIZE:
-        release_freed_memory()
     return loops
 
 
