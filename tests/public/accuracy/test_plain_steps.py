@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from digests.schemes_under_test import EXAMPLES, schemes, serves, witnesses
+from digests.schemes_under_test import COMPOSED, EXAMPLES, schemes, serves, witnesses
 from rounding import UNIT_ROUNDOFF
 
 
