@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -279,7 +279,7 @@ def _write_note(axes: Any, text: str) -> None:
     write_note(axes, text)
 
 
-FIGURES = {
+FIGURES: Mapping[str, Callable[..., Figure]] = {
     "certificate": draw_certificate,
     "crossings": draw_crossings,
     "phase drift": draw_phase_drift,
