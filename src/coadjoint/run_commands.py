@@ -226,9 +226,6 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
     if configuration.system.is_batch:
         problem = "sweep.over: a certificate is of one system; sweep over the initial state alone"
         raise ConfigurationError(f"{configuration.path}: {problem}")
-    if configuration.system.forces:
-        problem = "forces: a certificate is of a system without forces; omit [[forces]]"
-        raise ConfigurationError(f"{configuration.path}: {problem}")
     json_target = None if json_path is None else check_target(json_path, TEXTS)
     figure_target = None if figure_path is None else check_target(figure_path, FIGURES)
     certificate = certify(
