@@ -120,6 +120,13 @@ def unknown_name(kind: str, name: Any, known: Iterable[str]) -> ValueError:
     return ValueError(f"unknown {kind} {short(name)}; did you mean {near!r}?")
 
 
+def check_name_is_free(what: str, name: str, new: Any, known: Any) -> None:
+    """Raise ValueError if a name is that of another function or class; the same one may be defined again."""
+    places = [(getattr(one, "__module__", None), getattr(one, "__qualname__", None)) for one in (new, known)]
+    if known is not None and places[0] != places[1]:
+        raise ValueError(f"{name!r} is the name of a {what} already, of {places[1][0]}; take another name")
+
+
 def nearest(name: str, known: Iterable[str], min_similarity: float = 0.5) -> str | None:
     """Return the known name most similar to a given one; None below `min_similarity`, from 0 (any) to 1 (equal)."""
     names = sorted(known)

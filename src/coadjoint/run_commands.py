@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from coadjoint import interruption
-from coadjoint.errors import IntegrationError, in_one_line
+from coadjoint.errors import ConfigurationError, IntegrationError, in_one_line
 
 if TYPE_CHECKING:
     import xarray
@@ -217,6 +217,9 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
 
     run = load(file)
+    if run.prepared.system.is_batch:
+        problem = "sweep.over: a certificate is of one system; sweep over the initial state alone"
+        raise ConfigurationError(f"{run.path}: {problem}")
     json_target = None if json_path is None else check_target(json_path, TEXTS)
     figure_target = None if figure_path is None else check_target(figure_path, FIGURES)
     first, last = run.file.run.span

@@ -1,8 +1,7 @@
-"""Forces of the registry as text."""
+"""Registered forces: by the example of their class, as objects and as text."""
 
 from __future__ import annotations
 
-import inspect
 from contextlib import suppress
 from typing import Any
 
@@ -13,61 +12,59 @@ import coadjoint as co
 from . import functions
 from .results import momenta
 
-VALUES = {
-    "rate": "0.2",
-    "torque": "0.1 * np.cos(np.arange({0.dim}))",
-    "alpha": "0.05",
-    "nu": "0.02",
-    "beta": "0.5",
-    "energy_rate": "0.1",
-    "band": "(1, 2)",
-    "seed": "3",
-    "temperature": "0.1",
-    "function": "f.damped",
-    "mu": "0.5",
-    "position": "(1.0, -0.5, 0.25)",
-    "moment": "(0.1, 0.2, -0.1)",
-    "B": "(0.3, -0.2, 0.1)",
-    "pressure": "0.05",
-    "sun": "(0.6, 0.0, 0.8)",
-    "density": "0.05",
-    "velocity": "(1.0, 0.5, 0.0)",
-    "areas": "(0.5,)",
-    "normals": "((0.6, 0.8, 0.0),)",
-    "centres": "((0.0, 0.2, 0.3),)",
-    "stiffness": "0.1",
-    "damping": "0.2",
-}
-"""A value for each parameter; a force with a new one needs an entry here."""
+TORQUE = "0.1 * np.cos(np.arange({0.dim}))"
 OF_MATRICES = "0.1 * system.algebra.projected(np.random.default_rng(5).normal(size={0.shape}) * (0.5 + 0.5j))"
-GIVEN_ANYWAY = ("temperature", "seed")
 
 
 def force_text(name: str, system: Any) -> str:
     """Return a registered force as text; with matrices `system` is the name of the system."""
-    parameters = inspect.signature(getattr(co.forces, name)).parameters.values()
-    given = [p.name for p in parameters if p.default is p.empty or p.name in GIVEN_ANYWAY]
-    values = VALUES | ({"torque": OF_MATRICES} if system.has_matrices else {})
-    if not system.has_matrices and not (taken := momenta(system)).all():
-        values["torque"] += f" * np.array({taken.astype(int).tolist()})"
-    return f"co.forces.{name}({', '.join(f'{key}={values[key].format(system)}' for key in given)})"
+    given = {key: repr(value) for key, value in getattr(co.forces, name).example.items()}
+    if name == "OwnForce":
+        given = {"function": "f.damped"}
+    if name == "Torque":
+        given = {"torque": (OF_MATRICES if system.has_matrices else TORQUE).format(system)}
+        if not system.has_matrices and not (taken := momenta(system)).all():
+            given["torque"] += f" * np.array({taken.astype(int).tolist()})"
+    return f"co.forces.{name}({', '.join(f'{key}={value}' for key, value in given.items())})"
 
 
 def is_noise(name: str) -> bool:
     """Return whether a force draws random numbers."""
-    return "seed" in inspect.signature(getattr(co.forces, name)).parameters
+    return bool(getattr(co.forces, name).random)
+
+
+def force_on(name: str, system: Any) -> co.forces.Force:
+    """Return a registered force for a system."""
+    if name in ("OwnForce", "Torque"):
+        return eval(force_text(name, system), {"np": np, "co": co, "f": functions, "system": system})
+    kind = getattr(co.forces, name)
+    return kind(**kind.example)
 
 
 def forces_on(system: Any) -> list[co.forces.Force]:
     """Return the registered forces that act on a system of vectors, dampers in place of springs without an attitude."""
-    space = {"np": np, "co": co, "f": functions}
     names = [name for name in co.forces.names() if not issubclass(getattr(co.forces, name), co.forces.Sampled)]
-    texts = [force_text(name, system) for name in names]
-    laws = [text.replace("stiffness=0.1", "stiffness=0.0") for text in texts if "stiffness" in text]
+    plain = [force_on(name, system) for name in names]
+    laws = [co.forces.Pointing(stiffness=0.0, damping=0.2)]
     found = []
-    for text in (*texts, *laws, *(f"co.forces.Sampled({text}, 0.25)" for text in laws)):
+    for force in (*plain, *laws, *(co.forces.Sampled(law, 0.25) for law in laws)):
         with suppress(TypeError, ValueError, AttributeError):
-            force = eval(text, space)
             system.with_forces(force)
             found.append(force)
     return found
+
+
+FIRST_FITTING = (
+    lambda: co.systems.rigid_body((1.0, 2.0, 2.5)),
+    lambda: co.systems.body((1.0, 2.0, 2.5), wheels=0.1 * np.eye(3), gyros=np.eye(3)[[(0, 1), (1, 2), (2, 0)]]),
+    lambda: co.systems.torus_euler(N=3),
+    lambda: co.systems.spin_lattice("chain", 3),
+)
+
+
+def first_fitting(name: str) -> Any:
+    """Return a system with a registered force."""
+    for system in (make() for make in FIRST_FITTING):
+        with suppress(TypeError, ValueError):
+            return system.with_forces(force_on(name, system))
+    raise ValueError(f"no system takes {name}")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from coadjoint.errors import unknown_name
+from coadjoint.errors import check_name_is_free, unknown_name
 from coadjoint.keyword_hints import suggest_keywords, unknown_picture
 from coadjoint.short_repr import short
 from coadjoint.systems.coordinates import number_of_coordinate
@@ -94,6 +94,7 @@ class Kind:
 
 
 _KINDS: dict[str, Kind] = {}
+KINDS_PACKAGE = "coadjoint.pictures.kinds"
 
 
 @suggest_keywords
@@ -118,9 +119,17 @@ def kind(
     -------
     callable
         A decorator, which returns the function itself.
+
+    Raises
+    ------
+    ValueError
+        Another kind has this name.
     """
 
     def register(prepare: Prepare) -> Prepare:
+        if not prepare.__module__.startswith(KINDS_PACKAGE):
+            kinds()  # names of the library are taken
+        check_name_is_free("kind of picture", name, prepare, _KINDS[name].prepare if name in _KINDS else None)
         _KINDS[name] = Kind(name, prepare, over_time, projection, low, moves)
         return prepare
 
@@ -140,7 +149,7 @@ def kinds() -> Mapping[str, Kind]:
     >>> list(kinds()["body axis"].options)
     ['axis', 'up', 'vertical', 'view']
     """
-    package = importlib.import_module("coadjoint.pictures.kinds")
+    package = importlib.import_module(KINDS_PACKAGE)
     for module in pkgutil.iter_modules(package.__path__):
         importlib.import_module(f"{package.__name__}.{module.name}")
     return MappingProxyType(dict(sorted(_KINDS.items())))

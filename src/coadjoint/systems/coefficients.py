@@ -113,6 +113,13 @@ class EnergyCoefficients(NamedTuple):
         """Return the chosen monomials with their coefficients."""
         return EnergyCoefficients(self.monomials.where(chosen), self.values[chosen])
 
+    def at(self, x: Floats) -> Any:
+        """Return the energy at a state."""
+        first, second = decoded(self.monomials.codes)
+        one = np.append(x, 1.0)  # the last for an index of -1
+        products = [*(one[first] * one[second]), *(np.prod(x[list(key)]) for key in self.monomials.others)]
+        return self.values @ np.array(products, dtype=np.float64)
+
     def by_key(self) -> dict[Key, float]:
         """Return the coefficients by the coordinates of their monomials."""
         return dict(zip(self.monomials.keys, self.values.tolist(), strict=True))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import is_dataclass, replace
 from functools import cache, partial
@@ -12,11 +13,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.errors import unknown_name
-from coadjoint.short_repr import short
+from coadjoint.errors import in_one_line, unknown_name
+from coadjoint.short_repr import distinct, short
 from coadjoint.systems.coefficients import (
     EnergyCoefficients,
+    Key,
     coefficients_in,
     coefficients_of,
     coordinates_of,
@@ -48,6 +51,8 @@ from coadjoint.systems.system import System
 
 Floats = NDArray[np.float64]
 
+# Changes of parameters, relative to their values, of a complex step and of differences that test it, to some digits.
+TINY_STEP, SMALL_STEPS, AGREEMENT = 2.0**-70, (2.0**-17, 2.0**-21), 2.0**-10
 # Entries of a parameter of which it is tried whether they may change.
 MAX_TRIED = 16
 
@@ -290,23 +295,79 @@ def _of_quadratic(H: Quadratic, n: int) -> dict[str, Parameter]:
 
 def _declaration(system: Any, values: Mapping[str, Floats]) -> DeclaredEnergy | None:
     """Return the declared energy of a ready-made system; None if not that of the system or of these values."""
-    # A system may have the name of a ready-made one, and arguments as a note.
-    declared = energy_of(system.name)
-    arguments = system.parameters or {}
-    if declared is None or not {*declared.parameters, *declared.others} <= {*arguments}:
+    declared, arguments = energy_of(system.name), system.parameters or {}
+    if declared is None or not arguments:
         return None
     if values:
         return declared if set(values) <= set(declared.parameters) else None
+    problem = _contradiction(declared, arguments, system)
+    # A system of the user may have the name of a ready-made one, and arguments as a note.
+    if problem and _is_made_by_builder(system):
+        raise TypeError(f"the energy that {system.name} declares {problem}")
+    return declared if problem is None else None
+
+
+def _is_made_by_builder(system: Any) -> bool:
+    """Return whether a system has the energy of the ready-made one of its name and parameters."""
+    try:
+        made = coefficients_of(ready_made_systems()[system.name](**system.parameters))
+    except (ArithmeticError, LookupError, TypeError, ValueError):
+        return False
+    return made.without_zeros().equal(coefficients_of(system).without_zeros())
+
+
+def _declared_coefficients(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> EnergyCoefficients:
+    """Return the declared energy at arguments of the builder."""
+    return coefficients_in(declared.function(**declared.chosen(arguments)))
+
+
+def _contradiction(declared: DeclaredEnergy, arguments: Mapping[str, Any], system: Any) -> str | None:
+    """Return how it differs from the energy of a system; None if it fits, no text if it cannot be evaluated."""
+    missing = [name for name in (*declared.parameters, *declared.others) if name not in arguments]
+    if missing:
+        return f"is a function of {missing[0]}, which its parameters do not have: {', '.join(arguments)}"
     try:
         numbers = {name: np.asarray(arguments[name], dtype=np.float64) for name in declared.parameters}
-        found = coefficients_in(_energy(declared, {**arguments, **numbers}))
-    except (ArithmeticError, LookupError, TypeError, ValueError):
-        return None
-    return declared if found.without_zeros().equal(coefficients_of(system).without_zeros()) else None
+    except (TypeError, ValueError):
+        return ""
+    found, x = None, sample_points(system.dim)[0]
+
+    def value_at(step: complex) -> Any:
+        moved = {name: value + step * _direction(value) for name, value in numbers.items()}
+        return _declared_coefficients(declared, {**arguments, **moved}).at(x)
+
+    try:
+        found = _declared_coefficients(declared, {**arguments, **numbers}).without_zeros()
+        own = coefficients_of(system).without_zeros()
+        if not found.equal(own):
+            return _difference(found.by_key(), own.by_key())
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")  # of imaginary parts that are dropped
+            exact = value_at(TINY_STEP * 1j).imag / TINY_STEP
+            near, nearer = ((value_at(step) - value_at(-step)) / (2.0 * step) for step in SMALL_STEPS)
+    except ValueError:  # parameters that are tied to each other
+        return "" if found is None else None
+    except (ArithmeticError, LookupError, TypeError) as reason:
+        return f"fails: {in_one_line(str(reason), 200)}"
+    size = found._replace(values=np.abs(found.values)).at(np.abs(x))
+    # Where differences do not agree, as near poles, they tell nothing.
+    allowed = AGREEMENT * abs(nearer) + 2.0**-28 * size
+    if abs(near - nearer) <= allowed < abs(exact - nearer):
+        return f"is not analytic: it changes by {nearer:.6g} with its parameters, and by {exact:.6g} in complex steps"
+    return None
 
 
-def _energy(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> Any:
-    return declared.function(**declared.chosen(arguments))
+def _difference(declared: Mapping[Key, float], own: Mapping[Key, float]) -> str:
+    """Return as text in which coefficient energies differ."""
+    key = min((k for k in {**declared, **own} if declared.get(k) != own.get(k)), key=lambda k: (len(k), k))
+    declares, has = distinct(declared.get(key, 0.0), own.get(key, 0.0))
+    return f"has the coefficient {declares} of {'*'.join(f'x{k + 1}' for k in key) or 1}, and its H has {has}"
+
+
+def _direction(value: Floats) -> Floats:
+    """Return a change of a parameter, symmetric for matrices, and zero where the value is."""
+    change = value * np.cos(1.0 + np.arange(value.size)).reshape(value.shape)
+    return change + change.swapaxes(-1, -2) if value.ndim > 1 and value.shape[-1] == value.shape[-2] else change
 
 
 def _of_declared(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> dict[str, Parameter]:
@@ -314,7 +375,7 @@ def _of_declared(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> dict
     numbers = {name: np.asarray(arguments[name], dtype=np.float64) for name in declared.parameters}
 
     def coefficients_at(name: str, value: NDArray[np.complex128]) -> EnergyCoefficients:
-        return coefficients_in(_energy(declared, {**arguments, **numbers, name: value}))
+        return _declared_coefficients(declared, {**arguments, **numbers, name: value})
 
     def parameter(name: str, value: Floats) -> Parameter:
         symmetric = name in declared.symmetric and value.ndim == 2

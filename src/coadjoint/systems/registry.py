@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar, cast, overload
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.errors import check_name_is_free
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.gallery_entry import GalleryEntry
@@ -107,6 +108,8 @@ def ready_made(
     ------
     TypeError
         `gallery_entry` is not a `GalleryEntry`, or `energy` is not a function of arguments of `function`.
+    ValueError
+        Another ready-made system has this name.
     """
     if not isinstance(gallery_entry, GalleryEntry | None):
         raise TypeError(f"gallery_entry is {short(gallery_entry)}; give a coadjoint.systems.gallery_entry.GalleryEntry")
@@ -122,11 +125,14 @@ def ready_made(
                     f"{builder.__name__} has forces, and its parameters would not make it again; return the "
                     "Hamiltonian part, to which users add forces by with_forces"
                 )
+            if system.name != builder.__name__:
+                raise TypeError(f"{builder.__name__} returns a system named {system.name!r}; give it its own name")
             if coordinates:
                 set_fields(system, _layout=system.layout | {"coordinates": dict(coordinates)})
             return system
 
         wrapped = suggest_keywords(hamiltonian)
+        check_name_is_free("ready-made system", builder.__name__, builder, _REGISTRY.get(builder.__name__))
         _REGISTRY[wrapped.__name__] = wrapped
         if gallery_entry is not None:
             _GALLERY_ENTRIES[wrapped.__name__] = gallery_entry

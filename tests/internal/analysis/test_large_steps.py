@@ -264,8 +264,8 @@ def test_products_of_axes_that_vanish_at_the_start_are_not_lost(turn):
 @pytest.mark.parametrize("forced", [False, True])
 def test_a_suspected_run_is_checked_by_few_gradients_and_loops(monkeypatch, forced):
     """Six gradients for the size of an energy, and no loops of half a step for the error of a step."""
-    from coadjoint.analysis import error_estimates
-    from coadjoint.analysis.measured_steps import MeasuredSteps
+    from coadjoint.runs import error_estimates
+    from coadjoint.runs.measured_steps import MeasuredSteps
     from coadjoint.runs.preparation import Preparation
 
     counts, gradients_at, loops = [], error_estimates.gradients_at, Preparation.loops

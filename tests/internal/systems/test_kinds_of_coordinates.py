@@ -7,20 +7,21 @@ from scipy.spatial.transform import Rotation
 
 import coadjoint as co
 from coadjoint.systems.description import description
-from matrix import functions
-from matrix.forces import force_text
+from matrix.forces import force_on
 from refusals import refused
 
 F, S = co.forces, co.systems
 OTHERS = {"X", "Y", "Z", "r", "z", "gamma", "q", "a"}
-"""Names without numbers of axes, positions, directions and constants."""
+"""Names without numbers of axes, positions, directions and constants; q and r beside momenta and the constant z."""
 ORDER = co.Splitting(order=6)
 
 
 def momenta_of(system):
     """Which coordinates are momenta, by their names."""
     names = description(system.name)["coordinates"]
-    return np.array([name.split("[")[0].rstrip("0123456789") not in OTHERS for name in names])
+    found = [name.split("[")[0].rstrip("0123456789") for name in names]
+    others = OTHERS if "z" in found else OTHERS - {"q", "r"}
+    return np.array([name not in others for name in found])
 
 
 @pytest.mark.thinned(1)
@@ -30,9 +31,8 @@ def test_every_force_keeps_what_is_no_momentum_or_is_refused(name):
     momenta, x, acting = momenta_of(system), 0.5 + 0.4 * np.cos(np.arange(system.dim)), set()
     declared = system.layout.get("coordinates", {})
     assert momenta.all() == all(kind == "momentum" for kind, _ in declared.values())
-    space = {"np": np, "co": co, "f": functions}
-    actuators = {"ReactionWheels", "ControlMomentGyros", "Sampled", "Thrusters"}  # of a body with memories, below
-    forces = {kind: eval(force_text(kind, system), space) for kind in set(F.names()) - actuators}
+    # Sampled forces act on bodies with memories, below.
+    forces = {kind: force_on(kind, system) for kind in F.names() if not getattr(F, kind).sampled}
     forces |= {"matrix": F.LinearDamping(0.1 * np.eye(system.dim)), "full": F.Torque(np.full(system.dim, 0.1))}
     for label, force in forces.items():
         try:

@@ -1,5 +1,7 @@
 """Parameters by which runs are differentiated: which there are, derivatives of the energy by them, and other values."""
 
+import math
+
 import numpy as np
 import pytest
 import scipy.sparse
@@ -163,6 +165,52 @@ def test_energies_have_arguments_of_their_builders(registering):
 
     with refused(TypeError, "energy", "3"):
         co.systems.ready_made(energy=3)
+
+
+def twice(p):
+    return (np.array([2.0 * p, 1.0, 1.0]),)
+
+
+# Each beside the declaration of a system whose energy is p x1^2 + x2^2 / 2 + x3^2 / 2, for p = 0.7.
+CONTRADICTIONS = {
+    "another H": (lambda p: (np.array([p, 1.0, 1.0]),), {}, ("0.35 of x1*x1", "0.7")),
+    "rounding": (lambda p: (np.array([2.0 * p * (1.0 + 2.0**-52), 1.0, 1.0]),), {}, ("0.7000000000000001 of x1*x1",)),
+    "abs": (lambda p: (np.array([2.0 * abs(p), 1.0, 1.0]),), {}, ("analytic", "complex")),
+    "float": (lambda p: (np.array([2.0 * float(np.real(p)), 1.0, 1.0]),), {}, ("analytic", "complex")),
+    "plain mathematics": (lambda p: (np.array([2.0 * math.exp(math.log(p)), 1.0, 1.0]),), {}, ("analytic", "complex")),
+    "no number": (lambda p: (np.array([2.0 * p[0], 1.0, 1.0]),), {}, ("fails", "indices")),
+    "a name of another note": (twice, {"parameters": {"q": 0.7}}, ("p", "parameters", "q")),
+    "a name of another system": (twice, {"name": "unmade"}, ("made", "unmade")),
+}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("which", CONTRADICTIONS)
+def test_a_declared_energy_that_is_not_that_of_the_system_is_refused(registering, which):
+    declared, options, named = CONTRADICTIONS[which]
+
+    def made(p=0.7, q=0.7):
+        return co.LiePoissonSystem(SO3, co.Quadratic(*twice(p)), **{"name": "made", "parameters": {"p": p}, **options})
+
+    made = co.systems.ready_made(energy=declared)(made)
+    with refused(TypeError, "made", *named):
+        co.prepare(made(), co.Splitting(), 0.125).jvp(np.array([0.3, 0.8, 0.4]), (0, 1), {"p": 1.0})
+
+
+def test_a_system_of_the_name_of_another_one_has_its_own_parameters():
+    """The arguments are a note; so they are where functions and tied parameters are not evaluated."""
+    other = co.LiePoissonSystem(SO3, co.Quadratic(1.0), name="rigid_body", parameters={"inertia": (1.0, 2.0, 3.0)})
+    assert list(parameters_of(other)) == ["M", "linear"]
+    driven = co.systems.spin_lattice("chain", 2, field=lambda t: np.array([0.0, 0.0, np.sin(t)]))
+    assert "field" not in parameters_of(driven)
+
+
+def test_names_of_ready_made_systems_are_taken(registering):
+    def toda(sites=3):
+        return co.LiePoissonSystem(SO3, co.Quadratic(1.0), name="toda", parameters={"sites": sites})
+
+    with refused(ValueError, "toda", "ready-made", "lattices"):
+        co.systems.ready_made(toda)
 
 
 def test_a_ready_made_system_has_no_forces(registering):

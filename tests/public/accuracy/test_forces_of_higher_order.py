@@ -7,9 +7,8 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from drawn_matrices import full
-from long import long_beyond, long_where
-from matrix.cases import value_of
-from matrix.forces import force_text
+from long import long_beyond
+from matrix.forces import first_fitting
 from refusals import refused
 
 SPAN = (0.5, 2.5)
@@ -166,33 +165,7 @@ def test_torques_on_matrices_keep_the_order(order):
     assert errors[0] < 1e-3 and np.log2(errors[0] / errors[1]) > order - 0.5
 
 
-SATELLITE, POINTING = "co.systems.body((1.0, 2.0, 2.5)", "co.forces.Pointing(0.1, 0.2), period=0.25"
-FIRST_FITTING = (f"{SATELLITE})", "co.systems.torus_euler(N=3)", "co.systems.spin_lattice('chain', 3)")
-SAMPLED = {
-    "Sampled": f"{SATELLITE}).with_forces(co.forces.Sampled({POINTING}))",
-    "Thrusters": f"{SATELLITE}).with_forces(co.forces.Thrusters({POINTING}, max_torque=0.2, min_impulse=0.004))",
-    "ReactionWheels": f"{SATELLITE}, wheels=0.1 * np.eye(3)).with_forces(co.forces.ReactionWheels({POINTING}))",
-    "ControlMomentGyros": f"{SATELLITE}, gyros=np.eye(3)[[(0, 1), (1, 2), (2, 0)]]).with_forces("
-    f"co.forces.ControlMomentGyros({POINTING}))",
-}
-
-LIKE_GRAVITY = ("Drag", "MagneticDipole", "SolarPressure")
-
-
-def first_fitting(name):
-    """Return a system with a registered force."""
-    if name in SAMPLED:
-        return value_of(SAMPLED[name])
-    for text in FIRST_FITTING:
-        try:
-            return value_of(f"{text}.with_forces({force_text(name, value_of(text))})")
-        except (TypeError, ValueError):
-            continue
-    raise ValueError(f"no system takes {name}")
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("name", long_where([*list(SAMPLED)[1:], *LIKE_GRAVITY], co.forces.names()))
+@pytest.mark.parametrize("name", co.forces.names())
 def test_every_force_acts_backward_or_is_refused_by_name(name):
     system = first_fitting(name)
     (force,), base = system.forces, co.IsospectralGauss(1) if system.has_matrices else co.Splitting()
@@ -233,14 +206,10 @@ STRONG = {
     "BetaPlane": [(SPINNING, co.forces.BetaPlane(3.0))],
     "RandomForcing": [(flow, co.forces.RandomForcing(5.0, (1, 2), seed=3)) for flow in (SPINNING, TURNING)],
 }
-ONE_FUNCTION = {  # the kernels call the function that NumPy calls
-    "ControlMomentGyros", "Drag", "GravityGradient", "MagneticDipole", "OwnForce", "Pointing", "ReactionWheels",
-    "Sampled", "SolarPressure", "Thrusters",
-}  # fmt: skip
 
 
 @pytest.mark.thinned(1)
-@pytest.mark.parametrize("name", sorted({*co.forces.names()} - ONE_FUNCTION))
+@pytest.mark.parametrize("name", STRONG)
 def test_kernels_have_the_flows_of_strong_forces_in_numpy(name):
     """In a step of half a unit of time, from a late time: changes of the size of the state, and rounding of each."""
     for system, force in STRONG[name]:

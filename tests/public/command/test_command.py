@@ -123,8 +123,7 @@ REFUSED = {
     "certificate in no folder": (["certify", "body.toml", "--json", "none/a.json"], ("none/a.json: ",)),
     "certificate as a picture": (["certify", "body.toml", "--json", "a.png"], ("a.png: ",)),
     "no steps": (["certify", "body.toml", "--steps", "0"], ("steps", "not 0")),
-    "a sweep": (["certify", "sweep.toml"], ("batch",)),
-    "forces": (["certify", "forces.toml"], ("forces",)),
+    "a sweep": (["certify", "sweep.toml"], ("sweep.toml: sweep.over: ",)),
     "an end before": (["resume", "held.zarr", "--t-end", "0"], ("t_end is 0",)),
     "no threads": (["resume", "held.zarr", "--t-end", "2", "--threads", "0"], ("not 0",)),
     "workers of one run": (["resume", "held.zarr", "--workers", "0"], ("workers",)),
@@ -149,7 +148,6 @@ def test_wrong_arguments_are_refused_in_one_line(call, name):
     arguments, said = REFUSED[name]
     more = '[system.parameters]\ninertia = [1, 2, 3]\n[sweep.over]\n"system.parameters.inertia[2]" = [2, 3]\n'
     Path("sweep.toml").write_text(f"{BODY}\n{more}")
-    Path("forces.toml").write_text(f'{BODY}\n[[forces]]\nname = "LinearDamping"\nrate = 0.1\n')
     if "held.zarr" in arguments:
         co.integrate(co.systems.rigid_body(), (1.0, 0.1, 0.5), (0, 1), 0.1, archive="held.zarr")
     before = sorted(path.name for path in Path().iterdir())

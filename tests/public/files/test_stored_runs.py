@@ -29,6 +29,7 @@ from stored_systems import (
 
 import coadjoint as co
 from configuration_files import READY_MADE
+from matrix.forces import first_fitting
 from refusals import refused
 from same_runs import check_same, same_bits
 from satellite_forces import CASES
@@ -270,9 +271,10 @@ ON_SATELLITES = {name.partition(" ")[0] for name in CASES}  # stored in tests of
 
 @pytest.mark.parametrize("name", [name for name in co.forces.names() if name not in {"OwnForce", *ON_SATELLITES}])
 def test_forced_runs_are_repeated_with_their_work(name, tmp_path):
-    force = getattr(co.forces, name)(*FORCES.get(name, ()))
-    fluid = name in ("Viscosity", "Friction", "BetaPlane", "RandomForcing")
-    system, x = (co.systems.torus_euler(N=5), FLUID.random(1)) if fluid else (BODY, np.array(X))
+    fitting = first_fitting(name)
+    force = getattr(co.forces, name)(*FORCES[name]) if name in FORCES else fitting.forces[0]
+    system = co.systems.torus_euler(N=5) if (fluid := fitting.has_matrices) else fitting.unforced
+    x = FLUID.random(1) if fluid else np.resize(X, system.dim)
     forced = system.with_forces(force)
     sol = co.integrate(forced, np.array([x, x]), (0, 1), 0.125, co.IsospectralGauss() if fluid else co.GaussLegendre(2))
     dataset = sol.to_xarray()

@@ -194,3 +194,15 @@ def test_settings_end_with_the_figure(run):
     with refused(ValueError, "component"):
         run.plot(["component"], style="grayscale")
     assert dict(matplotlib.rcParams) == before
+
+
+@pytest.mark.parametrize("name", ["drift", "spins"])
+def test_names_of_kinds_are_taken(name: str) -> None:
+    """Also before those of the library are read."""
+
+    def mine(drawn: Any) -> Any:
+        """Show nothing."""
+
+    with refused(ValueError, name, "kind of picture", "pictures.kinds"):
+        co.plotting.kind(name)(mine)
+    assert co.plotting.kinds()[name].prepare is not mine

@@ -38,12 +38,6 @@ from satellite_forces import (
 each = pytest.mark.parametrize("name", CASES)
 
 
-def test_every_force_on_a_body_is_a_case():
-    kinds = [getattr(F, name) for name in F.names()]
-    acting = {kind.__name__ for kind in kinds if hasattr(kind, "law_on_state") or issubclass(kind, F.Sampled)}
-    assert acting == {name.partition(" ")[0] for name in CASES} | {"Torque"}
-
-
 @pytest.mark.thinned(4)
 @each
 def test_a_run_by_dop853_in_quaternions(name):

@@ -11,11 +11,13 @@ import coadjoint
 from coadjoint.analysis.certificates.attitude import attitude_rows
 from coadjoint.analysis.certificates.certificate import Certificate, Row
 from coadjoint.analysis.certificates.convergence import convergence_rows, study
+from coadjoint.analysis.certificates.forces import force_rows
 from coadjoint.analysis.certificates.invariants import invariant_rows, long_run, run_row, steps_of
 from coadjoint.analysis.certificates.step_map import poisson_row, reversibility_row, symmetry_row
 from coadjoint.analysis.certificates.subject import Subject
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, warn_if_long
+from coadjoint.methods.forced import check_steps, check_supports
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import FunctionStep, read_step
@@ -55,7 +57,8 @@ def certify(
     Parameters
     ----------
     system : LiePoissonSystem or PoissonSystem
-        The system.
+        The system. With forces, the rows of the scheme are those on the Hamiltonian part, and each force has three: its
+        flow is that of its field, the compiled flow is that in NumPy, and the work recorded is that of the flow.
     method : Method or callable
         A scheme, or a function ``step(x, h)`` (``step(x, t, h)`` if the Hamiltonian depends on time) that returns the
         state after a step of length h, which may be negative. `order`, `properties` and `symmetric` are the
@@ -84,7 +87,8 @@ def certify(
     Raises
     ------
     ValueError, TypeError
-        For wrong input, or a scheme that does not apply to the system. A failed run is a row, not an error.
+        For wrong input, a scheme that does not apply to the system, or a function on a system with forces. A failed run
+        is a row, not an error.
 
     Examples
     --------
@@ -103,14 +107,19 @@ def certify(
     >>> [row.key for row in certificate.failures]
     ['energy']
     """
-    check_one_system(system)
+    check_one_system(system, forces=True)
     h = read_number(step, "step")
     if h == 0.0:
         raise ValueError(f"step is {h!r}; it must not be zero")
     count = None if steps is None else read_integer(steps, "steps", 1, MAX_STEPS, floats=True)
-    scheme, claims = scheme_and_claims(system, method, order, properties, symmetric)
+    scheme, claims = scheme_and_claims(system.unforced, method, order, properties, symmetric)
+    if system.forces:
+        if not claims.get("compiled", True):
+            raise TypeError(f"{system.name} has forces, and a function is a step without them; certify its .unforced")
+        check_supports(system, scheme)
+        check_steps(system, 0.0, h)
     states, _ = momenta_of(system, x0)
-    system = system.in_numbers
+    forced, system = system, system.unforced.in_numbers
     size = float(np.max(np.abs(states), initial=0.0))
     if size != 0.0 and not ALLOWED_SIZES[0] <= size <= ALLOWED_SIZES[1]:
         raise ValueError(
@@ -124,7 +133,8 @@ def certify(
             warn_if_long(
                 f"the long run of {count} steps from {len(subject.states)} states", seconds, "fewer steps= take less"
             )
-        return Certificate(_rows(subject), _describe(subject))
+        rows = (*_rows(subject), *force_rows(subject, forced))
+        return Certificate(rows, _describe(subject) | {"forces": list(map(str, forced.forces))})
 
 
 def _rows(subject: Subject) -> tuple[Row, ...]:

@@ -126,25 +126,25 @@ def _motion(system: System, start: bytes, shape: tuple[int, int], t: float, norm
     x = np.frombuffer(start).reshape(shape)
     field = partial(_field_with_element, system) if element else system.vector_field
     pairs = [
-        (_integrated(field, y, t, norm, FINE_TOLERANCE), _integrated(field, y, t, norm, COARSE_TOLERANCE)) for y in x
+        (integrated(field, y, t, norm, FINE_TOLERANCE), integrated(field, y, t, norm, COARSE_TOLERANCE)) for y in x
     ]
     if any(fine is None or coarse is None for fine, coarse in pairs):
         return None
     fine, coarse = (np.array([pair[k] for pair in pairs]) for k in (0, 1))
     size = float(norm(fine)) or 1.0
     error = ERROR_SHARE * float(norm(fine - coarse)) / size + 16 * UNIT_ROUNDOFF
-    integrated = Motion(fine, error, "DOP853 on the vector field")
+    numerical = Motion(fine, error, "DOP853 on the vector field")
     if element:
-        return integrated
+        return numerical
     closed, half = _closed_form(system, x, t), _closed_form(system, x, t / 2)
     two_halves = None if half is None else _closed_form(system, half, t / 2)
     if closed is None or two_halves is None:
-        return integrated
+        return numerical
     # Two half steps estimate the rounding of the closed form.
     rounding = 2 * float(norm(two_halves - closed)) / size + 16 * UNIT_ROUNDOFF
     difference = float(norm(closed - fine)) / size
     if difference > CLOSED_FORM_TOLERANCE:
-        return integrated._replace(
+        return numerical._replace(
             contradiction=f"the closed form of {system.name} is off the vector field by {difference:.1g}"
         )
     return Motion(closed, rounding, "the closed form")
@@ -166,7 +166,8 @@ def _closed_form(system: System, x: Floats, t: float) -> Floats | None:
         return None  # outside the domain of the closed form
 
 
-def _integrated(field: Callable[[Any, float], Any], x: Floats, t: float, norm: Norm, tolerance: float) -> Floats | None:
+def integrated(field: Callable[[Any, float], Any], x: Floats, t: float, norm: Norm, tolerance: float) -> Floats | None:
+    """Return the state after time t by DOP853 on a field of (x, t); None if that fails or takes too many steps."""
     from scipy.integrate import DOP853
 
     if t == 0.0:

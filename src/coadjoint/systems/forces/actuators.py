@@ -289,6 +289,8 @@ class Thrusters(Sampled):
 
     min_impulse: Any = 0.0
 
+    example: ClassVar = {**Sampled.example, "max_torque": 0.2, "min_impulse": 0.004}
+
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, what in (("max_torque", "torque of a pair while it fires"), ("min_impulse", "smallest impulse")):

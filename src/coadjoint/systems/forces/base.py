@@ -83,6 +83,9 @@ class Force(Abstract):
     moves: ClassVar[tuple[str, ...]] = ("momentum",)
     """Kinds of the coordinates that it changes, see ``layout`` of `LiePoissonSystem`."""
 
+    example: ClassVar[Mapping[str, Any]] = {}
+    """Parameters of a force for the tests; those that are missing have their defaults."""
+
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         # A dataclass keeps a representation that its class has.
@@ -271,8 +274,7 @@ def read_seed(value: Any, what: str) -> int:
 
 def normal_deviates(seed: int, stream: int, moment: float, part: int, count: int) -> NDArray[np.float64]:
     """Return `count` independent normal deviates, a pure function of seed, stream (0 to 2^63 - 1), time and part."""
-    # By Philox4x64-10 and the inverse distribution function; the reference for ``forces/random.hpp``, equal to round-
-    # off.
+    # By Philox4x64-10 and the inverse distribution function, as ``forces/random.hpp`` to round-off.
     from scipy.special import ndtri
 
     words = random_words(seed, stream, moment, part, count)
@@ -395,5 +397,4 @@ def check_dimension(argument: Plain, what: str, system: Any) -> None:
 
 def apply_metric(matrix: Any, y: NDArray[Any]) -> NDArray[Any]:
     """Return the product of a number, a diagonal or a matrix with y."""
-    array = np.asarray(matrix)
-    return array @ y if array.ndim == 2 else array * y
+    return np.asarray(matrix) @ y if np.ndim(matrix) == 2 else np.asarray(matrix) * y

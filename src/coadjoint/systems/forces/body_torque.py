@@ -247,6 +247,7 @@ class Pointing(BodyTorque):
     error: str = "sine"
     max_torque: Any = None
 
+    example: ClassVar = {"stiffness": 0.1, "damping": 0.2}
     selectors: ClassVar[tuple[str, ...]] = ("attitude",)
 
     def __post_init__(self) -> None:

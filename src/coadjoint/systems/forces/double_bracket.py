@@ -91,6 +91,7 @@ class DoubleBracketDamping(Force):
     alpha: float
     metric: Any = 1.0
 
+    example: ClassVar = {"alpha": 0.05}
     casimirs: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -264,6 +265,7 @@ class HeatBath(DoubleBracketDamping):
     seed: Any = None
     stream: int = 0
 
+    example: ClassVar = {"alpha": 0.05, "temperature": 0.1, "seed": 3}
     reversible: ClassVar[bool] = False
     random: ClassVar[bool] = True
 

@@ -67,6 +67,8 @@ class GravityGradient(BodyTorque):
     position: Any
     quadrupole: Any = 0.0
 
+    example: ClassVar = {"mu": 0.5, "position": (1.0, -0.5, 0.25)}
+
     def __post_init__(self) -> None:
         self._read(mu=read_number, position=read_prescribed, quadrupole=read_tensor)
         if not np.any(self.position(SAMPLE_TIME) if callable(self.position) else self.position):
@@ -150,6 +152,8 @@ class MagneticDipole(BodyTorque):
     B: Any
     position: Any = None
 
+    example: ClassVar = {"moment": (0.1, 0.2, -0.1), "B": (0.3, -0.2, 0.1)}
+
     def __post_init__(self) -> None:
         self._read(moment=read_prescribed)
         if self.position is not None:
@@ -187,6 +191,9 @@ class MagneticDipole(BodyTorque):
 
 UNIT = 1e-6
 """Largest deviation of a unit vector from the length 1 that is taken for rounding, and removed."""
+
+
+_PLATE = {"areas": (0.5,), "normals": ((0.6, 0.8, 0.0),), "centres": ((0.0, 0.2, 0.3),)}
 
 
 def _read_plates(force: Any) -> None:
@@ -254,6 +261,7 @@ class SolarPressure(BodyTorque):
     specular: Any = 0.0
     diffuse: Any = 0.0
 
+    example: ClassVar = {"pressure": 0.05, "sun": (0.6, 0.0, 0.8), **_PLATE}
     selectors: ClassVar[tuple[str, ...]] = ("normals",)
 
     def __post_init__(self) -> None:
@@ -329,6 +337,7 @@ class Drag(BodyTorque):
     centres: Any
     coefficient: float = 2.2
 
+    example: ClassVar = {"density": 0.05, "velocity": (1.0, 0.5, 0.0), **_PLATE}
     selectors: ClassVar[tuple[str, ...]] = ("normals",)
 
     def __post_init__(self) -> None:

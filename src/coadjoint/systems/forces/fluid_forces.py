@@ -63,6 +63,8 @@ class Friction(ModeRates):
     rate: float | Callable[[Any], Any]
     layer: str = "vorticity"
 
+    example: ClassVar = {"rate": 0.2}
+
     def __post_init__(self) -> None:
         if callable(self.rate):
             check_arguments(self.rate, "rate of Friction", "scale")
@@ -131,6 +133,8 @@ class Viscosity(ModeRates):
     rotation: bool = False
     layer: str = "vorticity"
 
+    example: ClassVar = {"nu": 0.02}
+
     def __post_init__(self) -> None:
         power = partial(read_integer, minimum=1, maximum=MAX_POWER)
         self._read(nu=read_nonnegative, power=power, rotation=read_bool, layer=read_layer)
@@ -181,6 +185,7 @@ class BetaPlane(ModeRates):
 
     beta: float
 
+    example: ClassVar = {"beta": 0.5}
     layer = "vorticity"
 
     def __post_init__(self) -> None:
@@ -251,6 +256,7 @@ class RandomForcing(Force):
     stream: int = 0
     layer: str = "vorticity"
 
+    example: ClassVar = {"energy_rate": 0.1, "band": (1, 2), "seed": 3}
     reversible: ClassVar[bool] = False
     random: ClassVar[bool] = True
     selectors: ClassVar[tuple[str, ...]] = ("band",)

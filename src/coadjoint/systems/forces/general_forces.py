@@ -72,6 +72,7 @@ class LinearDamping(Force):
     rate: Any
     toward: Any = 0.0
 
+    example: ClassVar = {"rate": 0.2}
     uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

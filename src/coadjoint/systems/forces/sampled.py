@@ -14,7 +14,7 @@ from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_poin
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, ForceReader
-from coadjoint.systems.forces.body_torque import check_one_body, limited_by, read_limits
+from coadjoint.systems.forces.body_torque import Pointing, check_one_body, limited_by, read_limits
 from coadjoint.systems.forces.torque import StateTorque, sample_state
 from coadjoint.systems.user_functions import callable_from_compiled
 from coadjoint.validation import read_integer, read_positive
@@ -66,6 +66,7 @@ class Sampled(Force):
     max_torque: Any = None
     first: int = field(default=0, kw_only=True)
 
+    example: ClassVar = {"law": Pointing(0.1, 0.2), "period": 0.25}
     reversible: ClassVar[bool] = False
     uses_energy: ClassVar[bool] = False
     sampled: ClassVar[bool] = True

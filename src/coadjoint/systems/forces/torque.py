@@ -242,6 +242,7 @@ class Torque(StateTorque):
 
     torque: Any
 
+    example: ClassVar = {"torque": (0.1, -0.2, 0.3)}
     uses_energy: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
