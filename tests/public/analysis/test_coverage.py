@@ -307,6 +307,45 @@ def test_a_line_is_followed_only_where_a_window_separates_it():
         co.analysis.line_drift(short, w, signal=1)
 
 
+def test_a_line_beside_a_large_mean_is_followed_by_a_wider_window():
+    """Its amplitude is a 20 000th of the mean, whose side lobes a window of four bins leaves twenty times as large."""
+    body, x0 = co.systems.rigid_body(inertia=(1.471, 1.640, 2.6)), (0.017, 0.022, -1.0)
+    scheme, w = co.Splitting(order=2, parts="coordinates"), 0.51560091727729
+    short, run = (co.integrate(body, x0, (0, span), 0.1, scheme, save_every=2) for span in (100, 300))
+    with refused(ValueError, "another line", "give a width of at least"):
+        co.analysis.line_drift(short, w, signal=2)
+    assert co.analysis.line_drift(run, w, signal=2).slope / w == pytest.approx(co.phase_drift(run).slope, rel=0.01)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("span", [60, 150, 300])
+def test_drifts_of_lines_of_random_bodies(span, count=30):
+    """Each is refused, or right within its uncertainty: the truth is the drift of a long run."""
+    rng, scheme, errors, deviations = np.random.default_rng(5), co.Splitting(order=2, parts="coordinates"), [], []
+    bodies = []
+    while len(bodies) < count:
+        inertia, x0 = np.sort(rng.uniform(1, 3, 3)), rng.normal(size=3)
+        if inertia[0] + inertia[1] < inertia[2] or np.diff(inertia).min() < 0.1:
+            continue
+        body, x0 = co.systems.rigid_body(inertia=inertia), x0 / np.linalg.norm(x0)
+        bodies.append(body)
+        truth = co.phase_drift(co.integrate(body, x0, (0, 4000), 0.1, scheme, save_every=20))
+        exact = co.integrate(body, x0, (0, 1000), 0.1, co.GaussLegendre(4), save_every=5)
+        run = co.integrate(body, x0, (0, span), 0.1, scheme, save_every=2)
+        for k in range(3):
+            w = co.frequencies(exact, k, count=1).frequency[0]
+            try:
+                drift = co.analysis.line_drift(run, w, signal=k)
+            except ValueError as error:
+                assert "give a width of at least" in str(error)
+                continue
+            errors.append(abs(drift.slope / w - truth.slope) / abs(truth.slope))
+            deviations.append(np.hypot(drift.uncertainty / w, truth.uncertainty) / abs(truth.slope))
+    errors, deviations = np.array(errors), np.array(deviations)
+    assert np.all(errors < 0.1) and np.all(errors < np.maximum(0.01, 5 * deviations))
+    assert span < 200 or len(errors) > 0.3 * 3 * count
+
+
 @pytest.mark.parametrize("kind", ["white", "correlated", "oscillating"])
 def test_frequencies_in_noise(kind):
     t = 0.5 * np.arange(512)
