@@ -288,11 +288,14 @@ def _check_separated(t: Floats, exact: NDArray[Any], w: float, width: float, own
     count = min(NEIGHBOURS, len(t) // (8 * (WINDOW_POWER + 1)))
     lines = find_lines(s, exact[None], count, WINDOW_POWER)
     frequency, size = lines.frequency[0] / half, np.linalg.norm(lines.amplitude[0], axis=1)
-    if not np.iscomplexobj(exact):  # the mirror image too, of a line that is not among them
-        frequency, size = np.concatenate([frequency, -frequency, [-w]]), np.append(0.5 * np.append(size, size), own)
-    ratio = np.append(size, np.linalg.norm(lines.mean[0])) / max(own, np.finfo(float).tiny)
-    distance = np.abs(np.append(frequency, 0.0) - w)
-    others = (distance > min(math.pi / abs(half), 0.5 * abs(w))) & (ratio > WEAK_NEIGHBOUR)
+    real, resolved = not np.iscomplexobj(exact), min(math.pi / abs(half), 0.5 * abs(w))
+    if real:
+        frequency, size = np.append(frequency, -frequency), 0.5 * np.append(size, size)
+    ratio = np.concatenate([size, [np.linalg.norm(lines.mean[0]), own * real]]) / max(own, np.finfo(float).tiny)
+    distance = np.abs(np.append(frequency, [0.0, -w]) - w)
+    others = (distance > resolved) & (ratio > WEAK_NEIGHBOUR)
+    if np.all(distance > resolved):  # no line of the exact motion is followed: only the mirror image is known
+        others[:-1] = False
     # Side lobes at m bins are below 3!^2 / pi (m^2 - 3^2)^(-7/2).
     bins = np.sqrt(9.0 + (36.0 / math.pi * ratio / WEAK_NEIGHBOUR) ** (2.0 / 7.0))
     needed = np.where(others, np.maximum(MAIN_LOBE, 2.0 * math.pi * bins) / np.where(others, distance, 1.0), 0.0)
