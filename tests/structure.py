@@ -19,14 +19,14 @@ INTERNAL = re.compile(r"^\s*from coadjoint\.\w+", re.MULTILINE)
 # A change may lower a maximum. One that raises it says in a comment beside the number what users gain for it.
 MAXIMA: dict[str, int] = {
     "Python files": 398,  # labels, causes of failures, pictures of bodies, standard errors, semi-invariants
-    "Python lines": 94740,  # forces that meet, labels, identities of archives, errors over runs, semi-invariants
+    "Python lines": 94802,  # forces that meet, labels, identities of archives, errors over runs and of steps
     "longest file": 400,
     "classes": 455,  # marked vorticities, three answers of readers, lost invariants, Casimirs found
     "isinstance": 528,  # labels of xarray and pandas, names of coordinates, traced functions, observed formulas
     "files in cycles, with imports inside functions and for types": 46,  # causes of failures, labels of states
     "modules behind integrate": 117,  # labels, causes of failures, created arrays, semi-invariants, checks at points
     "C++ lines": 20424,  # modes of rounding of callers, free bodies over whole periods
-    "test lines": 77050,  # pairs of forces, forces on every system, labels, flips in archives, coverage of errors
+    "test lines": 77180,  # pairs of forces, forces on every system, labels, flips in archives, coverage of errors
     "test files that import internals": 78,  # modes of rounding, traced functions, archives that change, estimates
     "public names": 342,  # rigid_molecules, export_table and co.jax.free_body
 }
