@@ -52,7 +52,12 @@ SUGGESTED = 0.002  # error of the step that a warning suggests, relative to the 
 
 def step_error(solution: Solution) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
-    return MeasuredSteps(solution, None, suspects_of(solution, deviations_of(solution))).worst()[0]
+    return _counted(*MeasuredSteps(solution, None, suspects_of(solution, deviations_of(solution))).worst())
+
+
+def _counted(error: float, steps: list[WorstStep]) -> float:
+    """Return the error of a step; NaN if the worst step is from a state at rest, which changes by its error alone."""
+    return math.nan if max(steps, key=lambda step: step.truncation).at_rest else error
 
 
 def step_errors_of_groups(solution: Solution) -> dict[str, float]:
@@ -80,7 +85,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> bool:
         try:
             measured = MeasuredSteps(solution, prepared, suspects_of(solution, deviations))
             error_of_step, steps = measured.worst()
-            solution.__dict__["_step_error"] = error_of_step
+            solution.__dict__["_step_error"] = _counted(error_of_step, steps)
         finally:
             lost = lost_invariant(solution, measured, deviations)
         if not lost.large:

@@ -307,6 +307,45 @@ def test_a_line_is_followed_only_where_a_window_separates_it():
         co.analysis.line_drift(short, w, signal=1)
 
 
+def test_a_line_beside_a_large_mean_is_followed_by_a_wider_window():
+    """Its amplitude is a 20 000th of the mean, whose side lobes a window of four bins leaves twenty times as large."""
+    body, x0 = co.systems.rigid_body(inertia=(1.471, 1.640, 2.6)), (0.017, 0.022, -1.0)
+    scheme, w = co.Splitting(order=2, parts="coordinates"), 0.51560091727729
+    short, run = (co.integrate(body, x0, (0, span), 0.1, scheme, save_every=2) for span in (100, 300))
+    with refused(ValueError, "another line", "give a width of at least"):
+        co.analysis.line_drift(short, w, signal=2)
+    assert co.analysis.line_drift(run, w, signal=2).slope / w == pytest.approx(co.phase_drift(run).slope, rel=0.01)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("span", [60, 150, 300])
+def test_drifts_of_lines_of_random_bodies(span, count=30):
+    """Each is refused, or right within its uncertainty: the truth is the drift of a long run."""
+    rng, scheme, errors, deviations = np.random.default_rng(5), co.Splitting(order=2, parts="coordinates"), [], []
+    bodies = []
+    while len(bodies) < count:
+        inertia, x0 = np.sort(rng.uniform(1, 3, 3)), rng.normal(size=3)
+        if inertia[0] + inertia[1] < inertia[2] or np.diff(inertia).min() < 0.1:
+            continue
+        body, x0 = co.systems.rigid_body(inertia=inertia), x0 / np.linalg.norm(x0)
+        bodies.append(body)
+        truth = co.phase_drift(co.integrate(body, x0, (0, 4000), 0.1, scheme, save_every=20))
+        exact = co.integrate(body, x0, (0, 1000), 0.1, co.GaussLegendre(4), save_every=5)
+        run = co.integrate(body, x0, (0, span), 0.1, scheme, save_every=2)
+        for k in range(3):
+            w = co.frequencies(exact, k, count=1).frequency[0]
+            try:
+                drift = co.analysis.line_drift(run, w, signal=k)
+            except ValueError as error:
+                assert "give a width of at least" in str(error)
+                continue
+            errors.append(abs(drift.slope / w - truth.slope) / abs(truth.slope))
+            deviations.append(np.hypot(drift.uncertainty / w, truth.uncertainty) / abs(truth.slope))
+    errors, deviations = np.array(errors), np.array(deviations)
+    assert np.all(errors < 0.1) and np.all(errors < np.maximum(0.01, 5 * deviations))
+    assert span < 200 or len(errors) > 0.3 * 3 * count
+
+
 @pytest.mark.parametrize("kind", ["white", "correlated", "oscillating"])
 def test_frequencies_in_noise(kind):
     t = 0.5 * np.arange(512)
@@ -314,6 +353,55 @@ def test_frequencies_in_noise(kind):
     signal = 3.0 * np.cos(4.1 * t[:, None] + phases) + noise_of(kind, (512, SEEDS), 4)
     found = co.frequencies(t, signal[:, :, None], count=1, window=2)
     check_coverage(found.frequency[:, 0] - 4.1, found.uncertainty[:, 0])
+
+
+def test_errors_of_steps_at_and_near_an_equilibrium():
+    """Of M x + l parallel to x, which the parts of a splitting leave: NaN at rest, a number where the field counts."""
+    x, M = np.array([0.6, 0.0, 0.8]), np.array([1.0, 0.5, 1 / 3])
+    system = co.LiePoissonSystem(SO3, co.Quadratic(np.diag(M), linear=2.0 * x - M * x), sign=-1)
+    found = []
+    for distance in (0.0, 1e-10, 0.1):
+        start = x + distance * np.array([0.3, 1.0, 0.0])
+        sol = co.integrate(system, start, (0, 20), 0.05, co.Splitting(order=2, parts="coordinates"))
+        assert 1e-4 < sol.error_estimate() < 1e-3
+        found.append(sol.step_error())
+    assert np.isnan(found[:2]).all() and 1e-3 < found[2] < 2e-3
+
+
+def relative_error(end, path, groups):
+    """As of `error_estimate`: of the worst group, relative to its largest size."""
+    sizes = [np.linalg.norm(path[:, group], axis=1).max() for group in groups]
+    errors = [np.linalg.norm(end[group] - path[-1, group]) for group in groups]
+    return max(np.array(errors) / sizes)
+
+
+SCHEMES = (co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2), co.ExplicitRungeKutta("rk4"))
+
+
+@pytest.mark.parametrize("count", [12, pytest.param(120, marks=pytest.mark.long)])
+def test_errors_of_runs_against_fine_runs(count):
+    """The truth is by `GaussLegendre(6)`: estimates of runs, and errors of runs with a given accuracy."""
+    ratios, used = [], []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        inertia, x0, groups = rng.uniform(1, 2, 3), rng.normal(size=6), [slice(0, 3), slice(3, 6)]
+        if seed % 3 == 0:
+            system, x0, groups = co.systems.rigid_body(inertia=inertia), x0[:3], groups[:1]
+        elif seed % 3 == 1:
+            system = co.systems.heavy_top(inertia=inertia, lever=rng.uniform(-1, 1, 3))
+        else:
+            system, groups = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(rng.uniform(0.5, 2, 6))), [slice(6)]
+        span = float(rng.integers(5, 16))
+        fine = co.integrate(system, x0, (0, span), 0.015625, co.GaussLegendre(6), save_every=8)
+        sol = co.integrate(system, x0, (0, span), 0.5 ** rng.integers(3, 6), SCHEMES[seed % len(SCHEMES)])
+        error = relative_error(sol.x[-1], fine.x, groups)
+        if 1e-11 < error < 0.1:
+            ratios.append(sol.error_estimate() / error)
+        accuracy = 10.0 ** -rng.uniform(3, 9)
+        sol = co.integrate(system, x0, (0, span), accuracy=accuracy)
+        used.append(relative_error(sol.x[-1], fine.x, groups) / accuracy)
+    assert len(ratios) > 0.5 * count and np.all(np.abs(np.log2(ratios)) < 0.6)
+    assert max(used) < 1 and np.median(used) > 0.01
 
 
 @pytest.mark.parametrize("method", ["heat bath", "Metropolis"])

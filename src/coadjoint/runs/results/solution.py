@@ -265,7 +265,8 @@ class Solution(SolutionOutput):
         At five points of the run a step is compared with two half steps; and so is the fastest step that the saved
         points show, such as a pericentre, whose error counts 0.4 times. Above 0.02 the scheme does not follow a motion
         that turns or oscillates, whatever its invariants; near equilibria and on slow ramps, where a step changes as
-        little as it errs, the number is large in runs that are right. `integrate` warns if the error over the run is
+        little as it errs, the number is large in runs that are right, and NaN at rest, where it is the error that
+        changes the state; see `error_estimate` for them. `integrate` warns if the error over the run is
         more than 5 per cent of the motion (docs/accuracy.md). For the error at the end see `error_estimate`.
         Groups of coordinates count relative to their sizes, such as momentum and position, or each spin; those that
         start at zero relative to the size of the state. The rounding of a step counts if it loses many digits of a
