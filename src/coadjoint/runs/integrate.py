@@ -162,7 +162,9 @@ def integrate(
             prepared, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events
         )
     if choice is None:
-        prepared.warn_of_large_step(sol)
+        from coadjoint.runs.error_estimates import warn_of_large_step
+
+        warn_of_large_step(sol, prepared)
     if archive is None:
         set_elapsed(sol, time.perf_counter() - began)
     return with_choice(sol, choice)

@@ -1,4 +1,4 @@
-"""Splittings whose parts are free bodies, bonds of spins, or functions that are sums: order, exactness, refusals."""
+"""Splittings whose parts are free bodies, bonds of spins, or functions that are sums: order, exactness."""
 
 from fractions import Fraction
 from itertools import permutations, product

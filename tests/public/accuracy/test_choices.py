@@ -1,4 +1,4 @@
-"""Schemes and steps for an accuracy: reached against known motions, reproducible, described, and refused."""
+"""Schemes and steps for an accuracy: reached against known motions, reproducible, described."""
 
 import dataclasses
 import math

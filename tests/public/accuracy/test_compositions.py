@@ -1,4 +1,4 @@
-"""Compositions and `even_order` (Remark 6.1): order conditions, steps, and both sides of each refusal."""
+"""Compositions and `even_order` (Remark 6.1): order conditions and steps."""
 
 import dataclasses
 

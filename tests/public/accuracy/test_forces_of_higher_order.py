@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from drawn_matrices import full
-from long import long_beyond
+from long import long_beyond, long_where
 from matrix.cases import value_of
 from matrix.forces import force_text
 from refusals import refused
@@ -176,6 +176,8 @@ SAMPLED = {
     f"co.forces.ControlMomentGyros({POINTING}))",
 }
 
+LIKE_GRAVITY = ("Drag", "MagneticDipole", "SolarPressure")
+
 
 def first_fitting(name):
     """Return a system with a registered force."""
@@ -189,7 +191,8 @@ def first_fitting(name):
     raise ValueError(f"no system takes {name}")
 
 
-@pytest.mark.parametrize("name", co.forces.names())
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", long_where([*list(SAMPLED)[1:], *LIKE_GRAVITY], co.forces.names()))
 def test_every_force_acts_backward_or_is_refused_by_name(name):
     system = first_fitting(name)
     (force,), base = system.forces, co.IsospectralGauss(1) if system.has_matrices else co.Splitting()

@@ -44,6 +44,26 @@ def test_steps_in_hundreds_of_digits(scheme):
         assert max(abs(a - b) for a, b in zip(*ends, strict=True)) < mpmath.mpf(10) ** -316
 
 
+def test_long_steps_of_large_states_are_those_in_numpy():
+    """Of every scheme with the options of its examples, and of compositions, where no iteration is short."""
+    compared = set()
+    for scheme in EXAMPLES + COMPOSED:
+        for system, x0, _ in witnesses(scheme, "A3,7, full", "e(3), heavy top", "so(3), diagonal"):
+            for h in (0.4, -0.7):
+                x = np.asarray(x0) * (0.5 if isinstance(system, co.MatrixSystem) else 2.0)
+                try:
+                    with np.errstate(all="ignore"):
+                        wanted = scheme.step(system, x, -3.25, h)
+                    found = co.stepper(system, scheme, h)(x, -3.25)
+                except (co.IntegrationError, ValueError):  # too long for one of the iterations
+                    continue
+                # Some ten stages, of which each has some hundred operations, and grows the rounding of the last ones.
+                bound = 2**14 * UNIT_ROUNDOFF * np.abs(wanted).max()
+                np.testing.assert_allclose(found, wanted, rtol=0, atol=bound, err_msg=f"{scheme}, {system.name}, {h}")
+                compared.add(str(scheme))
+    assert compared == {str(scheme) for scheme in EXAMPLES + COMPOSED}
+
+
 HEISENBERG = co.LiePoissonSystem(co.algebras.get("A3,1"), co.Quadratic(np.zeros(3), linear=[0.0, 0.3, 0.0]))
 # Steps of other schemes are several increments, each of them rounded to the size of the state.
 SUMMED_PLAINLY = co.Splitting, co.Projected, co.ReversibleSteps
@@ -60,9 +80,26 @@ def test_schemes_sum_their_increments_without_rounding():
     rate = HEISENBERG.vector_field(x0)[2]
     exact = Fraction(x0[2]) + steps * Fraction(h) * Fraction(rate)
     methods = schemes() | {f"example {one}": one for one in EXAMPLES if not one.own_steps}
+    methods = {name: method for name, method in methods.items() if serves(method, HEISENBERG)}
+    rounded = set()
     for name, method in methods.items():
-        if serves(method, HEISENBERG):
-            end = co.integrate(HEISENBERG, x0, (0, steps * h), h, method, save_every=steps, watch=False).x[-1]
-            error = float(abs((Fraction(end[2]) - exact) / exact))
-            # Rounding of the increment in each step, once or twice, and of the sum.
-            assert (error < 4 * UNIT_ROUNDOFF) != sums_plainly(method), (name, error / UNIT_ROUNDOFF)
+        end = co.integrate(HEISENBERG, x0, (0, steps * h), h, method, save_every=steps, watch=False).x[-1]
+        # Rounding of the increment in each step, once or twice, and of the sum.
+        if abs((Fraction(end[2]) - exact) / exact) > 4 * UNIT_ROUNDOFF:
+            rounded.add(name)
+    assert rounded == {name for name, method in methods.items() if sums_plainly(method)}
+
+
+def test_schemes_of_matrices_sum_their_increments_without_rounding():
+    """3000 conjugations keep the sum of the squares to rounding of the last state, in a motion without order."""
+    flow, rng = co.systems.torus_euler(N=5), np.random.default_rng(1)
+    W = flow.algebra.projected(rng.normal(size=flow.shape) + 1j * rng.normal(size=flow.shape))
+    compared = 0
+    for scheme in EXAMPLES:
+        if serves(scheme, flow):
+            end = co.integrate(flow, W, (0, 60), 0.02, scheme, save_every=3000, watch=False).x[-1]
+            change = np.sum(np.abs(end) ** 2) / np.sum(np.abs(W) ** 2) - 1.0
+            assert abs(change) < 16 * UNIT_ROUNDOFF, (scheme, change / UNIT_ROUNDOFF)
+            assert np.abs(end - W).max() > 0.1
+            compared += 1
+    assert compared >= 6

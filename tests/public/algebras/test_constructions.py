@@ -1,4 +1,4 @@
-"""Algebras from matrices and from other algebras: exact, in floats, at thresholds, and refused by name."""
+"""Algebras from matrices and from other algebras: exact, in floats, at thresholds."""
 
 from contextlib import nullcontext
 from fractions import Fraction

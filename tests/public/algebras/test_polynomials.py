@@ -1,4 +1,4 @@
-"""Polynomials and formulas as text: exact arithmetic, every kind of number, printed forms, limits, refusals."""
+"""Polynomials and formulas as text: exact arithmetic, every kind of number, printed forms, limits."""
 
 import importlib.util
 import math

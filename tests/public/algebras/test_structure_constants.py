@@ -1,4 +1,4 @@
-"""Structure constants: what is read, and what is refused."""
+"""Structure constants: what is read, and the identities that they must fulfil."""
 
 import itertools
 from contextlib import nullcontext

@@ -1,4 +1,4 @@
-"""Certificates: rows and verdicts, functions of the user, samples, units, thresholds, and what is refused."""
+"""Certificates: rows and verdicts, functions of the user, samples, units, thresholds."""
 
 import functools
 import json

@@ -1,4 +1,4 @@
-"""Equilibria on coadjoint orbits: axes of a body, the sleeping top, every kind of algebra, spirals, refusals.
+"""Equilibria on coadjoint orbits: axes of a body, the sleeping top, every kind of algebra, spirals.
 
 Weak instabilities are compared with eigenvalues in 40 digits, on both sides of the threshold and of neutral stability.
 """

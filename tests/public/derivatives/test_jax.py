@@ -1,4 +1,4 @@
-"""Runs as functions of JAX: values, derivatives, transformations and refused arguments."""
+"""Runs as functions of JAX: values, derivatives and transformations."""
 
 import os
 from functools import partial

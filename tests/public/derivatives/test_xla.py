@@ -1,4 +1,4 @@
-"""Runs as operations of JAX: agreement with the compiled loops, transformations, devices, memory and refused runs."""
+"""Runs as operations of JAX: agreement with the compiled loops, transformations, devices and memory."""
 
 import warnings
 

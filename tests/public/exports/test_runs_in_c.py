@@ -1,4 +1,4 @@
-"""Prepared runs as C99: the bits of the library from every compiler, the derivative of a step, and what is refused."""
+"""Prepared runs as C99: the bits of the library from every compiler, the derivative of a step."""
 
 import itertools
 import math

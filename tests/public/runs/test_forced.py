@@ -1,4 +1,4 @@
-"""Systems with forces: closed forms, what forces keep and change, balances, and refusals."""
+"""Systems with forces: closed forms, what forces keep and change, balances."""
 
 import itertools
 from functools import cache

@@ -1,4 +1,4 @@
-"""Inputs of prepared runs: names, shapes, limits, steppers, and refusals."""
+"""Inputs of prepared runs: names and shapes."""
 
 import numpy as np
 import pytest

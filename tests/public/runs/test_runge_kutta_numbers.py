@@ -1,4 +1,4 @@
-"""Steps of the Runge-Kutta schemes in exact and multiprecision numbers: invariants, tangents, refusals."""
+"""Steps of the Runge-Kutta schemes in exact and multiprecision numbers: invariants, tangents."""
 
 from fractions import Fraction
 

@@ -1,4 +1,4 @@
-"""Schemes for matrices: steps against their equations, references to 40 digits, the spectrum, and refusals."""
+"""Schemes for matrices: steps against their equations, references to 40 digits, the spectrum."""
 
 from itertools import pairwise
 

@@ -1,4 +1,4 @@
-"""The spherical midpoint: its equation, a Poisson map on spins of every arrangement, and what is refused."""
+"""The spherical midpoint: its equation, a Poisson map on spins of every arrangement."""
 
 import math
 

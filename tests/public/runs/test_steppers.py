@@ -1,4 +1,4 @@
-"""Single steps as functions: group elements, derivatives, threads and refusals."""
+"""Single steps as functions: group elements, derivatives and threads."""
 
 import dataclasses
 import math

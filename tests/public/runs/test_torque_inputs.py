@@ -1,4 +1,4 @@
-"""Torques as inputs: a closed form, steppers, functions beside them, and refusals."""
+"""Torques as inputs: a closed form."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Separable, split, polynomial and general Hamiltonians, and formulas: values, derivatives, time, and refusals."""
+"""Separable, split, polynomial and general Hamiltonians, and formulas: values, derivatives, time."""
 
 import copy
 import math

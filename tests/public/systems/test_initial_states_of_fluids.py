@@ -285,27 +285,3 @@ def test_fields_in_netcdf_in_any_order(points, tmp_path):
     for given, named in (({}, "time"), ({"variable": "vx"}, "vx"), ({"select": {"level": 0}}, "level")):
         with refused(ValueError, named):
             TURNING.from_file(file, **given)
-
-
-@pytest.mark.parametrize(
-    ("latitude", "longitude", "named"),
-    [
-        (np.linspace(75, -75, 9), np.arange(0, 360, 20.0), ("no known grid",)),
-        (np.linspace(90, -90, 9), np.linspace(0, 360, 19), ("end point",)),
-        (np.linspace(90, -90, 9), np.arange(0, 180, 20.0), ("spaced", "2 pi")),
-    ],
-)
-def test_other_grids_are_refused(latitude, longitude, named, tmp_path):
-    axes = {
-        name: (name, values, {"units": units})
-        for name, values, units in (("lat", latitude, "degrees_north"), ("lon", longitude, "degrees_east"))
-    }
-    file = in_netcdf(tmp_path, {"w": (("lat", "lon"), np.zeros((len(latitude), len(longitude))))}, axes)
-    with refused(ValueError, *named):
-        SPHERE.from_file(file)
-
-
-def test_netcdf_without_xarray(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with refused(ImportError, "a.nc", "xarray", "h5netcdf"):
-        TORUS.from_file("a.nc")

@@ -1,4 +1,4 @@
-"""Systems on several algebras: field, derivative, copies, names, and what is refused."""
+"""Systems on several algebras: field, derivative, copies, names."""
 
 from fractions import Fraction
 

@@ -42,6 +42,7 @@ TURNED_SYSTEMS = {
         oblique(MOMENTS[0], turn[0]), oblique(MASS, turn[0]), oblique(COUPLING, turn[0])
     ),
     "satellite_on_orbit": lambda turn: S.satellite_on_orbit(oblique(MOMENTS[0], turn[0]), 1.25),
+    "satellite_on_orbit, ellipse": lambda turn: S.satellite_on_orbit(oblique(MOMENTS[0], turn[0]), 1.25, 0.3),
     "gravitating_bodies, 0": pair(0),
     "gravitating_bodies, 2": pair(2),
     "gravitating_bodies, 4": pair(4),
@@ -72,14 +73,15 @@ def test_a_body_in_turned_axes_has_the_same_energy_and_motion(name):
             [[-1.0, 0.5, 0.0], [2.0, 0.0, 0.5]], [[0.0, -0.25, 0.05], [0.1, 0.75, 0.0]], A, [SPIN, -SPIN]
         )
     energy, other = straight.hamiltonian, turned.hamiltonian
-    size = np.abs(energy.gradient(x)).max()
+    at = (x, 0.7) if energy.timed else (x,)
+    there = (turn @ x, *at[1:])
+    slope, hessian = (turn @ energy.gradient(*at), turn @ energy.hessian(*at) @ turn.T)
+    field = turn @ straight.vector_field(*at)
     # Some hundred products of turned numbers each.
-    assert other.value(turn @ x) == pytest.approx(energy.value(x), rel=0, abs=256 * U * size)
-    np.testing.assert_allclose(other.gradient(turn @ x), turn @ energy.gradient(x), rtol=0, atol=256 * U * size)
-    hessian = turn @ energy.hessian(x) @ turn.T
-    np.testing.assert_allclose(other.hessian(turn @ x), hessian, rtol=0, atol=1024 * U * np.abs(hessian).max())
-    field = turn @ straight.vector_field(x)
-    np.testing.assert_allclose(turned.vector_field(turn @ x), field, rtol=0, atol=1024 * U * np.abs(field).max())
+    assert other.value(*there) == pytest.approx(energy.value(*at), rel=0, abs=256 * U * np.abs(slope).max())
+    np.testing.assert_allclose(other.gradient(*there), slope, rtol=0, atol=256 * U * np.abs(slope).max())
+    np.testing.assert_allclose(other.hessian(*there), hessian, rtol=0, atol=1024 * U * np.abs(hessian).max())
+    np.testing.assert_allclose(turned.vector_field(*there), field, rtol=0, atol=1024 * U * np.abs(field).max())
 
 
 SHARES = {"specular": MIRROR, "diffuse": MATT}

@@ -1,4 +1,4 @@
-"""Quadratic Hamiltonians: every form of M, exactness in any number type, and what is refused."""
+"""Quadratic Hamiltonians: every form of M, exactness in any number type."""
 
 from fractions import Fraction
 

@@ -1,4 +1,4 @@
-"""Rigid molecules: forces to many digits, DOP853 in quaternions, invariants, tables, and refusals."""
+"""Rigid molecules: forces to many digits, DOP853 in quaternions, invariants, tables."""
 
 import itertools
 
@@ -19,7 +19,7 @@ SITES = [
     [(0.0, 0.0, -0.05), (0.0, 0.0, 0.06), (0.0, 0.0, 0.02)],
     [(0.3, 0.2, 0.1)],
 ]
-CHARGES = [(-0.8, 0.45, 0.35), (-0.4, -0.3, 0.7), (1.0,)]
+CHARGES = [(-0.8, 0.45, 0.15), (-0.4, -0.3, 0.9), (1.0,)]  # each molecule has a charge, whose shift is not cancelled
 LJ = [[(0.6, 0.3), (0.1, 0.05), (0.1, 0.04)], [(0.3, 0.25), (0.2, 0.2), (0.0, 0.1)], [(0.4, 0.2)]]
 MASSES = [(16.0, 1.0, 1.5), (14.0, 12.0, 0.0), (23.0,)]
 MIXTURE = {"sites": SITES, "charges": CHARGES, "lj": LJ, "masses": MASSES, "count": (2, 2, 1)}

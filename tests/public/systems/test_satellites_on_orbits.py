@@ -1,4 +1,4 @@
-"""Attitudes of satellites on prescribed orbits: DOP853 in inertial space, closed forms, frequencies, refusals."""
+"""Attitudes of satellites on prescribed orbits: DOP853 in inertial space, closed forms, frequencies."""
 
 import numpy as np
 import pytest

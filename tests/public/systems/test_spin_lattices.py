@@ -1,4 +1,4 @@
-"""Spins on graphs: every coupling by hand, 40 digits, integrals, shapes, and what is refused."""
+"""Spins on graphs: every coupling by hand, 40 digits, integrals, shapes."""
 
 import functools
 import itertools

@@ -1,4 +1,4 @@
-"""States and solutions of bodies in space: attitudes, velocities, members, archives, events, derivatives, refusals."""
+"""States and solutions of bodies in space: attitudes, velocities, members, archives, events, derivatives."""
 
 import numpy as np
 import pytest

@@ -152,38 +152,3 @@ def test_linear_terms_that_inputs_cannot_replace():
     squares = co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda y: y @ y, lambda y: 2 * y), name="squares")
     with refused(TypeError, "'squares'", "inputs"):
         co.prepare(squares, co.GaussLegendre(2), 0.1, inputs=True)
-
-
-def so3(H):
-    return co.LiePoissonSystem(co.algebras.so(3), H)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "error", "named"),
-    [
-        (lambda: co.Quadratic([1, 2]) + co.Quadratic([1, 2, 3]), ValueError, ("2 and 3",)),
-        (lambda: co.Quadratic([1, 2]) + KINDS["separable"]().bind(3), ValueError, ("2 and 3",)),
-        (lambda: co.Quadratic([1e308, 1.0]) + co.Quadratic([1e308, 1.0]), ValueError, ()),
-        (
-            lambda: co.Quadratic([1, 2]) + type("Kind", (co.Quadratic,), {"__module__": "m"}),
-            TypeError,
-            ("added",),
-        ),
-        (lambda: co.Polynomial("x1^2"), ValueError, ("x1^2", "dim=")),
-        (lambda: co.Polynomial("h*q", basis=("h", "e", "f")), ValueError, ("'q'", "h, e, f")),
-        (lambda: co.Polynomial("x1", dim=2) / co.Polynomial("x1", dim=2), TypeError, ()),
-        (
-            lambda: co.Splitting().properties(so3(KINDS["functions"]() + co.Quadratic([1.0, 2.0, 3.0]))),
-            ValueError,
-            ("x1*x2*x3", "x1 and x2"),
-        ),
-        (
-            lambda: so3(co.Quadratic(1.0) + co.SplitHamiltonian([((0, 1), co.Quadratic([1.0, 1.0]))])),
-            ValueError,
-            ("piece 0", "0 and 1"),
-        ),
-    ],
-)
-def test_what_cannot_be_added(wrong, error, named):
-    with refused(error, *named):
-        wrong()

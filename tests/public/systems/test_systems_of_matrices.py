@@ -1,4 +1,4 @@
-"""Systems of matrices: against structure constants, in time, their traces and spectra, streams, and refusals."""
+"""Systems of matrices: against structure constants, in time, their traces and spectra, and streams."""
 
 import numpy as np
 import pytest

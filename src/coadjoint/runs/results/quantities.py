@@ -16,6 +16,7 @@ from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import in_one_line, nearest
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.keyword_hints import vocabulary
+from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import compact, short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
@@ -28,6 +29,8 @@ from coadjoint.systems.user_functions import takes_time, with_time
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
@@ -294,3 +297,32 @@ def sum_of_absolute_terms(invariant: Any, x: Floats) -> Floats:
     for term in built_in(terms):
         total += term.sum_of_absolute_values(np.abs(x))
     return total
+
+
+def table_of(solution: Any) -> pd.DataFrame:
+    """Return a solution as a table; see `Solution.to_pandas`."""
+    require_packages("a table of a solution", "pandas")
+    import pandas as pd
+
+    system: Any = solution.system.of_member(0).unforced
+    k, members = len(solution.t), None if solution.failed is None else len(solution.failed)
+    shape = system.shape
+    count = int(np.prod(shape))
+    states = solution.x.reshape(k, -1, count)
+    if system.has_matrices:
+        names: Sequence[str] = ["W" + ",".join(str(i + 1) for i in entry) for entry in np.ndindex(*shape)]
+    else:
+        names = coordinate_names(system, count)
+    columns: dict[str, Any] = {name: states[..., i] for i, name in enumerate(names)}
+    observed = {name: np.asarray(values) for name, values in solution.observed.items()}
+    numbers = {name: values for name, values in observed.items() if values.ndim == (1 if members is None else 2)}
+    invariants = {"energy": solution.energy, **solution.casimirs}
+    for what, series in (("invariant", invariants), ("observed", numbers)):
+        for name, values in series.items():
+            # Names of coordinates, invariants and observed quantities may be equal.
+            columns[f"{what} {name}" if name in columns else name] = values.reshape(k, -1)
+    if members is None:
+        times = pd.Index(solution.t, name="time")
+        return pd.DataFrame({name: values[:, 0] for name, values in columns.items()}, index=times)
+    index = pd.MultiIndex.from_product([range(members), solution.t], names=["member", "time"])
+    return pd.DataFrame({name: values.T.ravel() for name, values in columns.items()}, index=index)

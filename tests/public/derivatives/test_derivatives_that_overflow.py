@@ -1,4 +1,4 @@
-"""Wrong directions and cotangents, runs without derivatives, and derivatives that overflow."""
+"""Derivatives that overflow in some members leave those of the others."""
 
 import pickle
 

@@ -9,7 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.measured_steps import (
+from coadjoint.errors import LargeStepWarning, RoundingWarning
+from coadjoint.long_operations import warn_caller
+from coadjoint.runs.measured_steps import (
     EXCESS,
     ROUNDING,
     SUSPECTED,
@@ -17,13 +19,11 @@ from coadjoint.analysis.measured_steps import (
     WARNED,
     MeasuredSteps,
     WorstStep,
+    error_by_comparison,
     most_steps,
     states_at,
     trial_states,
 )
-from coadjoint.analysis.powers import error_by_comparison
-from coadjoint.errors import LargeStepWarning, RoundingWarning
-from coadjoint.long_operations import warn_caller
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.quantities import sum_of_absolute_terms
 from coadjoint.runs.results.solution import Solution

@@ -1,4 +1,4 @@
-"""Schemes that do not fit a system, and wrong parameters of schemes: each is refused early, and everywhere alike."""
+"""Limits of schemes: representations of Gauss methods, linear brackets of Kahan's, spins of the midpoint."""
 
 import numpy as np
 import pytest
