@@ -24,6 +24,7 @@ from coadjoint.files.records.reconstruction import event_of_file, polynomial_of
 from coadjoint.methods.forced import check_supports
 from coadjoint.methods.registry import default_scheme, from_description
 from coadjoint.optional_packages import require_packages
+from coadjoint.runs.error_estimates import warn_of_large_step
 from coadjoint.runs.events import Event
 from coadjoint.runs.integrate import chosen_for
 from coadjoint.runs.prepared_run import PreparedRun
@@ -69,7 +70,7 @@ class Configuration:
             with section(self.path, "run"):
                 solution = prepared.run(self.x0, run.span, run.save_every, **options)
                 if self.choice is None:
-                    prepared.warn_of_large_step(solution)
+                    warn_of_large_step(solution, prepared)
             return with_choice(solution, self.choice)
         from coadjoint.files.archives.ensemble import read_worker_pool, run_in_blocks
         from coadjoint.files.archives.resume import archive_run

@@ -17,7 +17,7 @@ from coadjoint.algebra.exact.numbers import parse_decimal
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import ConfigurationError, in_one_line, nearest
 from coadjoint.files.configuration.models import File
-from coadjoint.files.configuration.tables import MAX_SHOWN_LENGTH, wrong_keys
+from coadjoint.files.configuration.tables import MAX_SHOWN_LENGTH, WrongKeys, wrong_keys
 from coadjoint.files.records.reconstruction import polynomial_of
 from coadjoint.keyword_hints import vocabulary
 from coadjoint.short_repr import short
@@ -135,14 +135,14 @@ def _errors_in(error: ValidationError) -> Iterator[tuple[str, str]]:
         # Variants of tables have tags in brackets, and pydantic appends "[key]" for an invalid key of a table.
         parts = [part for part in entry["loc"] if isinstance(part, int) or part[:1] not in ("<", "[")]
         path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
-        context: Any = entry.get("ctx", {})
-        if entry["type"] == "wrong_keys":
-            yield from ((f"{path}.{key}".lstrip("."), wrong_key(key, context["table"])) for key in context["keys"])
-        elif entry["type"] == "value_error":
-            yield path, str(context["error"])
+        reason: Any = entry.get("ctx", {}).get("error")
+        if isinstance(reason, WrongKeys):
+            yield from ((f"{path}.{key}".lstrip("."), wrong_key(key, reason.table)) for key in reason.keys)
+        elif reason is not None:
+            yield path, str(reason)
         else:
             rule = "must be a table" if entry["type"] in ("model_type", "dict_type") else entry["msg"]
-            rule = rule.replace("Input should", "must").replace("must be a valid", "must be a")
+            rule = rule.replace("Input should", "must")
             yield path, f"{rule[:1].lower()}{rule[1:]}; it is {short(entry['input'], MAX_SHOWN_LENGTH)}"
 
 

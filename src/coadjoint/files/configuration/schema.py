@@ -79,7 +79,7 @@ def schema() -> Schema:
     attitude = {"attitude": tables["NamedStateTable"]["properties"]["attitude"]}
     options = {
         "SystemTable": [_option("name", name, one, inline=False) for name, one in sorted(ready_made_systems().items())],
-        "CatalogueAlgebra": list(_algebras()),
+        "CatalogueTable": list(_algebras()),
         "NamedStateTable": [_option("kind", name, one, attitude, subtable=False) for name, one in _states()],
         "MethodTable": [_option("name", name, registry.scheme(name)) for name in registry.names()],
         "ForceTable": [_option("name", name, one) for name, one in sorted(kinds().items()) if name != "OwnForce"],

@@ -21,7 +21,6 @@ from pydantic import (
     WrapValidator,
     model_validator,
 )
-from pydantic_core import PydanticCustomError
 
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.lie_algebra import LieAlgebra
@@ -102,6 +101,14 @@ def wrong_keys(table: type[BaseModel], keys: Collection[str]) -> list[str]:
     return unknown or [key for key, field in fields.items() if field.is_required() and key not in keys]
 
 
+class WrongKeys(ValueError):
+    """Unknown or missing keys of a table."""
+
+    def __init__(self, table: type[BaseModel], keys: list[str]) -> None:
+        super().__init__(", ".join(keys))
+        self.table, self.keys = table, keys
+
+
 class Table(BaseModel):
     """Base of all tables."""
 
@@ -111,7 +118,7 @@ class Table(BaseModel):
     @classmethod
     def _check_keys(cls, table: Any) -> Any:
         if isinstance(table, Mapping) and (wrong := wrong_keys(cls, table.keys())):
-            raise PydanticCustomError("wrong_keys", "wrong keys", {"keys": wrong, "table": cls})
+            raise WrongKeys(cls, wrong)
         return table
 
 
@@ -124,7 +131,7 @@ class SystemTable(Table):
     """Its parameters; omitted ones have their defaults."""
 
 
-class CatalogueAlgebra(Table):
+class CatalogueTable(Table):
     """An algebra of the catalogue; `coadjoint algebras` lists them."""
 
     name: str
@@ -137,7 +144,7 @@ class CatalogueAlgebra(Table):
         return catalogue.get(self.name, **self.parameters)
 
 
-class BracketAlgebra(Table):
+class BracketsTable(Table):
     """An algebra of your own, by its brackets."""
 
     model_config = ConfigDict(json_schema_extra={"anyOf": [{"required": ["dim"]}, {"required": ["basis"]}]})
@@ -150,7 +157,7 @@ class BracketAlgebra(Table):
     """Its brackets, such as "[e1, e2] = 2 e3 - e1"; those that are not listed are zero."""
 
     @model_validator(mode="after")
-    def _one_dimension(self) -> BracketAlgebra:
+    def _one_dimension(self) -> BracketsTable:
         if self.dim is None and not self.basis:
             raise ValueError("dim is missing; give it, or basis")
         if self.dim is not None and self.basis is not None and len(self.basis) != self.dim:
@@ -165,7 +172,7 @@ class BracketAlgebra(Table):
         return LieAlgebra.from_brackets(dim, self.brackets or {}, basis=basis)
 
 
-class AlgebraOfMatrices(Table):
+class MatricesTable(Table):
     """An algebra of your own, by square matrices, which are a basis and a representation."""
 
     basis: list[Name] | None = None
@@ -298,9 +305,9 @@ def _field_values(value: Any, folder: Path, key: str) -> Any:
 
 
 Algebra = Annotated[
-    Annotated[CatalogueAlgebra, Tag("<name>")]
-    | Annotated[BracketAlgebra, Tag("<brackets>")]
-    | Annotated[AlgebraOfMatrices, Tag("<matrices>")],
+    Annotated[CatalogueTable, Tag("<name>")]
+    | Annotated[BracketsTable, Tag("<brackets>")]
+    | Annotated[MatricesTable, Tag("<matrices>")],
     by_key("<name>", matrices="<matrices>", brackets="<brackets>", dim="<brackets>", basis="<brackets>"),
 ]
 Energy = Annotated[
