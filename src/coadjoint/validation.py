@@ -7,7 +7,7 @@ import inspect
 import math
 import numbers
 import pkgutil
-from collections.abc import Callable, Collection, Iterable, Mapping, Sized
+from collections.abc import Callable, Collection, Iterable, Mapping
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import unknown_name
 from coadjoint.labels import lost_labels
-from coadjoint.memory import check_available_memory
+from coadjoint.memory import UNCHECKED_BYTES, check_available_memory
 from coadjoint.short_repr import short
 
 Floats = NDArray[np.float64]
@@ -26,9 +26,7 @@ Kind = TypeVar("Kind")
 REAL_KINDS = "iuf"
 FLOAT64 = np.dtype(np.float64)
 SMALL_SIZE = 64  # up to this many numbers plain Python is faster than NumPy
-UNCHECKED_SIZE = 2**16  # up to this many numbers memory is not checked
 MAX_TITLE_LENGTH = 200  # characters of a name, so that messages that contain two stay readable
-BYTES_PER_ENTRY = 64  # of a list: a pointer and an object of Python
 MAX_DIMENSIONS = 32  # maximum of an object array whose entries can be examined
 MAX_DEPTH = 64  # maximum depth of nested lists: that of array dimensions
 
@@ -54,11 +52,6 @@ def is_integer(value: Any) -> bool:
     return isinstance(value, numbers.Integral) and not isinstance(value, bool | np.timedelta64)
 
 
-def size_of_range(values: range) -> int:
-    """Return the length of a range, which may exceed the limit of `len`."""
-    return max(0, -((values.start - values.stop) // values.step))
-
-
 def supports_arithmetic(value: Any) -> bool:
     """Return whether a value supports addition and multiplication with numbers."""
     return hasattr(type(value), "__radd__") and hasattr(type(value), "__rmul__")
@@ -71,8 +64,6 @@ def to_array(values: Any, what: str, kinds: str = REAL_KINDS) -> NDArray[Any]:
         array = values
     else:
         reject_lossy_conversion(values, what)
-        if isinstance(values, range):  # which may be longer than memory allows
-            check_available_memory(8 * size_of_range(values), f"{what}, {short(values)},")
         try:
             array = np.asarray(values)
         except MemoryError:
@@ -93,7 +84,7 @@ def to_array(values: Any, what: str, kinds: str = REAL_KINDS) -> NDArray[Any]:
 
 def read_numbers(values: Any, what: str) -> Floats:
     """Validate real numbers and return a float64 copy."""
-    if type(values) is np.ndarray and values.dtype is FLOAT64 and values.size <= UNCHECKED_SIZE:
+    if type(values) is np.ndarray and values.dtype is FLOAT64 and values.nbytes <= UNCHECKED_BYTES:
         return np.array(values)
     return _copied(values, what, REAL_KINDS, FLOAT64)
 
@@ -105,8 +96,7 @@ def read_complex(values: Any, what: str) -> NDArray[np.complex128]:
 
 def _copied(values: Any, what: str, kinds: str, kind: np.dtype[Any]) -> NDArray[Any]:
     array = to_array(values, what, kinds)
-    if array.size > UNCHECKED_SIZE:
-        check_available_memory(kind.itemsize * array.size, f"a copy of {what}, of shape {array.shape},")
+    check_available_memory(kind.itemsize * array.size, f"a copy of {what}, of shape {array.shape},")
     try:
         if array.dtype.itemsize <= 8 and array.dtype.kind != "O":
             return np.array(array, dtype=kind)
@@ -318,8 +308,6 @@ def read_list(values: Any, what: str, rule: str) -> tuple[Any, ...]:
     reject_lost_labels(values, what)
     try:
         if not isinstance(values, str | bytes | Mapping):
-            size = values.size if isinstance(values, np.ndarray) else len(values) if isinstance(values, Sized) else 0
-            check_available_memory(BYTES_PER_ENTRY * size, f"{what}, of {size} entries,")
             return tuple(values)
     except TypeError:
         pass

@@ -30,6 +30,8 @@ def wrong_error(error, here=""):
         return None
     if isinstance(error, FileNotFoundError | IsADirectoryError) and "file" in here:
         return None
+    if isinstance(error, MemoryError):  # of Python or NumPy, which name the size
+        return None
     if not isinstance(error, SENTENCES) or type(error) in INSIDE:
         return shown
     module = last.tb_frame.f_globals.get("__name__", "")

@@ -23,9 +23,9 @@ from coadjoint.algebra.invariants.invariant import LOGARITHM, LogarithmicSum
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formulas import Number, condition_holds, parse_formula
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.caching import shared
 from coadjoint.errors import refuse_others, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import shared
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice, read_integer
 

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.exact.elimination import Span, Vector, add_multiple
 from coadjoint.algebra.exact.numbers import (
     Roots,
@@ -24,7 +23,6 @@ from coadjoint.algebra.exact.numbers import (
 )
 from coadjoint.algebra.exact.sparse_sums import DEFECT_FACTOR, Floats
 from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.validation import read_list, to_array
@@ -33,7 +31,6 @@ DISTANCE = 2.0**-40  # from a span, relative to the products in a commutator, be
 EXACT_INTEGERS = 2.0**53  # floats from here on are integers whatever was rounded
 PRECISION = 1024  # bits of the least squares
 MAX_DIM = 256  # of a closure
-BYTES_PER_NUMBER = 300  # of an exact number in a dictionary
 
 Entries = dict[tuple[int, int], Roots]
 Constants = list[tuple[int, int, int, float]]
@@ -76,9 +73,6 @@ def read_matrices(argument: Any) -> Matrices:
             "that depend on others"
         )
     size = d * (1 + is_complex)
-    check_algebra_memory(f"the algebra of {len(arrays)} matrices", len(arrays), len(arrays) * size * size)
-    count = 4 * sum(int(np.count_nonzero(array)) for array in arrays)
-    check_available_memory(BYTES_PER_NUMBER * count, f"exact numbers of {len(arrays)} matrices of {d} x {d}")
     parts = [part for row in numbers for pair in row for part in pair]
     certain = all(
         isinstance(part, int | Fraction) or (part.is_integer() and abs(part) < EXACT_INTEGERS) for part in parts
@@ -151,8 +145,6 @@ class ExactSpan:
         self.roots = sorted(found)
         self._index = {root: number for number, root in enumerate(self.roots)}
         vectors = [self._vector(entries, root) for entries in matrices for root in self.roots]
-        count = sum(map(len, vectors))
-        check_available_memory(BYTES_PER_NUMBER * count, f"the span of {len(matrices)} matrices")
         self._span = Span()
         refused = next((number for number, vector in enumerate(vectors) if not self._span.add(vector)), None)
         self.first_dependent: tuple[int, dict[int, float]] | None = None

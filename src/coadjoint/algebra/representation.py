@@ -23,7 +23,6 @@ from coadjoint.algebra.exact.sparse_sums import (
     groups,
     largest_violation,
 )
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.validation import read_numbers
 
@@ -114,8 +113,6 @@ def _solutions(left: Floats, right: Floats) -> Floats:
     size = np.where(size > 0.0, size, 1.0)[:, None, None]  # equal weight for every i, independent of units
     left, right = left / size, right / size
     per_fold = max(1, REDUCED_ROWS // (m * d))
-    folded = 8 * (m * d) ** 2 * (per_fold + 3)
-    check_available_memory(folded, f"the analysis of a representation by {d} x {d} matrices")
     triangle: Floats = np.zeros((0, m * d))
     for begin in range(0, left.shape[0], per_fold):
         blocks = [

@@ -15,8 +15,9 @@ from coadjoint.algebra.exact.numbers import exact_numbers
 from coadjoint.algebra.exact.sparse_sums import Floats, Integers, expand, groups, strongly_connected
 from coadjoint.algebra.polynomials.monomials import names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.caching import cached_if_small
 from coadjoint.long_operations import warn_caller
-from coadjoint.memory import cached_if_small, check_available_memory
+from coadjoint.memory import check_available_memory
 from coadjoint.validation import not_numbers_error, read_integer, to_array
 
 if TYPE_CHECKING:

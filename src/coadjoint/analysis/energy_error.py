@@ -21,7 +21,6 @@ from coadjoint.analysis.backward_error.modified_hamiltonian import (
 from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.tuned_parts import MIN_STEPS, RELATIVE_STEP, orbit_overflow_error, rate_at
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.registry import reference_scheme
@@ -177,9 +176,6 @@ def make_corrector(system: LiePoissonSystem, method: Method | str | Mapping[str,
     starts, _ = momenta_of(system, x0)
     basis = _monomials(system.dim, max(term.degree - H.degree + 1, 1))
     count = max(POINTS_PER_MONOMIAL * len(basis) // len(starts), 64)
-    check_available_memory(
-        8 * 3 * len(basis) * count * len(starts), f"{len(basis)} monomials at {count * len(starts)} states"
-    )
     motions, rates = zip(*(short_motion(system, start, count) for start in starts), strict=True)
     ring = ExactPolynomials(system.algebra)
     energy = ring.from_polynomial(H)

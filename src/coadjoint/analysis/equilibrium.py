@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from coadjoint.analysis.orbit import Orbit, TangentSpace
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import record_repr
@@ -160,7 +159,6 @@ def _validated(system: Any, x0: ArrayLike) -> Floats:
     if not single:
         raise ValueError(f"x0 has the shape {np.shape(x0)}; {system.name} needs ({system.dim},)")
     x = momenta[0]
-    check_available_memory(64 * system.dim**2, f"the linearization of {system.name}, of dimension {system.dim},")
     if system.hamiltonian.timed:
         raise TypeError(f"the Hamiltonian of {system.name} depends on time, so that it has no equilibria")
     system.hamiltonian.hessian(x, 0.0)  # raises TypeError without second derivatives

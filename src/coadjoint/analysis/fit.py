@@ -16,7 +16,6 @@ from coadjoint.errors import MAX_LISTED_NAMES, unknown_name
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.labels import MEMBERS, STATE_DIMENSIONS, by_labels
 from coadjoint.long_operations import warn_caller
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.derivatives.parametrized_run import ParametrizedRun
 from coadjoint.runs.prepared_run import PreparedRun
@@ -36,8 +35,6 @@ ENERGY_DISTANCE = 2.0**-10
 BY_DIFFERENCES = 2.0**-26
 # Largest field of a Casimir, relative to the field of other directions of H.
 CASIMIR = 1e-6
-# Peak memory, in arrays of the size of the Jacobian.
-COPIES = 10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,9 +204,7 @@ def fit(
     weights = _weights(measured, sigma, problem, Quantities.names_of(ready, observe))
     targets = {name: read_numbers(measured[name], f"measured {name}") for name in weights}
     problem = problem._replace(weights=weights, targets=targets)
-    numbers, count = problem.numbers, len(problem.unknowns)
-    needed = COPIES * 8 * numbers * count
-    check_available_memory(needed, f"a fit of {count} unknowns to {numbers} numbers", "fit fewer of them")
+    count = len(problem.unknowns)
     first = problem.jacobian(np.zeros(count))
     _check_determined(first, problem)
     problem, first = problem.near_attitudes(first)

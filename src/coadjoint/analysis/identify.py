@@ -13,10 +13,8 @@ from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.analysis.standard_errors import student_factor
 from coadjoint.analysis.weak_form import (
-    GROUPED,
     MIN_RADIUS,
     RANK,
-    STRIDES,
     Floats,
     TrajectorySamples,
     complement_of_casimirs,
@@ -29,7 +27,6 @@ from coadjoint.analysis.weak_form import (
 from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.registry import reference_scheme
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution
@@ -188,9 +185,6 @@ def identify(
         radii: tuple[int, ...] = (read_integer(radius, "radius", MIN_RADIUS, longest),)
     else:
         radii = tuple(r for r in RADII if r <= longest)
-    rows = data.x.shape[0] * STRIDES * data.x.shape[1] // radii[0] * algebra.dim
-    needed = 8 * len(exponents) * (3 * rows + 4 * STRIDES * GROUPED * radii[-1] * algebra.dim + 4 * len(exponents))
-    check_available_memory(needed, f"an identification of {len(exponents)} monomials", "take a lower degree")
     complement = complement_of_casimirs(algebra, exponents)
     best, certainty = None, (-1, 0, -math.inf)
     for k, r in enumerate(radii):

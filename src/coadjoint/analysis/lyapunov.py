@@ -224,9 +224,6 @@ def lyapunov(
     every = min(read_integer(renormalize_every, "renormalize_every", floats=True), MAX_STEPS)
     workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
     start = start_of(system, scheme, x0, False)
-    check_available_memory(
-        8 * 4 * system.dim * count, f"{short(count)} tangent vectors of dimension {short(system.dim)}"
-    )
     times = _with_saved_steps(times_of(t_span, step, 1), transient, save_every, len(start.momenta) * count)
     frame = Frame(frame_of(count, system.dim), every)
     workers = min(len(start.momenta), workers or os.cpu_count() or 1)
@@ -320,8 +317,6 @@ def _step_by_step(
     system: System | Batch, systems: Sequence[System], method: Method, times: Times, start: Start, frame: Frame
 ) -> tuple[NDArray[np.float64], str, Run]:
     """Take the steps in the loop of the scheme, then evaluate their tangents in Python."""
-    numbers = (times.steps + 1) * (systems[0].dim + 2) * len(start.momenta)
-    check_available_memory(8 * numbers, f"the states of {short(times.steps)} steps, for tangents in Python,")
     _warn_once(type(method))
     every_step = times.with_saved_steps(np.arange(times.steps + 1))
     loops = loops_of_members(systems, [method.loop(member, times.h, None) for member in systems])

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from coadjoint.analysis.standard_errors import MIN_FREEDOM, covariances, low_power
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import missing_attitude
@@ -25,8 +24,6 @@ Floats = NDArray[np.float64]
 
 MIN_SAMPLES = 16  # fewer have no window of five integrated times
 WINDOW = 5.0  # integrated times in the window
-BYTES_PER_SAMPLE = 128  # peak, of one member and channel, padded
-BYTES_PER_LAG = 40  # of each channel
 
 
 class SampledSignal(NamedTuple):
@@ -226,10 +223,6 @@ def autocorrelation(given: Any, signal: Any = None, window: float = WINDOW) -> A
     series = sampled(given, signal, MIN_SAMPLES)
     factor = read_positive(window, "window")
     members, count, channels = series.values.shape
-    check_available_memory(
-        BYTES_PER_SAMPLE * count + BYTES_PER_LAG * channels * count,
-        f"the autocorrelation of {count} times and {channels} channels",
-    )
     mean = series.values.mean(axis=(0, 1))
     lags = count // 2 + 1
     sums = np.stack([covariances(series.values[:, :, c] - mean[c]) for c in range(channels)], axis=1)

@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra import catalogue
-from coadjoint.memory import check_available_memory
 from coadjoint.systems.lattices.couplings import DipolarFunction
 from coadjoint.systems.system_checks import check_system
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
-
-BYTES_PER_ENTRY = 80  # peak, while the couplings are sorted by sublattice
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,11 +153,9 @@ def _matrix_and_linear(term: Any, n: int) -> tuple[Any, Floats, float] | None:
 
     form, function = term.form, getattr(term, "value", None)
     if form is not None:
-        check_available_memory(BYTES_PER_ENTRY * (n + len(form.values)), f"couplings of {n} coordinates")
         rows = (form.values, form.indices, form.indptr)
         return scipy.sparse.csr_matrix(rows, shape=(n, n)), form.linear, form.constant
     if isinstance(function, DipolarFunction):
-        check_available_memory(BYTES_PER_ENTRY * n**2, f"dipolar couplings of {n} coordinates, each with each,")
         return scipy.sparse.csr_matrix(function.matrix()), np.zeros(n), 0.0
     return None
 

@@ -13,7 +13,6 @@ from coadjoint.analysis.signals import sampled
 from coadjoint.analysis.standard_errors import student_factor
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.memory import check_available_memory
 from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.short_repr import short
 from coadjoint.shortcuts import shortcut
@@ -27,11 +26,9 @@ Floats = NDArray[np.float64]
 
 MIN_TIMES = 8  # of a transform with a window
 NUMBERS_AT_ONCE = 2**22  # spins times times that are copied together
-BYTES_PER_VALUE = 500  # peak, of a wave vector at a time
 
 COMMENSURATE = 1e-9  # distance from a whole number of waves, in waves
 MAX_WAVES = 2**40  # whole numbers of waves up to here are exact in float64
-BYTES_PER_POINT = 100  # of a path: coordinates, distance, and those of the result
 
 
 @suggest_keywords
@@ -149,11 +146,6 @@ def structure_factor(solution: Solution, path: ArrayLike | None = None, window: 
     members, count, n = signal.values.shape
     q, distance, corners = reciprocal_path(lattice, shape, path)
     k = len(q)
-    check_available_memory(
-        BYTES_PER_VALUE * k * count + 16 * k * n,
-        f"the structure factor at {k} wave vectors and {count} times",
-        "give a shorter path, or save fewer times",
-    )
     weight = _window(window, count)
     spacing = float(signal.t[-1] - signal.t[0]) / (count - 1)
     phase = 2.0 * np.pi * (q @ cell_coordinates(lattice, shape).T)
@@ -262,7 +254,6 @@ def reciprocal_path(lattice: str, shape: Any, path: Any) -> tuple[Floats, Floats
     points = [whole[:1].astype(np.int64)]
     for start, end in zip(whole[:-1].astype(np.int64), whole[1:].astype(np.int64), strict=True):
         count = math.gcd(*(end - start).tolist())
-        check_available_memory(BYTES_PER_POINT * count, f"a path of {count} wave vectors", "give a shorter path")
         points.append(start + np.arange(1, count + 1)[:, None] * ((end - start) // max(count, 1)))
     q = np.concatenate(points) / sizes
     steps = np.linalg.norm(np.diff(q, axis=0) @ reciprocal_edges(lattice), axis=1)

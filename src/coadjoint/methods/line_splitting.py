@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
@@ -136,7 +135,6 @@ class LineSplitting(SubstepMethod):
 
     def tangent(self, system: System, x: Any, t: float, h: float) -> tuple[NDArray[Any], NDArray[Any]]:
         """Return one step and its exact derivative in coordinates, for the projection on the algebra."""
-        check_available_memory(8 * 12 * system.dim**2, f"the derivative of a step of {system.dim} numbers")
         step = self.linearized(system, x, t, h)
         return step.end, step.tangents(np.eye(system.dim)).T
 

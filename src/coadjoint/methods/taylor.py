@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.projection import (
     casimirs_restored,
     polynomial_casimirs,
@@ -39,7 +38,7 @@ from coadjoint.methods.protocol.cost_model import (
 from coadjoint.methods.protocol.method import SIZE_SAMPLES, FinerRun, Method, Representation
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.step_method import CompiledStepMethod
-from coadjoint.program.generators import given_matrices, group_side
+from coadjoint.program.generators import given_matrices
 from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_vector_states
@@ -50,8 +49,7 @@ DEFAULT_ORDER, LEAST_ORDER = 16, 4  # without a tolerance, and the least with on
 ORDERS = range(6, 25, 2)  # sums of higher orders are not unrolled
 TOLERANCE_REDUCTION = 32.0  # factor by which the tolerance is reduced for an error estimate
 TOO_FAR_MESSAGE = "the group element turns too far in one step for its series"
-# Typical number of terms in the series of a group element, and largest number beyond the order.
-TYPICAL_GROUP_TERMS, MAX_EXTRA_TERMS = 16, 40
+TYPICAL_GROUP_TERMS = 16  # in the series of a group element
 # Largest dimension in which members are computed in vector lanes, see `LARGEST_CACHED` in ``stepping.cpp``.
 MAX_LANE_DIMENSION = 64
 MIN_TOLERANCE, MAX_TOLERANCE = 1e-18, 0.1  # relative to the size of the motion; below the least, rounding decides
@@ -195,11 +193,6 @@ class Taylor(CompiledStepMethod):
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
         """Return the loop over steps, with the series of the group element if requested."""
-        if representation is not None:
-            size = group_side(system.dim, representation)
-            # The matrix of the group equation and a coefficient of the element for each order, and for orders beyond.
-            need = 8 * (2 * self.order + MAX_EXTRA_TERMS) * size**2
-            check_available_memory(need, f"the series of group elements of {size} x {size} numbers")
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:

@@ -35,7 +35,6 @@ from coadjoint.algebra.exact.free_algebra import (
 from coadjoint.algebra.exact.numbers import rational as to_rational
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.long_operations import note_progress
-from coadjoint.memory import check_available_memory
 from coadjoint.program.sweeps import Sweep, Swept
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
@@ -197,7 +196,6 @@ WARN_PRODUCTS = MAX_PRODUCTS // 100
 
 SECONDS_PER_PRODUCT = 2e-7  # measured
 
-BYTES_PER_MONOMIAL = 40  # exponents and a short fraction
 
 Flow = Mapping[int, Exact]
 """Flow of sum_j h^j W_j with commuting W_j: j -> W_j. An exact flow has j = 1 alone."""
@@ -222,19 +220,17 @@ class Commutators:
         def bracket(G: Exact) -> Exact:
             slopes = [G.derivative(i) for i, _ in moving]
             count = sum(len(slope) * len(component) for slope, (_, component) in zip(slopes, moving, strict=True))
-            self.check_available_memory(count)
+            self.count_products(count)
             products = (component * slope for slope, (_, component) in zip(slopes, moving, strict=True) if slope != 0)
             return self.ring.truncated(_sum_in_pairs(products, self.ring.zero))
 
         return bracket
 
-    def check_available_memory(self, count: int) -> None:
-        """Count the products of monomials of a bracket; raise ValueError if the total or the memory is too large."""
+    def count_products(self, count: int) -> None:
+        """Count the products of monomials of a bracket; raise ValueError if there are too many."""
         self.spent += count
         check_products(self.spent)
         note_progress("the brackets of a modified Hamiltonian")
-        size = BYTES_PER_MONOMIAL + self.ring.dim + len(self.ring.symbols)
-        check_available_memory(count * size, "a bracket in a modified Hamiltonian")
 
     def check_cost(self, lengths: Sequence[Sequence[int]], series: Sequence[Exact]) -> None:
         """Raise ValueError if brackets of fields of these `lengths` with a series are too many."""

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from coadjoint.kernels.interface import codes
 from coadjoint.kernels.tables.recording import EventArrays, FlaggedSteps
 from coadjoint.long_operations import progress_bar
-from coadjoint.memory import check_available_memory
 from coadjoint.runs.crossings import Crossings, Failures, WatchedEvents
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.partial_steps import PartialSteps
@@ -30,12 +29,8 @@ class EventRun:
         self.run, self.watched, self.parts = run, watched, parts
         members, extent = len(run.start.momenta), run.plan.layout.extent
         count = len(watched.events)
-        fixed, per_step = EventArrays.required_bytes(members, count, extent.size, extent.square)
+        per_step = EventArrays.bytes_per_step(members, count, extent.size, extent.square)
         chunk = min(run.times.steps, MAX_STEPS, max(1, MAX_CHUNK_BYTES // per_step)) + 1
-        checkpoint = 16 * run.plan.layout.state.size
-        check_available_memory(
-            3 * fixed + checkpoint + per_step * chunk, f"the detection of events of {members} members"
-        )
         self._max_chunk = max(chunk - 1, 1)
         remaining = np.tile(watched.until, (members, 1))
         self.arrays = EventArrays(

@@ -16,7 +16,6 @@ from coadjoint.kernels.interface import codes
 from coadjoint.kernels.library import kernels
 from coadjoint.kernels.loop import MemberBatch, NamedArrays, limited_blas_threads
 from coadjoint.long_operations import paced, progress_bar
-from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
 from coadjoint.runs.loops.loops import Loops
 from coadjoint.runs.loops.member_batches import failure_text, run_in_threads, status_name
@@ -65,8 +64,6 @@ class Run:
             state.check_fits(plan.layout.state)
             self.state = state.copy()
             self.saved.numbers.fill(np.nan)
-        if start.momenta.size > RELEASED_SIZE:
-            release_freed_memory()  # so that the loops get memory that is not written before it is used
 
     @classmethod
     def of_arrays(cls, plan: Plan, start: Start, saved: NamedArrays, state: State) -> Run:

@@ -221,10 +221,6 @@ def with_group(
     if representation is None:
         return start_without_groups(system, momenta, single)
     size, coadjoint = group_side(system.dim, representation), matrices_of(representation) == "coadjoint"
-    if len(momenta) * size**2 > SMALL_SIZE:
-        check_available_memory(
-            8 * (len(momenta) + 2) * size**2, f"the group elements of {len(momenta)} members, {size} x {size},"
-        )
     initial = read_attitude(attitude, system)
     if is_attitude_kind(initial):
         units = unit_groups(size) if len(momenta) == 1 else np.tile(unit_groups(size), (len(momenta), 1, 1))

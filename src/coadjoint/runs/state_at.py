@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.memory import check_available_memory
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
@@ -21,7 +20,6 @@ from coadjoint.validation import are_finite, read_numbers
 
 Floats = NDArray[np.float64]
 
-COPIES = 4  # of the states: of a piece, of its steps and partial steps, and in order
 MAX_STEPS = 10**7
 """Largest number of steps recomputed by one call."""
 
@@ -75,10 +73,6 @@ def state_at(solution: Solution, t: Any) -> StateAt:
             f"the times lie {sum(last)} steps after saved points, and at most {MAX_STEPS} steps are recomputed; "
             "integrate with t_eval, or with a smaller save_every"
         )
-    saved_arrays = [solution.x0, *solution.initial.values()]
-    saved_arrays += [] if solution.attitude0 is None else [solution.attitude0]
-    bytes_of_state = sum(np.asarray(array).nbytes for array in saved_arrays)
-    check_available_memory(COPIES * len(queries) * bytes_of_state, f"the states at {short(len(queries))} times")
     order = np.lexsort((direction * queries, before))
     edges = np.searchsorted(before[order], [*pieces, pieces[-1] + 1])
     states = [

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from coadjoint.errors import IntegrationError
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
@@ -318,7 +317,6 @@ class Stepper(Immutable):
             raise ValueError(
                 f"x has the shape {np.shape(x)}; a tangent is taken at one state, of shape ({self.system.dim},)"
             )
-        check_available_memory(8 * 4 * self.system.dim**2, f"a tangent of dimension {self.system.dim}")
         return momenta[0], read_number(t, "t")
 
 

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.coefficients import EnergyCoefficients, Key, Monomials, decoded
 from coadjoint.systems.coordinates import momenta_of
@@ -233,7 +232,6 @@ class FixedVelocity(NamedTuple):
         momenta = np.flatnonzero(np.ones(len(x), dtype=bool) if mask is None else mask)
         # The rate of a frame that turns is in the energy, and not in the angular velocity.
         state = x if system.frame_rate is None or mask is None else np.where(mask, x, 0.0)
-        check_available_memory(16.0 * len(x) * len(momenta), "the velocities for unit momenta")
         points = np.tile(state, (len(momenta) + 1, 1))
         points[:, momenta] = 0.0
         points[range(len(momenta)), momenta] = 1.0

@@ -14,8 +14,8 @@ import numpy.typing as npt
 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.representation import check_representation
+from coadjoint.caching import cached_if_small
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.systems.coordinates import all_in_coordinates_of, coordinate_names, in_coordinates_of, names_for
 from coadjoint.systems.evaluation import ProductSums, scatter
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
@@ -33,9 +33,6 @@ from coadjoint.systems.system_checks import (
 )
 from coadjoint.systems.vanishing_products import Products, field_products
 from coadjoint.validation import set_fields
-
-BYTES_PER_CONSTANT = 120  # both orders of every bracket, and temporaries of J(x) u
-
 
 # Systems search for Casimirs automatically up to this number of monomials times constants per coordinate, which takes
 # a fraction of a second.
@@ -176,10 +173,6 @@ class LiePoissonSystem(System):
         set_fields(self, hamiltonian=as_hamiltonian(hamiltonian, algebra.dim, owner, names_for(self, hamiltonian)))
         if isinstance(self.hamiltonian, Summable):
             self.hamiltonian.check_commuting(algebra)
-        check_available_memory(
-            BYTES_PER_CONSTANT * algebra._constant_count,
-            f"a system on {algebra.name or 'g*'}, of dimension {algebra.dim},",
-        )
         given_casimirs = None if casimirs is None else read_casimirs(casimirs, self)
         found_integrals = read_integrals({} if integrals is None else integrals, self)
         matrices = algebra.representation

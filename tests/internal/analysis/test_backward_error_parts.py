@@ -132,7 +132,3 @@ def test_what_is_too_large_is_refused_before_it_is_made(monkeypatch):
     assert co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4).terms[2].monomials
     with refused(ValueError, "products of monomials or more,", "at most 1e+05"):
         co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 8)
-    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**4)
-    monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 10**3)
-    with refused(ValueError, "a bracket in a modified Hamiltonian needs about"):
-        co.modified_hamiltonian(system, co.Splitting(parts="coordinates"), 4)

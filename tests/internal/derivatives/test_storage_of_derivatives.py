@@ -6,7 +6,6 @@ import pytest
 import coadjoint as co
 from coadjoint.runs.derivatives import differentiable_run, stretches
 from coadjoint.runs.loops import shifted_attitude
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 H, X6 = 0.125, np.array([1.0, -0.5, 1.5, 0.6, 0.0, 0.8])
@@ -52,19 +51,8 @@ def test_number_of_checkpoints_is_bounded(monkeypatch):
         monkeypatch.setattr(differentiable_run, "BYTES_OF_CHECKPOINTS", size)
         assert len(ready.vjp(x0, (0.0, 1000 * H), 1000)[1]._gradient.args[1].stretches) == count
     # A thousand steps of their own lengths store about a kilobyte each.
-    monkeypatch.setattr("coadjoint.memory.available", lambda: 10**8)
     ready = co.prepare(BODY, co.ReversibleSteps(co.Splitting(), 0.1), 300.0, attitude=True)
     assert len(ready.vjp(x0, (0.0, 300.0))[1]._gradient.args[1].stretches) > 1024
-
-
-def test_matrices_that_exceed_the_memory_are_refused_before_they_are_allocated(monkeypatch):
-    sphere = co.systems.sphere_euler(4, rotation=0.3)
-    ready, x0 = co.prepare(sphere, co.IsospectralGauss(1), H), sphere.random(1)
-    monkeypatch.setattr("coadjoint.memory.available", lambda: 2**27)
-    monkeypatch.setattr("coadjoint.memory.UNCHECKED_BYTES", 0)
-    ready.jvp(x0, (0.0, H), {"x0": np.repeat(x0[..., None], 1000, axis=-1)})
-    with refused(ValueError, "50000"):
-        ready.jvp(x0, (0.0, H), {"x0": np.repeat(x0[..., None], 50000, axis=-1)})
 
 
 @pytest.mark.parametrize("count", [1, 9])

@@ -1,9 +1,6 @@
 """The memory that is available: what the system, its groups of processes and the limits of the process leave."""
 
-import ctypes
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -50,23 +47,6 @@ def test_sources_of_available_memory(files, monkeypatch):
     assert memory.available() == 0, "never negative"
     monkeypatch.setattr("resource.getrlimit", lambda which: (-1, -1))
     assert memory.available() == 1024 * 3000000
-
-
-@pytest.mark.parametrize(("success", "free"), [(1, 3 * 2**30), (0, memory.NO_LIMIT)])
-def test_available_memory_on_windows(files, monkeypatch, success, free):
-    """The physical memory that is free, from a structure as Windows lays it out."""
-
-    def report(status):
-        found = status._obj
-        assert ctypes.sizeof(found) == 64 and bytes(found)[:4] == (64).to_bytes(4, sys.byteorder)
-        sizes = (2**34, 3 * 2**30, 2**35, 2**33, 2**47, 2**46, 0)
-        ctypes.memmove(ctypes.addressof(found) + 8, (ctypes.c_uint64 * 7)(*sizes), 56)
-        return success
-
-    functions = SimpleNamespace(GlobalMemoryStatusEx=report)
-    monkeypatch.setattr(ctypes, "windll", SimpleNamespace(kernel32=functions), raising=False)
-    monkeypatch.setattr(sys, "platform", "win32")
-    assert memory._free() == free
 
 
 def test_smallest_cgroup_limit_counts(files, monkeypatch):

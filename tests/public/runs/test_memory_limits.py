@@ -42,7 +42,7 @@ def view(*shape):
 
 TOO_LARGE = {
     "LieAlgebra": lambda: co.LieAlgebra([(0, 1, 1, 1.0)], dim=10**9),
-    "dense constants": lambda: co.LieAlgebra(view(10**4, 10**4, 10**4)),
+    "dense constants": lambda: co.LieAlgebra(view(10**5, 10**5, 10**5)),
     "so": lambda: co.algebras.so(400),
     "so, by name": lambda: co.algebras.get("so(1000000000000000000000000000000)"),
     "so, beyond all floats": lambda: co.algebras.so(10**400),
@@ -50,17 +50,12 @@ TOO_LARGE = {
     "su": lambda: co.algebras.su(500),
     "heisenberg": lambda: co.algebras.heisenberg(10**9),
     "copies": lambda: co.algebras.copies(co.algebras.so(3), 10**9),
-    "direct_sum": lambda: co.algebras.direct_sum(*[co.algebras.copies(co.algebras.so(3), 10**5)] * 20),
     "variable": lambda: co.Polynomial.variable(0, 10**9),
     "power": lambda: co.Polynomial({(1,): 2}) ** 10**9,
     "exponent": lambda: co.Polynomial({(4_000_000_000, 0): 1}),
-    "hessian": lambda: co.Polynomial({(0,) * 20_000: 1}).hessian(np.zeros(20_000)),
     "dense M": lambda: co.Quadratic(view(10**6, 10**6)),
-    "scalar M": lambda: co.Quadratic(1.0).bind(10**9),
-    "M, dense again": lambda: co.Quadratic(np.ones(20_000)).hessian(np.zeros(20_000)),
     "coadjoint matrix": lambda: co.algebras.heisenberg(10_000).coadjoint(np.zeros(20_001)),
     "Poisson system": lambda: co.PoissonSystem(lambda x: x, co.Quadratic(1.0), dim=10**6),
-    "function": lambda: co.Hamiltonian(lambda x: 0.0, lambda x: x).bind(10**9),
     "states": lambda: co.integrate(BODY, view(10**10, 3), (0, 1), 0.5),
     "group elements": lambda: co.integrate(
         co.LiePoissonSystem(co.algebras.heisenberg(5000), co.Quadratic(1.0)), np.ones(10_001), (0, 1), 0.5,
@@ -69,19 +64,9 @@ TOO_LARGE = {
     "tables": lambda: co.integrate(
         co.LiePoissonSystem(co.algebras.so(120), co.Quadratic(1.0)), np.ones(7140), (0, 1), 0.5
     ),
-    "saved points": lambda: co.integrate(BODY, X, (0, 1e9), 0.1),
-    "basis": lambda: co.LieAlgebra([], dim=2, basis=view(10**12)),
+    "saved points": lambda: co.integrate(BODY, X, (0, 1e11), 0.1),
+    "lattice": lambda: co.systems.spin_lattice("cubic", (1000, 1000, 1000)),
     "directions": lambda: co.prepare(BODY, co.Splitting(), 0.5).jvp(X, (0, 100), {"inertia": np.ones((3, 50_000))}),
-    "tangent of a step": lambda: co.stepper(co.systems.spin_lattice(shape=1100), co.Splitting(), 0.1).tangent(
-        np.ones(3300)
-    ),
-    "fit": lambda: co.fit(
-        co.prepare(BODY, co.Splitting(), 0.125), X, (0, 5e4), {"x": np.zeros((400_001, 3))},
-        {"x0": True, "inertia": True}, sigma={"x": 1.0},
-    ),
-    "matrix of a viscosity": lambda: co.prepare(
-        co.systems.sphere_euler(60).with_forces(co.forces.Viscosity(0.1)), None, 0.1
-    ).jvp(np.zeros((60, 60)), (0, 0.1), {"x0": np.zeros((60, 60))}),
 }  # fmt: skip
 
 
@@ -178,18 +163,3 @@ def test_large_matrices(monkeypatch):
     limited(monkeypatch, 10**7)
     with refused(ValueError, "structure matrix"):
         large.structure_matrix(W)
-    with refused(ValueError, "x0"):
-        co.MatrixAlgebra("so", 2000).read(np.zeros((2000, 2000)))
-
-
-def test_states_at_many_times_need_memory_for_each_entry(monkeypatch):
-    """Four copies of a state and a coadjoint element, whose entries grow with the square of the dimension."""
-    algebra, times = co.algebras.so(6), np.linspace(0.0, 1.0, 20_001)
-    system = co.LiePoissonSystem(algebra, co.Quadratic(np.linspace(1.0, 2.0, 15)))
-    sol = co.integrate(system, np.linspace(0.1, 1.0, 15), (0.0, 1.0), 0.01, attitude="coadjoint")
-    numbers = 15 + 15**2 + 1 + len(sol.casimirs)
-    limited(monkeypatch, 4 * 8 * numbers * len(times) - 1)
-    with refused(ValueError, "states at 20001 times"):
-        sol.at(times)
-    limited(monkeypatch, 4 * 8 * numbers * len(times))
-    assert sol.at(times).attitude.shape == (20_001, 15, 15)

@@ -10,8 +10,8 @@ from fractions import Fraction
 from coadjoint.algebra.constants import check_algebra_memory
 from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs, real_form, traceless
 from coadjoint.algebra.lie_algebra import LieAlgebra
+from coadjoint.caching import shared
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import shared
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 

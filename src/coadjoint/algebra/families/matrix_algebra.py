@@ -11,10 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
-from coadjoint.validation import UNCHECKED_SIZE, not_numbers_error, read_choice, read_integer, read_title, to_array
+from coadjoint.validation import not_numbers_error, read_choice, read_integer, read_title, to_array
 
 SUM = "sum"
 MAX_MATRIX_SIZE = 4096
@@ -329,8 +328,6 @@ class MatrixAlgebra:
             raise ValueError(
                 f"{what} has the shape {array.shape}; it must be {self.shape} or (members, {self.N}, {self.N})"
             )
-        if array.size > UNCHECKED_SIZE:
-            check_available_memory(48 * array.size, f"a copy of {what}, of shape {array.shape},")
         try:
             A = array.astype(np.complex128)
         except OverflowError:

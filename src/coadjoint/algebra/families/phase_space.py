@@ -12,8 +12,8 @@ from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, 
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import exponents_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.caching import shared
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import shared
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer
 
@@ -104,7 +104,6 @@ def moments(degree: int = 4) -> LieAlgebra:
         raise ValueError(f"degree is {degree}; it must be even")
     powers = powers_of(degree)
     n = len(powers)
-    check_algebra_memory(f"moments({degree})", n, n * n // 2)
     index_of = {pair: number for number, pair in enumerate(powers)}
     entries = []
     for a, (i, j) in enumerate(powers):

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from coadjoint.algebra.constants import BYTES_PER_CONSTANT, Triples, check_algebra_memory
+from coadjoint.algebra.constants import BYTES_PER_CONSTANT, Triples
 from coadjoint.algebra.exact.sparse_sums import Floats, groups
 from coadjoint.algebra.families.matrix_bases import MAX_REPRESENTATION_NUMBERS, casimirs_fit
 from coadjoint.algebra.invariants.casimirs import embedded
 from coadjoint.algebra.lie_algebra import LieAlgebra, read_algebra
 from coadjoint.algebra.representation import check_representation
+from coadjoint.caching import MAX_CACHED_SIZE
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import MAX_CACHED_SIZE, check_available_memory
+from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import read_integer, truncate_title
 
@@ -71,7 +72,6 @@ def direct_sum(*algebras: LieAlgebra) -> LieAlgebra:
     if not algebras:
         raise ValueError("a direct sum needs at least one algebra")
     begins = np.cumsum([0] + [algebra.dim for algebra in algebras]).tolist()
-    check_algebra_memory("the direct sum", begins[-1], sum(algebra.triples.c.size for algebra in algebras))
     parts = [shifted(algebra.triples, begin) for algebra, begin in zip(algebras, begins, strict=False)]
     names = [label for algebra in algebras for label in algebra.basis]
     if len(set(names)) < len(names):
@@ -234,7 +234,6 @@ def semidirect(g: LieAlgebra, representation: Any = None, ideal: LieAlgebra | No
     if ideal is not None and ideal.dim != d:
         raise ValueError(f"the ideal has dimension {ideal.dim}; the matrices act on {d} dimensions")
     element, row, column = (index.astype(np.int64) for index in np.nonzero(rho))
-    check_algebra_memory("the semidirect product", n + d, g.triples.c.size + element.size)
     parts = [g.triples, Triples(element, column + n, row + n, rho[element, row, column])]
     names = list(g.basis)
     if ideal is not None:

@@ -17,11 +17,8 @@ from coadjoint.algebra.families.matrix_bases import linear
 from coadjoint.algebra.lie_algebra import LieAlgebra, read_algebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import to_array, truncate_title
-
-BYTES_PER_FRACTION = 300  # in a dictionary, including intermediate results
 
 Rows = dict[int, list[tuple[int, int, Number]]]
 Brackets = Mapping[tuple[int, int], Mapping[int, Number]]
@@ -183,12 +180,6 @@ def change_of_basis(g: LieAlgebra, matrix: Any, basis: Sequence[str] | None = No
     for number, vector in enumerate(new):
         for j in vector:
             elements_along[j].append(number)
-    # Upper bound on the number of new constants: contributions of the old ones, and all triples.
-    spread = np.array([len(numbers) for numbers in elements_along])
-    joined = np.array([len(vector) for vector in inverse])
-    most = 2 * int((spread[g.triples.i] * spread[g.triples.j] * joined[g.triples.k]).sum())
-    constants = min(most, g.dim**2 * (g.dim - 1) // 2)
-    check_available_memory(BYTES_PER_FRACTION * constants, f"{g.name or 'the algebra'} in the new basis")
     for i, u in enumerate(new):
         for partner in sorted({v for a in u for j, _, _ in rows[a] for v in elements_along[j] if v > i}):
             components: Vector = {}

@@ -18,7 +18,6 @@ from coadjoint.algebra.polynomials.monomials import (
     read_coefficient,
 )
 from coadjoint.errors import in_one_line
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short, short_rest
 from coadjoint.validation import read_integer, read_list
 
@@ -45,7 +44,6 @@ FUNCTIONS: Mapping[str, tuple[str, str]] = {
     "tanh": ("tanh", "tanh"),
 }
 """Function of formulas -> its names in NumPy and in python-flint."""
-BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 
 _WORD = r"[^\W\d]\w*(?:\[[\w, ]*\])?"
 NAME = re.compile(_WORD)
@@ -329,5 +327,4 @@ def read_dimension(text: str, dim: int | None, basis: Sequence[str] | None) -> i
     count = read_integer(dim if basis is None else len(names), "dim of a Polynomial")
     if dim is not None and count != dim:
         raise ValueError(f"dim is {short(dim)}, and basis has {count} names; give one of them")
-    check_available_memory(BYTES_PER_EXPONENT * count, f"a formula of {short(count)} coordinates")
     return count

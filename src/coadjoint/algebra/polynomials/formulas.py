@@ -27,7 +27,6 @@ from coadjoint.algebra.polynomials.formula_tree import (
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, TOO_HIGH, Polynomial
 from coadjoint.errors import in_one_line
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 
 Number = int | Fraction
@@ -37,9 +36,6 @@ MAX_TERMS = 10_000
 """Terms of one product that is multiplied out."""
 MAX_WORK = 1 << 24
 """Products of two terms in a whole formula, each times the number of coordinates and 8."""
-MEMORY_CHECK_INTERVAL = 1024  # terms between two memory checks
-BYTES_PER_TERM = 300  # key, coefficient and entry of a mapping
-BYTES_PER_EXPONENT = 8  # a reference in the key
 BITS_OF_CONSTANTS = 1400  # in which functions of numbers are computed, the range of float64 and 300 more
 
 _EXACT_NOTATION = "write whole numbers, names and operations on them, such as a*x1**2 - log(x2)/3"
@@ -111,12 +107,8 @@ def too_high(what: str, degree: int) -> ValueError:
 
 
 def add_term(total: dict[Exponents, Constant], exponents: Exponents, coefficient: Constant) -> None:
-    """Add a term to the monomials of a polynomial, in text order, and check the memory as they grow."""
+    """Add a term to the monomials of a polynomial, in text order."""
     total[exponents] = checked(total[exponents] + coefficient) if exponents in total else coefficient
-    if len(total) % MEMORY_CHECK_INTERVAL == 0:
-        size = len(total) * (BYTES_PER_TERM + BYTES_PER_EXPONENT * len(exponents))
-        what = f"a polynomial of {len(total)} terms or more in {len(exponents)} coordinates"
-        check_available_memory(2 * size, what)
 
 
 def number_of(value: Monomial | Polynomial) -> Constant | None:

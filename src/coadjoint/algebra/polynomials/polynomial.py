@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.exact.numbers import is_finite, quotient
-from coadjoint.algebra.polynomials.formula_tree import BYTES_PER_EXPONENT
 from coadjoint.algebra.polynomials.monomials import (
     Coefficient,
     Exponents,
@@ -38,6 +37,7 @@ from coadjoint.validation import is_real, read_integer, to_array
 # Values beyond float64 become infinite without a warning.
 IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
 MAX_DEGREE = 1024
+BYTES_PER_EXPONENT = 30  # peak during construction of a monomial
 TOO_HIGH = "beyond it even powers of 2 leave the range of float64"
 
 
@@ -387,7 +387,6 @@ class Polynomial:
         array([[10.,  6.],
                [ 6.,  0.]])
         """
-        check_available_memory(8 * self._dim**2, f"a matrix of second derivatives in {self._dim} coordinates")
         return self._hessian_sum(self._point(x)).reshape(self._dim, self._dim)
 
 

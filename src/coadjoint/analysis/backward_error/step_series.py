@@ -29,7 +29,6 @@ Matrix = list[list[Exact]]
 BYTES_PER_MONOMIAL = 200  # of a field, including its powers and derivatives and the series of its step
 MAX_MONOMIALS = 10**5  # of a field; products of larger ones take minutes
 DISPLACEMENT = 1e-10  # displacement, relative to the state, in the step that checks a series at a point
-BYTES_PER_ENTRY = 40  # of a matrix of fractions during its reduction
 MAX_OMITTED_COEFFICIENT = 1e6  # largest coefficient of the first omitted power of the series, in the same units
 
 
@@ -273,9 +272,6 @@ def _hamiltonian_of_degree(ring: ExactPolynomials, J: list[Field], field: Field,
             if (i, exponents) not in entries:
                 return None
             entries[i, exponents][size] = value
-    check_available_memory(
-        BYTES_PER_ENTRY * len(entries) * (size + 1), f"a Hamiltonian of degree {degree} in {ring.dim} coordinates"
-    )
     flat = [fmpq(0)] * (len(entries) * (size + 1))
     for r, row in enumerate(entries.values()):
         for c, value in row.items():

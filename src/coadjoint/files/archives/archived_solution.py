@@ -35,7 +35,6 @@ from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, 
 from coadjoint.files.datasets.stored_solution import StoredSolution
 from coadjoint.files.datasets.variables import with_vorticity
 from coadjoint.keyword_hints import NamedValues, suggest_keywords
-from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
 from coadjoint.runs.results.solution import Solution
@@ -157,7 +156,6 @@ class ArchivedSolution(StoredSolution):
     def status(self) -> NDArray[np.int64]:  # type: ignore[override]
         if STATUS in self._arrays:
             return self._read(STATUS)
-        check_available_memory(8 * self._archive.members, "the status of all members")
         failed = bool(self.attributes.get("run_failed")) if self.failed is None else self.failed
         return np.full(self._archive.members, np.where(failed, FAILED, DONE if self.finished else PENDING))
 

@@ -21,7 +21,6 @@ from coadjoint.files.archives.folder import (
 )
 from coadjoint.files.archives.stored_arrays import StoredArray
 from coadjoint.files.records.entries import decode_json
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.validation import is_integer
 
@@ -36,8 +35,6 @@ VERSION_ATTRIBUTE = "archive_format"
 FIRST_STEP: str = "archive_first_step"
 RUN, ROOT_DIGEST = "archive_run", "archive_sha256"
 """Attributes with the random name of the run, and with the checksum of attributes and array metadata."""
-JSON_MEMORY_FACTOR = 32
-"""Memory needed to parse JSON, per byte."""
 MAX_ARRAYS = 10**5  # of an archive, which has some ten and one for each observed name
 
 
@@ -74,7 +71,6 @@ def read_root(path: Location, folder: Folder | None = None) -> tuple[dict[str, S
     try:
         with reading(path, ROOT_FILE):
             content = folder.read("", ROOT_FILE)
-            check_available_memory(JSON_MEMORY_FACTOR * len(content), ROOT_FILE)
             try:
                 root = decode_json(content.decode("utf-8"), object_pairs_hook=_reject_duplicates)
                 attributes = root["attributes"]

@@ -21,7 +21,6 @@ from coadjoint.algebra.polynomials.formulas import add_term, too_high
 from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
 from coadjoint.errors import ConfigurationError, in_one_line
-from coadjoint.memory import check_available_memory
 from coadjoint.methods import registry
 from coadjoint.methods.protocol.method import Method
 from coadjoint.regular_files import read_array_file
@@ -65,7 +64,6 @@ def parse_polynomial(source: Any, dim: int, names: Sequence[str] | None = None) 
 
 
 MAX_LENGTH = 300  # characters of a problem in an error, some lines of a terminal
-BYTES_PER_COORDINATE = 400  # memory of an algebra of named coordinates; measured, with a margin
 
 if TYPE_CHECKING:
     from coadjoint.files.configuration.models import AlgebraTable, File, HamiltonianTable, InitialTable
@@ -144,12 +142,10 @@ def _check_dimension(name: str, table: AlgebraTable, states: Any) -> None:
     """Reject a dimension other than the length of the state, before anything of that size is allocated."""
     if table.dim is None or isinstance(states, str):
         return
-    with section(name, "algebra.dim"):
-        check_available_memory(BYTES_PER_COORDINATE * table.dim, f"an algebra of dimension {short(table.dim)}")
     shape = np.shape(states)
     if shape[-1] != table.dim and table.basis is None:
         raise ConfigurationError(
-            f"{name}: initial.x: x0 has the shape {shape}; it must be ({table.dim},) or (members, {table.dim})"
+            f"{name}: initial.x: x0 has the shape {shape}; it must be ({short(table.dim)},), or that of members"
         )
 
 

@@ -38,7 +38,7 @@ from coadjoint.files.configuration.sweeps import SettingsSweep, read_sweep, swep
 from coadjoint.files.datasets.variables import Variables, over_members
 from coadjoint.files.datasets.writers import CHECKSUM
 from coadjoint.files.records.reconstruction import event_of_file
-from coadjoint.memory import available, format_bytes
+from coadjoint.memory import check_available_memory
 from coadjoint.methods.forced import check_steps, check_supports, effective_scheme
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import default_scheme
@@ -147,12 +147,9 @@ class Configuration:
         start = start_of(self.system, effective_scheme(self.system, self.method), self.x0, self.attitude)
         first = self.system.of_member(0)
         numbers = first.dim + start.groups.shape[1] ** 2 + 1 + len(first.casimirs) + len(self.observe)
-        needed, free = 8 * points * len(start.momenta) * numbers, available()
-        if needed > free:
-            raise ConfigurationError(
-                f"{self.path}: run.save_every: the saved states do not fit into memory: they need "
-                f"{format_bytes(needed)}, and this machine has {format_bytes(free)} free; save fewer of the steps"
-            )
+        needed = 8 * points * len(start.momenta) * numbers
+        with section(self.path, "run.save_every"):
+            check_available_memory(needed, "the array of saved states", "save fewer of the steps")
 
     def dataset(self, solution: Solution) -> xarray.Dataset:
         """Return a solution, or a partial one, as a dataset with the text of the file and the settings of a sweep."""

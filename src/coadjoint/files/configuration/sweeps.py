@@ -195,16 +195,11 @@ def _check_key_exists(table: Any, key: str | int) -> None:
         raise ValueError(f"the list in the file has no entry {key}; write all entries, and sweep over some")
 
 
-BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a margin
-
-
 def swept_system(sweep: SettingsSweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
     """Return the common system of all members, or a `Batch` if the sweep changes it; `file` is the first one."""
     axes = [k for k, axis in enumerate(sweep.axes) if any(parse_key(key)[0] != "initial" for key in axis)]
     if not axes:
         return system_of_file(sweep.name, file)
-    with section(sweep.name, "sweep.over"):
-        check_available_memory(BYTES_PER_SYSTEM * sweep.members, f"a sweep of {sweep.members} systems")
     systems = sweep.each(axes, lambda member: system_of_file(sweep.name, check_tables(sweep.member_tables(member))))
     with section(sweep.name, "sweep.over"):
         return Batch(systems)
@@ -227,7 +222,6 @@ def swept_states(sweep: SettingsSweep, file: File, system: Any, check_tables: Ca
             raise ValueError(
                 f"x0 has the shape {base.shape}, already an ensemble; give one state, and sweep over 'initial.x'"
             )
-        check_available_memory(3 * base.nbytes * sweep.members, f"the states of {sweep.members} members")
     states = np.repeat(base[None] if base.dtype.kind == "c" else base[None].astype(np.float64), sweep.members, axis=0)
     for axis, numbers in zip(sweep.axes, sweep.numbers.T, strict=True):
         for key, settings in axis.items():
@@ -268,13 +262,14 @@ def settings_of(key: str, settings: SettingsTable, sweep: SweepTable, value: Any
         return settings.values
     if settings.file is not None:
         return _read_rows(settings.file, settings.column, folder)
-    if kind in ("linear", "logarithmic"):
+    is_grid = kind in ("linear", "logarithmic")
+    shape = () if is_grid or value is None else np.shape(read_finite(value, "what the file has here"))
+    count = (settings.count if is_grid else sweep.samples) or 0
+    check_available_memory(BYTES_PER_SETTING * count * math.prod(shape), f"a sweep of {short(count)} values")
+    if is_grid:
         assert settings.count is not None
-        check_available_memory(BYTES_PER_SETTING * settings.count, f"a grid of {short(settings.count)} values")
         return _grid(kind, getattr(settings, kind), settings.count)
     assert sweep.samples is not None and sweep.seed is not None
-    shape = np.shape(read_finite(value, "what the file has here")) if value is not None else ()
-    check_available_memory(BYTES_PER_SETTING * sweep.samples * math.prod(shape), f"{short(sweep.samples)} samples")
     return random_settings(kind, getattr(settings, kind), key, sweep.seed, sweep.samples, shape)
 
 

@@ -15,7 +15,6 @@ from coadjoint.files.records.entries import parsed
 from coadjoint.files.records.reconstruction import invariants_of
 from coadjoint.files.records.records import record_of, safe_name
 from coadjoint.labels import COMPLEX_PARTS, STATE_DIMENSIONS
-from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import installed
 from coadjoint.runs.events import RecordedEvents
 from coadjoint.runs.results.solution import Solution
@@ -297,7 +296,6 @@ def vorticity_variables(solution: Solution, grid: Any) -> tuple[Variables, Varia
     size = 8 * int(np.prod(solution.x.shape[: len(dims)])) * len(rows) * len(columns) * len(names)
     if grid is None and size > MAX_DEFAULT_BYTES:
         return {}, {}
-    check_available_memory(2 * size, f"the vorticity on a grid of {len(rows)} x {len(columns)} points", "take fewer")
     axes = ("latitude", "longitude") if on_sphere else ("eastward", "northward")
     found: Variables = {}
     for layer, name in enumerate(names):

@@ -45,12 +45,12 @@ def check_hdf5(path: Path) -> None:
             if not isinstance(variable, h5py.Dataset):
                 raise ValueError(f"{short(name)} is no variable")
             total += _check_variable(variable, name, size)
-            check_available_memory(2 * total, "the content")
         for item in (file, *file.values()):
             for name in item.attrs:
                 attribute = item.attrs.get_id(name)
-                if attribute.dtype.kind == "O":
-                    check_available_memory(size * prod(attribute.shape), f"the attribute {short(name)}")
+                if attribute.dtype.kind == "O":  # each text may be as long as the file
+                    total += size * prod(attribute.shape)
+        check_available_memory(2 * total, "the content")
 
 
 def _check_variable(variable: Any, name: str, size: int) -> int:
@@ -65,12 +65,13 @@ def _check_variable(variable: Any, name: str, size: int) -> int:
         raise ValueError(f"{short(name)} has the filters {short(filters)}, which the library does not write")
     if h5py.check_string_dtype(variable.dtype) is None and variable.dtype.kind not in "iuf":
         raise ValueError(f"{short(name)} contains neither numbers nor text")
-    count = prod(variable.shape or ())
+    count, chunk = prod(variable.shape or ()), prod(variable.chunks or (0,)) * variable.dtype.itemsize
+    # Many texts may share the same bytes of the file.
+    size_of_each = 100 if variable.dtype.kind == "O" else variable.dtype.itemsize
+    check_available_memory(2 * max(count * size_of_each, chunk), short(name))
     if DEFLATE in filters:
-        _check_deflated(variable, name, filters)
+        _check_deflated(variable, name, filters, chunk, size)
     if variable.dtype.kind == "O":
-        # Many texts may share the same bytes of the file.
-        check_available_memory(100 * count, short(name))
         length = 0
         for first in range(0, count, step := max(1, UNCHECKED_BYTES // max(1, size))) if variable.ndim == 1 else ():
             length += sum(map(len, variable[first : first + step]))
@@ -81,13 +82,12 @@ def _check_variable(variable: Any, name: str, size: int) -> int:
     return count * int(variable.dtype.itemsize)
 
 
-def _check_deflated(variable: Any, name: str, filters: list[int]) -> None:
-    """Reject chunks that do not decompress to the chunk size."""
-    length = prod(variable.chunks) * variable.dtype.itemsize
-    check_available_memory(2 * length, f"a chunk of {short(name)}")
+def _check_deflated(variable: Any, name: str, filters: list[int], length: int, size: int) -> None:
+    """Reject chunks that do not decompress to the chunk size `length`, or claim more than the `size` of the file."""
     for k in range(variable.id.get_num_chunks()):
         chunk = variable.id.get_chunk_info(k)
-        check_available_memory(2 * chunk.size, f"a chunk of {short(name)}")
+        if chunk.size > size:
+            raise ValueError(f"{short(name)} has a chunk that is longer than the file")
         skipped, packed = variable.id.read_direct_chunk(chunk.chunk_offset)
         if skipped:
             raise ValueError(f"{short(name)} has a chunk without all of its filters")
@@ -194,8 +194,6 @@ def _check_chunk(file: Path, name: str, array: Mapping[str, Any]) -> None:
     with open(file, "rb") as content:
         length = _decompressed_length(content.read(32), array["packer"])
         if array["text"]:
-            if length is not None:
-                check_available_memory(2 * length, name)
             if length is None or 0 <= length <= UNCHECKED_BYTES:
                 content.seek(0)
                 decode_texts(_decompress(content.read(), array["packer"], *array["sums"]), array["length"])

@@ -22,7 +22,6 @@ import numpy as np
 from coadjoint.errors import OneLineError
 from coadjoint.files.datasets.writers import INDEX_FILE, foreign_file, with_checksum, write_netcdf, write_zarr
 from coadjoint.files.output.atomic_output import PendingOutput, remove_leftovers
-from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.regular_files import open_regular
 from coadjoint.validation import read_path, read_positive
@@ -207,11 +206,6 @@ def _ffmpeg() -> str | None:
 def _write_gif(frames: Any, path: Path, fps: float) -> None:
     """Write a GIF with one palette, of the colours of a few frames, each counted once."""
     from PIL import Image
-
-    width, height = frames.size
-    check_available_memory(
-        2 * frames.count * width * height, "a GIF of so many frames", "take fewer, or a smaller size"
-    )
 
     def images() -> Iterator[Image.Image]:
         samples = [np.unique(np.asarray(frame)[..., :3].reshape(-1, 3), axis=0) for frame in frames.samples()]

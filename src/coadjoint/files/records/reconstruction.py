@@ -14,7 +14,7 @@ from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, SUM, Matr
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
-from coadjoint.files.configuration.construction import BYTES_PER_COORDINATE, parse_polynomial
+from coadjoint.files.configuration.construction import parse_polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors, parsed
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.events import Event
@@ -148,8 +148,6 @@ def _algebra_of(record: Entry, expected: int | None) -> LieAlgebra:
     record.reject_unknown("name", "dim", "basis", "constants", "representation", "casimirs")
     dim = record["dim"].integer(1)
     _check_dimension(record, dim, expected)
-    with as_value_errors(record):
-        check_available_memory(BYTES_PER_COORDINATE * dim, "an algebra")
     basis = record["basis"].texts(dim)
     constants = record["constants"].rows(dim, dim, dim)
     name = None if record["name"].value is None else record["name"].text()

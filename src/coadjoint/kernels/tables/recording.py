@@ -141,10 +141,9 @@ class EventArrays:
         self.address = ctypes.addressof(self._structure)
 
     @staticmethod
-    def required_bytes(members: int, count: int, size: int, square: int) -> tuple[int, int]:
-        """Return the bytes needed for the members, and for each step of a chunk."""
-        width = size + square
-        return 8 * members * (2 * width + 4 * count + 1), 8 * ROWS_PER_STEP * members * (width + 3 * count + 2)
+    def bytes_per_step(members: int, count: int, size: int, square: int) -> int:
+        """Return the bytes needed for each step of a chunk."""
+        return 8 * ROWS_PER_STEP * members * (size + square + 3 * count + 2)
 
     def take(self) -> FlaggedSteps:
         """Return and clear the rows recorded since the last call, in any order."""

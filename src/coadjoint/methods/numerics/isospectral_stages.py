@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.systems.matrices.matrix_system import MatrixSystem
@@ -225,9 +224,6 @@ def _along(
     system: MatrixSystem, W: Matrix, stages: Stages, directions: Matrix, t: float, h: float, a: Floats, b: Floats
 ) -> Matrix:
     """Return the derivatives of the step along matrices (k, N, N)."""
-    check_available_memory(
-        13 * len(b) * directions.nbytes, f"the derivatives of a step along {len(directions)} directions"
-    )
     V1, U1, M1, P1 = (array[:, None] for array in stages[:4])
 
     def update(dV: Matrix, dU: Matrix, dM: Matrix, dP: Matrix) -> Any:

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, loop_over
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.numerics.solvers import SOLVERS, Coefficients, Evaluation, StageProblem, begin, read_tableau
 from coadjoint.methods.protocol.composed import SubstepMethod, Wrapper
 from coadjoint.methods.protocol.method import Method, Representation
@@ -137,9 +136,6 @@ class RungeKuttaMethod(SubstepMethod):
         from coadjoint.kernels.tables.field import terms_of_field
 
         check_differentiable(system)
-        if self.solver not in ("explicit", "iterated"):
-            unknowns = len(self.coefficients().node) * system.dim
-            check_available_memory(8 * 2 * unknowns**2, f"the derivative of the stages of {type(self).__name__}")
         loop = self.loop_of_substeps(system, h, None, fractions)
         return with_tangents(loop, system, terms_of_field(system).functions, frame)
 

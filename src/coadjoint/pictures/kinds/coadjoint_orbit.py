@@ -12,7 +12,6 @@ import numpy.typing as npt
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import check_available_memory
 from coadjoint.pictures.curves import FAR_ALPHA, MemberColours, PathUpdate, towards_viewer
 from coadjoint.pictures.plot_data import PlottedRun
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
@@ -30,7 +29,6 @@ LIGHT_DIRECTION = np.array([0.3, -0.5, 0.81])  # a direction from above and the 
 TESTED_POINTS = 400  # of a line; each needs values along a ray
 RAY_SAMPLES = 32
 """Samples along the ray from a point to the viewer, within the box of the picture."""
-BYTES_PER_CELL = 2000  # corners and values of its six tetrahedra
 
 # A cube is six tetrahedra around its diagonal, one per order of the axes, so that neighbouring cubes match.
 _TETRAHEDRA = np.array(
@@ -235,7 +233,6 @@ def level_surface(
     takes_time(function, "function")
     edges, level, period = read_finite(box, "box"), read_number(level, "level"), read_number(period, "period")
     cells = read_integer(cells, "cells")
-    check_available_memory(BYTES_PER_CELL * cells**3, f"a level surface with {short(cells)} cells along each edge")
     if edges.shape != (3, 2) or not np.all(edges[:, 1] > edges[:, 0]):
         raise ValueError(f"box is {short(edges.tolist())}; it must be three pairs (smallest, largest)")
     axes = [np.linspace(low, high, cells + 1) for low, high in edges.tolist()]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from coadjoint.algebra.families.matrix_bases import casimirs_fit, quadratic
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.memory import check_available_memory
 from coadjoint.program.commutation import few_parts
 from coadjoint.program.generators import NotSplittable
 from coadjoint.program.parts.casimir_shifts import quadratic_position
@@ -26,7 +25,6 @@ from coadjoint.systems.hamiltonians.terms import PolynomialTerm, QuadraticTerm, 
 from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 MAX_BONDS = 100_000  # whose tables take about 1 GB
-BYTES_PER_BOND = 8000  # peak memory of building the tables
 NO_BONDS = np.zeros((0, 2), dtype=np.int64), np.zeros(0)
 
 
@@ -181,9 +179,6 @@ def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, floa
         )
     if len(ends) > MAX_BONDS:
         raise NotSplittable(f'it has {len(ends)} bonds; parts="bonds" allows at most {MAX_BONDS}; take parts="auto"')
-    check_available_memory(
-        BYTES_PER_BOND * len(ends), f"a splitting of {system.name} into {len(ends)} bonds", 'take parts="auto"'
-    )
     colour = np.array(colours(ends.tolist(), len(spins)))
     coloured = _shares(ends, strengths, spins, colour)
     axes = [triple for triple in spins if np.count_nonzero(form.linear[list(triple)]) > 1]

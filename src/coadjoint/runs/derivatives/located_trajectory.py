@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.step_derivatives import derivative_of
 from coadjoint.rounding import UNIT_ROUNDOFF
@@ -77,10 +76,6 @@ class LocatedTrajectory(Trajectory):
             lengths.append(abs(length))
             if forward * (elapsed[-1] + length) > last - tolerance:
                 break
-            if len(lengths) % 1024 == 0:  # not more often, since files of the system are read
-                check_available_memory(
-                    16 * (x.size + group.size) * len(lengths), "the states of the steps that the scheme chooses"
-                )
             t = times.t0 + elapsed[-1]
             elements, number = group.reshape(1, self.side, self.side), len(lengths) - 1
             self.stretches.append(Stretch.of_step(float(t), float(length), x, elements, before=number))

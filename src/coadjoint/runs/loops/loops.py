@@ -16,7 +16,6 @@ from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, Na
 from coadjoint.kernels.tables.compiled import NotWritable, as_structure
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.long_operations import note_progress
-from coadjoint.memory import RELEASED_SIZE, release_freed_memory
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.runs.loops.member_batches import (
     Columns,
@@ -302,8 +301,6 @@ def loops_of_system(
     correction = _correction_of(system, loop, representation)
     matrices, rows = system.unforced if system.has_matrices else None, matrix_rows(system)
     loops = Loops(system.dim, ["energy", *tracked], [loop], [watch], [correction], matrices=matrices, rows=rows)
-    if system.dim > RELEASED_SIZE:
-        release_freed_memory()
     return loops
 
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.bodies import BodiesSystem, system_of_bodies
@@ -32,7 +31,6 @@ ROUNDED_LINE, ROUNDED_CHARGE = 1e-6, 1e-4
 taken for the rounding of input: of seven and five decimals of a bond length in nm. Farther ones with a mass are a bent
 molecule, which turns fast about its axis; without one they would turn what has no moment of inertia."""
 MAX_MOLECULES = 10**5
-BYTES_PER_MOLECULE = 20_000
 ARGUMENTS = ("sites", "charges", "lj", "masses", "count")
 """The arguments that each kind of molecules has."""
 KIND = "give one molecule, or a list of kinds, of which each of sites, charges, lj, masses and count has one"
@@ -200,7 +198,6 @@ def rigid_molecules(
     total = sum(kinds["count"])
     if total > MAX_MOLECULES:
         raise ValueError(f"count is {short(count)}; give at most {MAX_MOLECULES} molecules")
-    check_available_memory(BYTES_PER_MOLECULE * total, f"{total} molecules")
     sides, ends = _read_box(box), _read_cutoff(box, cutoff, switch_from, dielectric)
     constant = read_in_range(coulomb, "coulomb")
     places, weights, inertias = zip(*bodies, strict=True)

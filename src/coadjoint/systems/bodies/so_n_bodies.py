@@ -15,7 +15,6 @@ from coadjoint.algebra.exact.numbers import fraction, rational
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.exact_polynomials import Exact, ExactPolynomials
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.inertia import check_symmetric_matrix, read_vector, warn_negative_mass, with_change
@@ -25,7 +24,6 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made
 from coadjoint.validation import as_tuples, check_finite, read_finite, read_numbers
 
-BYTES_PER_ENTRY = 500  # for a matrix of fractions with its inverse
 MAX_SO_DIMENSION = 6
 """Largest n with integrals of degree 4 and higher; their number of terms grows at least like n^4."""
 MAX_TRACE_POWER = 10
@@ -252,8 +250,6 @@ def so_n_body(inertia: npt.ArrayLike = (1.0, 2.0, 3.0, 4.0)) -> LiePoissonSystem
                 "sums of two principal values of inertia or their inverses leave the range of float64; change units"
             )
     else:
-        need = BYTES_PER_ENTRY * algebra.dim**2
-        check_available_memory(need, f"the inverse of an inertia of dimension {n}", "give principal values")
         (M,), a = _body_energy(values), _exact(values) @ _exact(values)
     return LiePoissonSystem(
         algebra,

@@ -13,7 +13,6 @@ import numpy.typing as npt
 from coadjoint.algebra.families.phase_space import moments
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import move_state, oscillator_solutions
@@ -33,7 +32,6 @@ DerivativeFunctions = tuple[Callable[..., Any], ...]  # a function of one number
 
 MAX_POTENTIAL_DEGREE = 20  # degree of a potential
 MAX_COEFFICIENT = 1e50
-BYTES_PER_COORDINATE_POWER = 16  # memory of a monomial, for each coordinate
 MAX_DENSE_SQUARE = 64  # largest number of particles for which the dense energy of the centre is given
 
 
@@ -252,11 +250,6 @@ def energy_coefficients(w: Numbers, W: Numbers, U: Floats) -> dict[tuple[int, ..
     """Return the coefficients of H for polynomial potentials, from theirs; see `decorated_particles`."""
     n = len(w)
     dim = 5 * n + 1
-    check_available_memory(
-        BYTES_PER_COORDINATE_POWER * dim * n * (len(W) + n * len(U) ** 2),
-        f"the potentials of {n} particles as a polynomial",
-        "give the potentials as functions",
-    )
     total: dict[tuple[int, ...], Any] = {}
 
     def add(c: Any, *powers: tuple[int, int]) -> None:

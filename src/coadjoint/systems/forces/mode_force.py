@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_available_memory
 from coadjoint.systems.coordinates import rest_of
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.matrices.spherical_modes import harmonics
@@ -115,9 +114,6 @@ class Harmonics(ModeBasis):
 
     def table(self, chosen: Sequence[Numbers]) -> Floats:
         count = sum(len(numbers) * ((self.N - d + 1) // 2) for d, numbers in enumerate(chosen))
-        check_available_memory(
-            8.0 * count, f"the harmonics of a force on matrices of N = {self.N}", "let it act on fewer degrees"
-        )
         table, offset = np.empty(count), 0
         for d, numbers in enumerate(chosen):
             if len(numbers):
@@ -297,7 +293,6 @@ class ModeRates(Force):
 @lru_cache(maxsize=4)
 def _matrix_of_flow(force: ModeRates, system: Any, tau: float) -> npt.NDArray[np.float64]:
     n = system.dim
-    check_available_memory(8 * n**2, f"the derivative of the flow of {force.label}, of dimension {n},")
     # Units are projected: gradients then lie in the algebra.
     rows = system.to_vector(system.algebra.projected(system.from_vector(np.eye(n))))
     for row in rows:

@@ -15,7 +15,6 @@ from coadjoint.algebra.polynomials.formulas import NotPolynomial, parse_polynomi
 from coadjoint.algebra.polynomials.monomials import Coefficient, check_names, coordinate_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -48,7 +47,6 @@ from coadjoint.systems.user_functions import (
 from coadjoint.validation import read_integer
 
 MAX_CACHED_MONOMIALS = 64  # monomials of cached polynomials
-BYTES_PER_COORDINATE = 200  # at the sample points
 
 
 @runtime_checkable
@@ -152,9 +150,6 @@ class Hamiltonian(Summable):
             raise ValueError(f"the Hamiltonian is bound to dimension {self.dim}, not {short(n)}; make a new one")
         if self.dim == n:
             return self
-        check_available_memory(
-            BYTES_PER_COORDINATE * n, f"a Hamiltonian of {short(n)} coordinates, checked at sample points,"
-        )
         if self._gradient is None:
             return self._derived(n).bind(n)
         functions, derivatives = [("value", self._value), ("gradient", self._gradient)], [("gradient", self._gradient)]

@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.monomials import Coefficient, joined_names, special_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.caching import cached_if_small
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import cached_if_small, check_available_memory
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, plain, short
 from coadjoint.systems.evaluation import ProductSums, ignore_overflow, lossless_coefficients, read_point, scatter
 from coadjoint.systems.hamiltonians.repeated_rows import (
-    BYTES_PER_ENTRY,
     Entries,
     RepeatedRows,
     check_symmetric,
@@ -241,7 +240,6 @@ class Quadratic(Summable):
         """Return this Hamiltonian for dimension `n`; a number M becomes a multiple of the unit matrix."""
         n = read_integer(n, "the dimension")
         if self.scalar is not None:
-            check_available_memory(BYTES_PER_ENTRY * n, f"M of dimension {short(n)}")
             kind = object if not isinstance(self.scalar, float) else np.float64
             return Quadratic(np.full(n, self.scalar, dtype=kind), constant=self._constant)
         self.check_dimension(n)
@@ -329,7 +327,6 @@ class Quadratic(Summable):
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
         """Return M as a dense array, shape (n, n)."""
         bound, y = self._at(x)
-        check_available_memory(8 * y.size**2, f"M as a dense {y.size} x {y.size} array")
         _, columns, values = bound._columns
         entries = lossless_coefficients(values, y)
         dense = np.zeros((y.size, y.size), dtype=entries.dtype)

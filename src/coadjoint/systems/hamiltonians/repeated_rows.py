@@ -12,7 +12,6 @@ from coadjoint.algebra.exact.numbers import quotient
 from coadjoint.algebra.exact.sparse_sums import distinct
 from coadjoint.algebra.polynomials.monomials import Coefficient, exponents_of, factors_of
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.memory import check_available_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.validation import REAL_KINDS, read_finite, to_array
 
@@ -23,8 +22,6 @@ MIN_REPEATS = 8  # smallest mean number of rows of a shape
 SAMPLE = 1 << 12  # rows of which the number of shapes is counted first
 BLOCK = 1 << 17  # rows whose entries are held in memory at once
 HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
-BYTES_PER_ENTRY = 100  # peak, while entries are sorted and compared with the transposed ones
-SPARSE = "give a sparse matrix, or a diagonal"
 
 
 def values_at(values: npt.NDArray[Any], index: npt.NDArray[Any]) -> npt.NDArray[Any]:
@@ -225,8 +222,6 @@ class Entries(NamedTuple):
 
     def plus(self, other: Entries) -> Entries:
         """Return the entries of the sum; the order of both is that of rows and columns."""
-        count = len(self.entries) + len(other.entries)
-        check_available_memory(BYTES_PER_ENTRY * count, f"a sum of matrices with {count} entries")
         rows, columns = np.r_[self.rows, other.rows], np.r_[self.columns, other.columns]
         entries = np.concatenate([self.entries, other.entries])
         order = np.lexsort((columns, rows))
@@ -299,7 +294,6 @@ def entries_of_polynomial(polynomial: Polynomial) -> tuple[Entries, Any]:
 def real_array(argument: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
     """Return a copy as float64, or as objects if it contains fractions; raise an error unless real and finite."""
     array = to_array(argument, name)
-    check_available_memory(BYTES_PER_ENTRY * array.size, f"{name} of shape {array.shape}", SPARSE)
     floats = read_finite(array, name)
     if array.dtype != object:
         return floats
@@ -314,7 +308,6 @@ def sparse_entries(M: Any) -> tuple[int, npt.NDArray[Any], npt.NDArray[Any], npt
     """Return n, rows, columns and values of a SciPy sparse matrix, sorted by rows, and whether it is symmetric."""
     if M.ndim != 2 or M.shape[0] != M.shape[1]:
         raise ValueError(f"M has shape {M.shape}; give a symmetric (n, n)")
-    check_available_memory(BYTES_PER_ENTRY * M.nnz + 40 * M.shape[0], f"M of shape {M.shape}, with {M.nnz} entries,")
     csr = M.tocsr().copy()
     csr.sum_duplicates()
     csr.eliminate_zeros()

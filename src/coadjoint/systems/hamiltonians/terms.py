@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.caching import cached_if_small
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.memory import cached_if_small
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, polynomial_of_entries, rows_of, starts_of_rows
 from coadjoint.systems.hamiltonians.traced_function import picklable_state, restore_state
 

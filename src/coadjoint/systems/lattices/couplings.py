@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.coefficients import EnergyCoefficients, encoded
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
@@ -180,7 +179,6 @@ def _drive(force: Callable[..., Any], axis: int, sites: int, uniform: bool) -> H
     return energy
 
 
-BYTES_PER_POINT = 300  # of the padded lattice, for each pair of sites of a cell, at the peak
 MAX_HESSIAN_SITES = 341  # largest number of spins with second derivatives, which are dense
 
 
@@ -279,10 +277,6 @@ def dipolar_energy(lattice: str, shape: Any, periodic: Any, strength: float) -> 
             "periodic=False"
         )
     sizes, cell = sizes_of(shape), len(CELLS[lattice].sites)
-    points = cell**2 * math.prod(2 * size for size in sizes)
-    check_available_memory(
-        BYTES_PER_POINT * points, f"the dipolar energy of a {lattice} lattice of {short(shape)} cells"
-    )
     tensors = _transformed_tensors(lattice, sizes)
     derivatives: list[Callable[..., Any]] = [
         DipolarFunction(lattice, sizes, strength, order, tensors) for order in range(3)

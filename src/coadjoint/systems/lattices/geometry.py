@@ -182,7 +182,6 @@ def _read_edges(edges: Any, count: int) -> Integers:
             f"lattice is {short(edges, 60)}; give pairs of sites, whole numbers of shape (edges, 2), or one of "
             f"{', '.join(NAMES)}"
         )
-    check_available_memory(BYTES_PER_EDGE * len(array), f"a graph of {len(array)} edges")
     outside = np.argwhere((array < 0) | (array >= count))
     if outside.size:
         edge, end = outside[0].tolist()

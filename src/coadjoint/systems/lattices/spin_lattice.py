@@ -13,9 +13,7 @@ import numpy.typing as npt
 from coadjoint.algebra import catalogue
 from coadjoint.algebra.families.products import copies
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.memory import RELEASED_SIZE, check_available_memory, release_freed_memory
 from coadjoint.rounding import UNIT_ROUNDOFF
-from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import move_state, rotate_about
 from coadjoint.systems.coefficients import EnergyCoefficients
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
@@ -30,9 +28,6 @@ from coadjoint.validation import as_tuples, read_finite
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[Any]
 
-# Peak during construction, with couplings of each bond or site, and if all are equal.
-BYTES_PER_SPIN, BYTES_PER_EDGE = 500, 200
-BYTES_PER_EQUAL_SPIN, BYTES_PER_EQUAL_EDGE = 150, 60
 MAX_STORED_VALUES = 2**16  # largest number of values stored as parameters
 MAX_COUPLING = 1e100
 MAX_RECORDED_SPINS = 682  # largest number of spins with a recorded Casimir each, the limit of `copies`
@@ -191,9 +186,6 @@ def spin_lattice(
     T = _matrices(tensor, "tensor", len(edges))
     D = _numbers(dm, "dm", ((3,), (len(edges), 3)))
     K = _matrices(on_site, "on_site", sites, symmetric=True)
-    equal = J.ndim == 0 and T.ndim == 2 and D.ndim == 1 and K.ndim == 2
-    per_spin, per_edge = (BYTES_PER_EQUAL_SPIN, BYTES_PER_EQUAL_EDGE) if equal else (BYTES_PER_SPIN, BYTES_PER_EDGE)
-    check_available_memory(per_spin * sites + per_edge * len(edges), f"a lattice of {short(sites)} spins")
     driven = callable(field)
     B = np.zeros(3) if driven else _numbers(field, "field", ((3,), (sites, 3)))
     if not (len(edges) and np.any(J)):
@@ -210,8 +202,6 @@ def spin_lattice(
     if strength:
         H = H + dipolar_energy(layout["lattice"], shape, periodic, strength)
         parameters = None if parameters is None else {**parameters, "dipolar": strength}
-    if 3 * sites > RELEASED_SIZE:
-        release_freed_memory()
     exact = None if driven or strength or np.any(D) else precession(sites, edges, J, T, K, B)
     return LiePoissonSystem(
         _few_spins(sites) if sites <= 8 else _spins(sites),

@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import available, check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.validation import (
@@ -79,7 +78,7 @@ def _cached_harmonics(N: int, m: int) -> Floats:
     if entries is None:
         entries = harmonics(N, m)
         size = sum(others.nbytes for others in tuple(cached.values()))
-        if size + entries.nbytes <= MAX_CACHE_BYTES and entries.nbytes < available() // 4:
+        if size + entries.nbytes <= MAX_CACHE_BYTES:
             cached[m] = entries
     return entries
 
@@ -89,7 +88,6 @@ def harmonics(N: int, m: int) -> Floats:
     # The position along the diagonal times T_lm is a sum of its neighbours in l, with positive factors that rise and
     # fall with l. Such a recurrence is stable from either end up to the maximum.
     n, m2 = N - m, m * m
-    check_available_memory(24 * n * n, f"the matrix harmonics of order {m} for N = {N}")
     half = n - n // 2
     positions: Floats = np.asarray((n - 1) / 2 - np.arange(half), dtype=np.float64)
     l = np.arange(m + 1, N, dtype=float)
@@ -285,9 +283,6 @@ def values_of(c: Complexes, shape: tuple[int, int], points: str) -> Floats:
     from ducc0.sht import synthesis_2d
 
     N, lead = c.shape[-1], c.shape[:-2]
-    check_available_memory(
-        8 * (2 + int(np.prod(lead))) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points"
-    )
     rows, columns = _triangle(N - 1, N - 1)
     values = np.empty((*lead, *shape))
     for index in np.ndindex(lead):
@@ -313,9 +308,6 @@ def coefficients_of(field: Floats, N: int, points: str, first: float = 0.0) -> C
         )
     l_most, m_most = degree_bound, min(degree_bound, (columns - 1) // 2)
     lead = field.shape[:-2]
-    check_available_memory(
-        16 * (int(np.prod(lead)) * N * N + l_most * m_most), f"coefficients up to the degree {l_most}"
-    )
     l, m = _triangle(l_most, m_most)
     resolved_modes = l < N
     c = np.zeros((*lead, N, N), dtype=np.complex128)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.memory import check_available_memory
 from coadjoint.short_repr import short
 from coadjoint.systems.matrices.spherical_modes import read_mode, read_mode_array
 from coadjoint.validation import read_finite
@@ -83,7 +82,6 @@ def coordinates(count: int) -> Floats:
 def values_of(w: Complexes, shape: tuple[int, int]) -> Floats:
     """Return the values (..., nx, ny) of ``sum of w_n exp(i (n1 x - n2 y))``, ``w[n1 mod N, n2 mod N]``, on a grid."""
     lead = w.shape[:-2]
-    check_available_memory(48 * int(np.prod(lead)) * shape[0] * shape[1], f"values on {shape[0]} x {shape[1]} points")
     n = representatives(w.shape[-1])
     folded = np.zeros((*lead, *shape), dtype=np.complex128)
     # modes that alias on a coarse grid have the same values there
