@@ -32,12 +32,13 @@ demo: kernels
 	$(BIN)/coadjoint reproduce --out $(FIGURES)
 
 # Hypothesis draws the same cases on every machine; in `make long` others each time. Numba optimizes functions less, which
-# takes half the time to compile and does not change their bits; in `make long` as for users.
+# takes half the time to compile and does not change their bits; in `make long` as for users. The tests of a file run in
+# one process, which compiles their functions once: half the processor time.
 test: kernels
 	$(BIN)/ruff check --no-cache .
 	$(BIN)/ruff format --check .
 	{ $(BIN)/mypy && $(MAKE) --no-print-directory pages; } > $(VENV)/checks.txt 2>&1 & checks=$$!; \
-	NUMBA_OPT=1 $(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci; tests=$$?; \
+	NUMBA_OPT=1 $(ONE_THREAD) $(BIN)/pytest -n 2 --dist loadfile -m "not long" --hypothesis-profile=ci; tests=$$?; \
 	wait $$checks || tests=1; cat $(VENV)/checks.txt; exit $$tests
 
 # Every page of the site is read, with warnings such as links that lead nowhere as errors, and none is written; pictures
@@ -50,7 +51,7 @@ pages: kernels
 
 # More seeds, schemes and compilers than `make test` has time for.
 long: kernels
-	$(ONE_THREAD) $(BIN)/pytest -n 2 -m long
+	$(ONE_THREAD) $(BIN)/pytest -n 2 --dist loadfile -m long
 
 # The sensitive tests again, and digests of runs, as on machines with other instructions, and on one that is busy.
 variants: kernels
@@ -88,7 +89,7 @@ minimum newest:
 # Which tests cover which lines and branches, in build/coverage: for `make mutants`, and a report.
 coverage: kernels
 	mkdir -p build/coverage
-	$(ONE_THREAD) $(BIN)/pytest -n 2 -m "not long" --hypothesis-profile=ci --cov --cov-context=test --cov-report=
+	$(ONE_THREAD) $(BIN)/pytest -n 2 --dist loadfile -m "not long" --hypothesis-profile=ci --cov --cov-context=test --cov-report=
 	$(BIN)/coverage report --sort=miss --skip-covered | tail -n 40
 
 build/coverage/tests:

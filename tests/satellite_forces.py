@@ -17,10 +17,12 @@ F, S = co.forces, co.systems
 TENSOR = np.array([[1.2, 0.1, -0.05], [0.1, 2.0, 0.15], [-0.05, 0.15, 2.4]])
 TURNED, SPIN = Rotation.from_rotvec([0.6, -0.4, 0.3]), np.array([0.2, -0.1, 0.3])
 STEP, PERIOD = 1 / 16, 0.5
+SHARE = 2.0**-7  # regularization of gyros: positive also where derivatives are differences
 WHEELS = np.array([[0.05, 0.0, 0.0], [0.0, 0.04, 0.03], [0.0, -0.03, 0.04], [0.02, 0.02, 0.01]])
 PYRAMID = np.array([[(-q, p, 0), (-0.6 * p, -0.6 * q, 0.8)] for p, q in ((1, 0), (0, 1), (-1, 0), (0, -1))])
 AREAS, NORMALS = (0.7, 1.3, 0.4), ((0.6, 0.8, 0.0), (0.0, -0.6, 0.8), (-1.0, 0.0, 0.0))
-CENTRES = ((0.5, 0.1, -0.2), (0.0, -0.3, 0.4), (-0.2, 0.6, 0.1))
+CENTRES = ((0.5, 0.1, -0.2), (0.2, -0.3, 0.4), (-0.2, 0.6, 0.1))  # each beside its normal
+MIRROR, MATT = (0.3, 0.5, 0.1), (0.2, 0.05, 0.6)
 TOWARD = np.array([0.48, -0.6, 0.64])
 Q = np.array([[0.3, 0.05, 0.0], [0.05, 0.1, -0.1], [0.0, -0.1, 0.2]])
 # Neither is symmetric, as the gains of a controller need not be.
@@ -74,9 +76,10 @@ def gravity(mu, place, quadrupole):
 
 def sunlight(t, omega, A):
     total, s = np.zeros(3), A.T @ TOWARD
-    for a, n, c, mirror in zip(AREAS, np.array(NORMALS), np.array(CENTRES), (0.3, 0.5, 0.1), strict=True):
+    plates = zip(AREAS, np.array(NORMALS), np.array(CENTRES), MIRROR, MATT, strict=True)
+    for a, n, c, mirror, matt in plates:
         lit = max(s @ n, 0.0)
-        total += np.cross(c, -0.02 * a * lit * ((1 - mirror) * s + 2 * (mirror * lit + 0.2 / 3) * n))
+        total += np.cross(c, -0.02 * a * lit * ((1 - mirror) * s + 2 * (mirror * lit + matt / 3) * n))
     return total
 
 
@@ -154,7 +157,7 @@ CASES = {
         lambda t, omega, A: np.cross([0.2, -0.3, 0.5], A.T @ dipole_field(t, path(t))),
         stored=False,
     ),
-    "SolarPressure": Case(F.SolarPressure(0.02, TOWARD, **PLATES, specular=(0.3, 0.5, 0.1), diffuse=0.2), sunlight),
+    "SolarPressure": Case(F.SolarPressure(0.02, TOWARD, **PLATES, specular=MIRROR, diffuse=MATT), sunlight),
     "Drag": Case(F.Drag(0.2, lambda t: np.array([0.5 + 0.1 * t, 0.3, -0.2]), **PLATES), thin_air, stored=False),
     "Pointing": Case(LAW, toward("sine")),
     "Pointing by quaternions": Case(
@@ -165,7 +168,10 @@ CASES = {
     "Sampled": Case(F.Sampled(LAW, PERIOD, 0.4), toward("sine", limit=0.4), actuator="torque"),
     "ReactionWheels": Case(F.ReactionWheels(LAW, PERIOD), toward("sine"), {"wheels": WHEELS}, "wheels"),
     "ControlMomentGyros": Case(
-        F.ControlMomentGyros(LAW, PERIOD, max_rate=0.3), toward("sine"), {"gyros": PYRAMID}, "gyros"
+        F.ControlMomentGyros(LAW, PERIOD, max_rate=0.3, regularization=SHARE),
+        toward("sine"),
+        {"gyros": PYRAMID},
+        "gyros",
     ),
     "Thrusters": Case(F.Thrusters(LAW, PERIOD, (0.5, 0.4, 0.3), 0.01), toward("sine"), actuator="thrusters"),
 }
@@ -236,7 +242,7 @@ def reference_of(cases: Sequence[Case], begin: float, end: float) -> dict[str, n
                 u[actuator] = -np.linalg.pinv(unit.T) @ torque
             elif actuator == "gyros":
                 B = momenta(angles)[1]
-                share = 1e-3 * (PYRAMID[:, 0] ** 2).sum() / 3
+                share = SHARE * (PYRAMID[:, 0] ** 2).sum() / 3
                 u[actuator] = np.clip(-B @ np.linalg.solve(B.T @ B + share * np.eye(3), torque), -0.3, 0.3)
             elif actuator == "thrusters":
                 full = np.array([0.5, 0.4, 0.3])

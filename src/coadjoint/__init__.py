@@ -22,12 +22,9 @@ Names are loaded lazily: importing this package loads NumPy and nothing heavier.
 
 from __future__ import annotations
 
-from coadjoint.interruption import complete_imports
 from coadjoint.shortcuts import attach
 
 __version__ = "1.0.0"
-
-complete_imports()
 
 # The names are listed in __init__.pyi. There is no __all__, since `help` would print the help of each of them.
 __getattr__, __dir__, _names = attach("coadjoint", __file__)

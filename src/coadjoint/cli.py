@@ -13,6 +13,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from contextlib import suppress
 
 from coadjoint.interruption import ignore_signals, install_handlers
 from coadjoint.optional_packages import require_packages
@@ -47,10 +48,8 @@ def main(arguments: Sequence[str] | None = None, began: float | None = None) -> 
 
 def _print_error(sentence: str) -> None:
     """Write to standard error; if that fails, only the exit status remains."""
-    try:
+    with suppress(OSError, ValueError):
         print(sentence, file=sys.stderr, flush=True)
-    except (OSError, ValueError):
-        pass
 
 
 def run() -> None:
@@ -60,35 +59,21 @@ def run() -> None:
     status = main(began=STARTED)
     try:
         sys.stdout.flush()
-    except BrokenPipeError:
-        from coadjoint.commands import BROKEN_PIPE_STATUS
-
-        status = BROKEN_PIPE_STATUS
-        _discard_output()
     except OSError as reason:
-        if status == 0:
+        if isinstance(reason, BrokenPipeError):
+            status = 141  # 128 + SIGPIPE
+        elif status == 0:
             _print_error(f"coadjoint: the standard output cannot be written ({reason.strerror})")
-        status = status or 1
-        _discard_output()
+            status = 1
+        # The interpreter would try to flush the output again at exit, and report an error.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     ignore_signals()
     sys.exit(status)
 
 
 def _open_closed_streams() -> None:
     """Open standard streams that were closed, so that no file of a run gets their descriptors."""
-    for number, name, flags in ((0, "stdin", os.O_RDONLY), (1, "stdout", os.O_RDONLY), (2, "stderr", os.O_WRONLY)):
-        if getattr(sys, name) is not None:
-            continue
-        try:
-            os.fstat(number)
-        except OSError:
-            opened = os.open(os.devnull, flags)
-            if opened != number:
-                os.dup2(opened, number)
-                os.close(opened)
-        setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8"))
-
-
-def _discard_output() -> None:
-    """Discard unprinted output; the interpreter would otherwise try to flush it at exit and report an error."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    for number, (name, flags) in enumerate((("stdin", os.O_RDONLY), ("stdout", os.O_RDONLY), ("stderr", os.O_WRONLY))):
+        if getattr(sys, name) is None:
+            os.open(os.devnull, flags)  # gets the lowest free descriptor
+            setattr(sys, name, open(number, "w" if number else "r", encoding="utf-8"))

@@ -12,20 +12,21 @@ import inspect
 import sys
 import time
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import click
 
 from coadjoint import __version__, run_commands
-from coadjoint.errors import OneLineError, in_one_line, unknown_name
+from coadjoint.errors import OneLineError, in_one_line
 from coadjoint.long_operations import LongWait
 from coadjoint.optional_packages import require_packages
 from coadjoint.short_repr import short
 from coadjoint.validation import read_choice
 
+FOLDER = click.Path(file_okay=False, path_type=Path)
 BROKEN_PIPE_STATUS = 141  # broken pipe: 128 + SIGPIPE
 MAX_NUMBER_LENGTH = 60  # characters of a parameter, which is read as an exact fraction
 
@@ -39,31 +40,21 @@ def list_systems(name: str | None, json_path: str | None) -> None:
     The description has parameters with units, algebra, Casimirs, integrals, whether a closed form and an attitude
     exist, and a suggested scheme and step.
     """
-    from coadjoint.systems.registry import ready_made_systems
-
-    known = ready_made_systems()
-    if name is not None:
-        return _show_system(_check_system_name(name, known), json_path)
-    if json_path is not None:
-        raise click.UsageError("--json writes the description of one system; give its name")
-    for system_name, builder in sorted(known.items()):
-        signature = inspect.signature(builder).parameters
-        _describe(system_name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
-
-
-def _check_system_name(name: str, known: Collection[str]) -> str:
-    try:
-        return read_choice(name, "system", known)
-    except ValueError as reason:
-        raise click.UsageError(str(reason)) from None
-
-
-def _show_system(name: str, json_path: str | None) -> None:
     import json
 
     from coadjoint.files.output.output_files import TEXTS, check_target, write_text
     from coadjoint.summaries import summarize_system, system_text
+    from coadjoint.systems.registry import ready_made_systems
 
+    known = ready_made_systems()
+    if name is None:
+        if json_path is not None:
+            raise click.UsageError("--json writes the description of one system; give its name")
+        for system_name, builder in sorted(known.items()):
+            signature = inspect.signature(builder).parameters
+            _describe(system_name, {key: p.default for key, p in signature.items()}, inspect.getdoc(builder) or "")
+        return
+    read_choice(name, "system", known)
     target = None if json_path is None else check_target(json_path, TEXTS)
     summary = summarize_system(name)
     click.echo(system_text(summary))
@@ -86,10 +77,7 @@ def list_algebras(name: str | None, parameters: tuple[str, ...]) -> None:
         for line in listed_algebras():
             click.echo(line)
         return
-    try:
-        click.echo(algebra_text(algebra_of(name, dict(map(_read_parameter, parameters)))))
-    except (ValueError, TypeError) as reason:
-        raise click.UsageError(str(reason)) from None
+    click.echo(algebra_text(algebra_of(name, dict(map(_read_parameter, parameters)))))
 
 
 def _read_parameter(text: str) -> tuple[str, Fraction]:
@@ -110,10 +98,7 @@ def list_methods(name: str | None) -> None:
     from coadjoint.methods import registry
 
     if name is not None:
-        try:
-            text = registry.documentation_of(name)
-        except ValueError as reason:
-            raise click.UsageError(str(reason)) from None
+        text = registry.documentation_of(name)
         _describe(name, registry.parameters_of(name), text)
         click.echo("".join(f"    {line}".rstrip() + "\n" for line in text.splitlines()[1:]), nl=False)
         return
@@ -159,32 +144,23 @@ def print_schema() -> None:
 
 
 @click.command("reproduce")
-@click.option("--out", metavar="DIR", default="figures", show_default=True, help="Folder for the figures.")
-def reproduce(out: str) -> None:
+@click.option("--out", type=FOLDER, metavar="DIR", default="figures", show_default=True, help="Folder for the figures.")
+def reproduce(out: Path) -> None:
     """Repeat the experiments of Reich (1993), print a table of them and draw their figures."""
     experiments = importlib.import_module("coadjoint.experiments.reich1993")
     experiments.check_packages()
-    table, figures = experiments.reproduce(_folder(out), click.echo)
+    out.mkdir(parents=True, exist_ok=True)
+    table, figures = experiments.reproduce(out, click.echo)
     for row in table:
         click.echo(f"{row.verdict:18}  {row.place}: {row.statement}\n{'':20}{row.measured}")
     for figure in figures:
         click.echo(f"written: {figure}")
 
 
-def _folder(out: str) -> Path:
-    """Return a folder, created if it does not exist."""
-    folder = Path(out)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as reason:
-        raise click.UsageError(f"--out {out}: cannot be made a folder ({reason.strerror}); give another") from None
-    return folder
-
-
 @click.command("gallery")
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option("--out", metavar="DIR", default="gallery", show_default=True, help="Folder for pictures and page.")
-def draw_gallery(names: tuple[str, ...], out: str) -> None:
+@click.option("--out", type=FOLDER, metavar="DIR", default="gallery", show_default=True, help="Folder for pictures.")
+def draw_gallery(names: tuple[str, ...], out: Path) -> None:
     """Run the ready-made systems, or those with a NAME; plot each, and write a page of the plots.
 
     The page is index.html, in the same folder. The NAME decaying_turbulence is a run of minutes.
@@ -196,14 +172,13 @@ def draw_gallery(names: tuple[str, ...], out: str) -> None:
     from coadjoint.pictures.gallery import PAGE, SCENES, gallery
 
     known = gallery_systems()
-    selected = [_check_system_name(name, (*known, *SCENES)) for name in dict.fromkeys(names)] or known
+    selected = [read_choice(name, "system", (*known, *SCENES)) for name in dict.fromkeys(names)] or known
     if not names:
         require_packages("a gallery of all systems", "numba", "ducc0")
-    folder = _folder(out)
-
-    page = gallery(selected, lambda figure, name: write_figure(figure, folder / name), click.echo)
-    write_text(page, folder / PAGE, PAGES)
-    click.echo(f"written: {folder / PAGE}")
+    out.mkdir(parents=True, exist_ok=True)
+    page = gallery(selected, lambda figure, name: write_figure(figure, out / name), click.echo)
+    write_text(page, out / PAGE, PAGES)
+    click.echo(f"written: {out / PAGE}")
 
 
 @click.command("export")
@@ -222,53 +197,39 @@ def export(file: str | None, free_body: bool, library: bool, path: str | None, n
     for the compiled library. With --free-body, it is a header with functions for double and float. Both headers
     allocate nothing and need only sqrt. --library copies the compiled library, which runs tables by functions of C.
     """
+    from coadjoint.files.configuration.loading import load
+    from coadjoint.files.configuration.parsing import section
+    from coadjoint.files.exports.c_export import c_header
     from coadjoint.files.exports.c_statements import free_body_header
-    from coadjoint.files.exports.table_export import write_interface
+    from coadjoint.files.exports.table_export import table_text, write_interface
     from coadjoint.files.output.output_files import HEADERS, TEXTS, check_target, write_text
 
-    if file is None and not free_body and not library:
-        raise click.UsageError("export has nothing to write; give a configuration FILE, --free-body or --library")
-    whole = "--free-body" if free_body else "--library"
-    others = {
-        short(file): file is not None,
-        "--library": free_body and library,
-        "--name": name is not None,
-        "--tangent": tangent,
-    }
-    conflicts = [other for other, given in others.items() if given]
-    if (free_body or library) and conflicts:
-        raise click.UsageError(f"{whole} was given with {conflicts[0]}; give one of them")
+    given = {"--free-body": free_body, "--library": library, "a configuration FILE": file is not None}
+    chosen = [what for what, is_given in given.items() if is_given]
+    if len(chosen) != 1:
+        raise click.UsageError(f"export was given {' and '.join(chosen) or 'nothing'}; give one of {', '.join(given)}")
+    is_table = file is not None and path is not None and Path(path).suffix == ".json"
+    if (file is None or is_table) and (name is not None or tangent):
+        what = "a table" if is_table else chosen[0]
+        raise click.UsageError(f"{what} has no --name and no --tangent; omit them")
     if library:
         if path is None:
             raise click.UsageError("--library needs the folder --out")
         for copy in write_interface(path):
             click.echo(f"written: {copy}")
         return
-    is_table = file is not None and path is not None and Path(path).suffix == ".json"
-    if is_table and (name is not None or tangent):
-        raise click.UsageError("a table has no --name and no --tangent; its derivatives are always there")
     suffixes = TEXTS if is_table else HEADERS
     target = None if path is None else check_target(path, suffixes)
-    if file is not None:
-        text = _exported_run(file, None if is_table else Path(path or file).stem if name is None else name, tangent)
-    else:
+    if file is None:
         text = free_body_header()
+    else:
+        prepared = load(file).prepared
+        with section(file, "export"):
+            text = table_text(prepared) if is_table else c_header(prepared, name or Path(path or file).stem, tangent)
     if target is None:
         return click.echo(text, nl=False)
     write_text(text, target, suffixes)
     click.echo(f"written: {path}")
-
-
-def _exported_run(file: str, name: str | None, tangent: bool) -> str:
-    """Return the header of a configured run, or its table if no name is given."""
-    from coadjoint.files.configuration.construction import section
-    from coadjoint.files.configuration.loading import load
-    from coadjoint.files.exports.c_export import c_header
-    from coadjoint.files.exports.table_export import table_text
-
-    prepared = load(file).ready()
-    with section(file, "export"):
-        return table_text(prepared) if name is None else c_header(prepared, name, tangent)
 
 
 ALL_COMMANDS = [
@@ -284,18 +245,7 @@ ALL_COMMANDS = [
 ]
 
 
-class _Commands(click.Group):
-    """Command group that suggests the nearest name for an unknown command."""
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
-            raise click.UsageError(str(unknown_name("command", args[0], self.list_commands(ctx))), ctx)
-        return super().resolve_command(ctx, args)
-
-
-@click.group(cls=_Commands, commands=ALL_COMMANDS, invoke_without_command=True)
+@click.group(commands=ALL_COMMANDS, invoke_without_command=True)
 @click.version_option(__version__, prog_name="coadjoint", message="%(prog)s %(version)s")
 @click.pass_context
 def commands(context: click.Context) -> None:
@@ -304,17 +254,11 @@ def commands(context: click.Context) -> None:
         click.echo(context.get_help())
 
 
-def _unknown_option(error: click.NoSuchOption) -> str:
-    """Return the message about an unknown option, with the nearest one."""
-    parameters = [] if error.ctx is None else error.ctx.command.get_params(error.ctx)
-    known = [name for parameter in parameters for name in parameter.opts if name[0] == "-"]
-    return f"coadjoint: {unknown_name('option', error.option_name, known)}"
-
-
 def _wrong_usage(error: click.UsageError) -> str:
     """Return the message about wrong usage, with where to read about it if it does not say what to do."""
     message = in_one_line(error.format_message())
-    usage = f" (see '{error.ctx.command_path} --help')" if error.ctx is not None and "; " not in message else ""
+    is_clear = "; " in message or message.endswith("?")
+    usage = "" if is_clear or error.ctx is None else f" (see '{error.ctx.command_path} --help')"
     return f"coadjoint: {message[:1].lower()}{message[1:].rstrip('.')}{usage}"
 
 
@@ -322,18 +266,11 @@ def perform(arguments: Sequence[str] | None, began: float | None = None) -> tupl
     """Run a command; return its exit status and the text for standard error: one line per error, or else per warning.
 
     >>> perform(["run", "no_such_file.toml"])
-    (2, 'no_such_file.toml: cannot be read (No such file or directory)')
+    (2, 'no_such_file.toml: cannot be read (No such file or directory: no_such_file.toml)')
     """
     recorded: list[str] = []
 
-    def show_warning(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
+    def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
         text = in_one_line(f"coadjoint: warning: {message}")
         if not issubclass(category, LongWait):
             recorded.append(text)
@@ -343,12 +280,10 @@ def perform(arguments: Sequence[str] | None, began: float | None = None) -> tupl
             print(text, file=sys.stderr, flush=True)
 
     with warnings.catch_warnings():
-        warnings.showwarning = show_warning
+        warnings.showwarning = show
         began = time.monotonic() if began is None else began
         status, message = _invoke(list(sys.argv[1:] if arguments is None else arguments), began)
-    if status == 0:
-        message = "\n".join(dict.fromkeys(recorded))
-    return status, message
+    return status, "\n".join(dict.fromkeys(recorded)) if status == 0 else message
 
 
 def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
@@ -358,19 +293,16 @@ def _invoke(arguments: list[str], began: float) -> tuple[int, str]:
             commands.invoke(context)
     except click.exceptions.Exit as done:
         return done.exit_code, ""
-    except click.NoSuchOption as error:
-        return error.exit_code, in_one_line(_unknown_option(error))
     except click.UsageError as error:
-        return error.exit_code, in_one_line(_wrong_usage(error))
+        return error.exit_code, _wrong_usage(error)
     except click.ClickException as error:
         return error.exit_code, in_one_line(error.format_message())
     except OneLineError as error:
         return 2, "\n".join(map(in_one_line, getattr(error, "error_lines", ()) or (str(error),)))
-    except ImportError as error:
-        # A package is missing or incompatible; the message names it.
+    except (ImportError, ValueError, TypeError) as error:
+        # An argument is invalid, or a package is missing or incompatible; the message names it.
         return 2, in_one_line(f"coadjoint: {error}")
-    except (ValueError, TypeError, ArithmeticError, RecursionError, MemoryError) as error:
-        # Not caught by any validator, but still invalid input.
+    except (ArithmeticError, RecursionError, MemoryError) as error:
         return 2, in_one_line(f"coadjoint: {type(error).__name__}: {error}")
     except BrokenPipeError:
         return BROKEN_PIPE_STATUS, ""

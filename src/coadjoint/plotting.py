@@ -7,9 +7,9 @@ registers a kind of your own; `gallery` draws the ready-made systems.
 from __future__ import annotations
 
 from coadjoint.errors import refuse_others
-from coadjoint.pictures.analysis_figures import draw_modified_energy
 from coadjoint.pictures.gallery import gallery
 from coadjoint.pictures.kinds.coadjoint_orbit import level_surface
+from coadjoint.pictures.kinds.quantities import draw_modified_energy
 from coadjoint.pictures.register import CannotShow, kind, kinds
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 

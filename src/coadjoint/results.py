@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from coadjoint.errors import refuse_others
-from coadjoint.files.datasets.export import dataset_of, mark_failed, rebuild, solution_inputs
-from coadjoint.files.datasets.loaded_solution import load
+from coadjoint.files.datasets.export import dataset_of, mark_failed
+from coadjoint.files.datasets.loaded_solution import load, rebuild, solution_inputs
 
 __all__ = ["dataset_of", "load", "mark_failed", "rebuild", "solution_inputs"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,38 +20,51 @@ if TYPE_CHECKING:
     from coadjoint.runs.results.solution import Solution
 
 
+class KeyOption(click.Option):
+    """Option in place of a key of a configuration file, whose description is its help."""
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Return the option and its help; only this needs the models of files."""
+        from coadjoint.files.configuration.models import OutputTable, RunTable
+
+        self.help = (RunTable.model_fields | OutputTable.model_fields)[str(self.name)].description
+        return super().get_help_record(ctx)
+
+
+OUT = click.option("--out", "file", cls=KeyOption, metavar="PATH")
+ARCHIVE = click.option("--archive", cls=KeyOption, metavar="PATH")
+FIGURE = click.option("--figure", cls=KeyOption, metavar="PATH")
+MOVIE = click.option("--movie", cls=KeyOption, metavar="PATH")
+THREADS = click.option("--threads", cls=KeyOption, type=int, metavar="N")
+WORKERS = click.option("--workers", cls=KeyOption, type=int, metavar="N")
+PROGRESS = click.option("--progress", is_flag=True, help="Show a progress bar.")
+QUIET = click.option("--quiet", is_flag=True, help="Print nothing.")
+
+
 @click.command("run")
-@click.argument("file", type=click.Path())
-@click.option("--out", metavar="PATH", help="Path of the solution: .nc or .zarr; by default that in FILE.")
-@click.option("--archive", metavar="PATH", help="New folder to which the run is written, so that it can be resumed.")
-@click.option("--figure", metavar="PATH", help="Path of a figure: .png, .pdf or .svg; by default that in FILE.")
-@click.option("--movie", metavar="PATH", help="Path of a movie: .mp4 or .gif; by default that in FILE.")
-@click.option("--progress", is_flag=True, help="Show a progress bar.")
-@click.option("--quiet", is_flag=True, help="Print nothing.")
-def run_file(
-    file: str,
-    out: str | None,
-    archive: str | None,
-    figure: str | None,
-    movie: str | None,
-    progress: bool,
-    quiet: bool,
-) -> None:
+@click.argument("path", metavar="FILE", type=click.Path())
+@OUT
+@ARCHIVE
+@FIGURE
+@MOVIE
+@PROGRESS
+@QUIET
+def run_file(path: str, progress: bool, quiet: bool, **options: str | None) -> None:
     """Run the configuration FILE (TOML).
 
-    A run that fails writes the solution so far, marked as failed, and ends with exit status 1. One that is interrupted
-    writes the solution so far, marked as incomplete; `coadjoint resume` continues an archive.
+    Paths of results are those in FILE, unless options give others. A run that fails writes the solution so far, marked
+    as failed, and ends with exit status 1. One that is interrupted writes the solution so far, marked as incomplete;
+    `coadjoint resume` continues an archive.
     """
     from coadjoint.files.configuration.loading import load
 
-    configuration = load(file)
-    options = {"archive": archive, "file": out, "figure": figure, "movie": movie}
-    paths = _output_paths(configuration.path, configuration.outputs, options)
+    configuration = load(path)
+    paths = _output_paths(configuration.path, configuration.outputs | _given(options))
     with saving_partial_run(configuration.path, paths.get("archive"), paths.get("file"), configuration.dataset):
         solution = configuration.integrate(progress=progress, archive=paths.get("archive"))
     _write_results(configuration.path, solution, configuration.dataset, paths)
     if not quiet:
-        _summarize(solution, list(paths.values()))
+        _summarize(solution, paths.values())
 
 
 def _write_results(
@@ -71,66 +84,49 @@ def _write_results(
                 write(paths[key])
 
 
-def _output_paths(name: str, declared: Mapping[str, str | None], options: Mapping[str, str | None]) -> dict[str, Path]:
-    """Validate the paths of archive, dataset, figure and movie, from the options or else those declared in a file."""
+def _given(options: Mapping[str, str | None]) -> dict[str, str | None]:
+    return {key: path for key, path in options.items() if path is not None}
+
+
+def _output_paths(name: str, declared: Mapping[str, str | None]) -> dict[str, Path]:
+    """Validate the paths of archive, dataset, figure and movie of a file or of options."""
     from coadjoint.files.archives.new_archive import check_new
-    from coadjoint.files.configuration.construction import section
+    from coadjoint.files.configuration.parsing import section
     from coadjoint.files.output.output_files import DATASETS, FIGURES, check_movie, check_target
 
-    def new_archive(path: str) -> Path:
-        check_new(path)
-        return Path(path)  # as it was given, for messages
-
-    checks: dict[str, Callable[[str], Path]] = {
-        "archive": new_archive,
+    checks: dict[str, Callable[[str], object]] = {
+        "archive": check_new,
         "file": lambda path: check_target(path, DATASETS),
         "figure": lambda path: check_target(path, FIGURES),
         "movie": check_movie,
     }
-    paths = {}
-    for key, check in checks.items():
-        option, configured = options.get(key), declared.get(key)
-        if option is not None:
-            paths[key] = check(option)
-        elif configured is not None:
-            with section(name, f"output.{key}"):
-                paths[key] = check(configured)
-    return paths
+    given = {key: path for key in checks if (path := declared.get(key)) is not None}
+    for key, path in given.items():
+        with section(name, f"output.{key}"):
+            checks[key](path)
+    return {key: Path(path) for key, path in given.items()}  # as they were given, for messages
 
 
-def _check_inside(name: str, declared: Mapping[str, str | None]) -> None:
-    """Raise OutputError if a result that an archive declares, which may come from others, is outside of this folder."""
-    from coadjoint.files.output.output_files import OutputError
+def _summarize(solution: Solution, written: Iterable[Path]) -> None:
+    from coadjoint.runs.results.solution_output import is_driven
 
-    for key, path in declared.items():
-        if path is not None and not Path(path).resolve().is_relative_to(Path.cwd().resolve()):
-            option = "out" if key == "file" else key
-            raise OutputError(f"{name}: output.{key}: {path} is outside of the current folder; give --{option}")
-
-
-def _summarize(solution: Solution, written: Sequence[Path]) -> None:
-    stats, context = solution.stats, click.get_current_context(silent=True)
+    stats, context, change = solution.stats, click.get_current_context(silent=True), solution.change()
     seconds = stats.elapsed if context is None else time.monotonic() - context.find_root().obj
     click.echo(
         in_one_line(f"{solution.system.name}, {solution.method}")
-        + f": {stats.steps} steps of {solution.step:g}; {seconds:.3g} s, {stats.seconds:.3g} s in the "
-        + "loop"
+        + f": {stats.steps} steps of {solution.step:g}; {seconds:.3g} s, {stats.seconds:.3g} s in the loop"
     )
+    balance = solution.balance() if solution.work else None
+    what = "largest deviation from the start" if balance is None else "change, and change minus the work of the forces"
     extent = "every step" if solution.watched else "the saved points"
-    columns: dict[str, Mapping[str, float]] = {"largest deviation from the start": solution.change()}
-    if solution.work:
-        columns = {"change, and change minus the work of the forces (balance)": solution.change()}
-        balance = solution.balance()
-        columns["balance"] = {name: balance[name] if name in balance else math.nan for name in solution.change()}
-    click.echo(f"{next(iter(columns))}, over {extent}:")
-    names = {name: in_one_line(name, 60) for name in solution.change()}
-    from coadjoint.runs.results.solution_output import is_driven
-
+    click.echo(f"{what}{'' if balance is None else ' (balance)'}, over {extent}:")
+    labels = {name: in_one_line(name, 60) for name in change}
     if is_driven(solution.system):
-        names["energy"] = "energy (driven, so that it changes)"
-    width = max(map(len, names.values()))
-    for name, label in names.items():
-        click.echo(f"  {label:{width}}  " + "  ".join(f"{column[name]:.3g}" for column in columns.values()))
+        labels["energy"] = "energy (driven, so that it changes)"
+    width = max(map(len, labels.values()))
+    for name, label in labels.items():
+        second = "" if balance is None else f"  {balance.get(name, math.nan):.3g}"
+        click.echo(f"  {label:{width}}  {change[name]:.3g}{second}")
     for path in written:
         click.echo(f"written: {path}")
 
@@ -147,7 +143,7 @@ def check_file(file: str) -> None:
     from coadjoint.files.configuration.loading import load
 
     configuration = load(file)
-    _output_paths(configuration.path, configuration.outputs, {})
+    _output_paths(configuration.path, configuration.outputs)
     text, failed = describe_run(configuration)
     click.echo(text)
     if failed:
@@ -157,25 +153,21 @@ def check_file(file: str) -> None:
 @click.command("resume")
 @click.argument("path", type=click.Path())
 @click.option("--t-end", type=float, metavar="T", help="A later end of the run (time).")
-@click.option("--out", metavar="PATH", help="Path of the solution: .nc or .zarr; by default that in the run's file.")
-@click.option("--figure", metavar="PATH", help="Path of a figure: .png, .pdf or .svg; by default that in the file.")
-@click.option("--movie", metavar="PATH", help="Path of a movie: .mp4 or .gif; by default that in the run's file.")
-@click.option(
-    "--threads", type=int, metavar="N", help="Number of threads for the members of an ensemble; by default all cores."
-)
-@click.option("--workers", type=int, metavar="N", help="Number of processes that continue an ensemble in blocks.")
-@click.option("--progress", is_flag=True, help="Show a progress bar.")
-@click.option("--quiet", is_flag=True, help="Print nothing.")
+@OUT
+@FIGURE
+@MOVIE
+@THREADS
+@WORKERS
+@PROGRESS
+@QUIET
 def resume_archive(
     path: str,
     t_end: float | None,
-    out: str | None,
-    figure: str | None,
-    movie: str | None,
     threads: int | None,
     workers: int | None,
     progress: bool,
     quiet: bool,
+    **options: str | None,
 ) -> None:
     """Continue the run of the archive PATH, with the same bits as an uninterrupted run.
 
@@ -187,22 +179,25 @@ def resume_archive(
     from coadjoint.files.archives.resume import resume
     from coadjoint.files.archives.run_checks import requires_argument
     from coadjoint.files.configuration.loading import CONFIGURATION, outputs_of_text, system_of_text
+    from coadjoint.files.output.output_files import OutputError
 
-    archive, system = Path(path), None
+    system, declared, given = None, {}, _given(options)
     attributes = open_archive(read_archive_path(path)).attributes
-    if CONFIGURATION in attributes and requires_argument(attributes, "system"):
+    if (text := attributes.get(CONFIGURATION)) is not None:
         # Catalogue algebras may have Casimirs that are functions, which only the configuration file can restore.
-        system = system_of_text(attributes[CONFIGURATION])
-    declared = outputs_of_text(attributes[CONFIGURATION]) if CONFIGURATION in attributes else {}
-    options = {"file": out, "figure": figure, "movie": movie}
-    declared = {key: value for key, value in declared.items() if key in options and options[key] is None}
-    _check_inside(path, declared)
-    results = _output_paths(path, declared, options)
-    with saving_partial_run(path, archive, None, None):
-        solution = resume(archive, t_end, system=system, threads=threads, workers=workers, progress=progress)
+        system = system_of_text(text) if requires_argument(attributes, "system") else None
+        declared = {**outputs_of_text(text), "archive": None}
+    for key, target in declared.items():
+        # The archive may come from others.
+        if key not in given and target is not None and not Path(target).resolve().is_relative_to(Path.cwd().resolve()):
+            option = "out" if key == "file" else key
+            raise OutputError(f"{path}: output.{key}: {target} is outside of the current folder; give --{option}")
+    results = _output_paths(path, declared | given)
+    with saving_partial_run(path, Path(path), None, None):
+        solution = resume(path, t_end, system=system, threads=threads, workers=workers, progress=progress)
     _write_results(path, solution, lambda resumed: resumed.to_xarray().drop_encoding(), results)
     if not quiet:
-        _summarize(solution, [archive, *results.values()])
+        _summarize(solution, [Path(path), *results.values()])
 
 
 @click.command("certify")
@@ -218,36 +213,25 @@ def certify_file(file: str, json_path: str | None, figure_path: str | None, step
     The exit status is 0 if every declared property holds, and 1 if one fails or cannot be decided.
     """
     from coadjoint.analysis.certificates.certify import certify
-    from coadjoint.errors import ConfigurationError
     from coadjoint.files.configuration.loading import load
     from coadjoint.files.output.output_files import FIGURES, TEXTS, check_target, write_figure, write_text
 
-    configuration = load(file)
-    if configuration.system.is_batch:
-        problem = "sweep.over: a certificate is of one system; sweep over the initial state alone"
-        raise ConfigurationError(f"{configuration.path}: {problem}")
-    if configuration.system.forces:
-        problem = "forces: a certificate is of a system without forces; omit [[forces]]"
-        raise ConfigurationError(f"{configuration.path}: {problem}")
+    run = load(file)
     json_target = None if json_path is None else check_target(json_path, TEXTS)
     figure_target = None if figure_path is None else check_target(figure_path, FIGURES)
-    certificate = certify(
-        configuration.system,
-        configuration.method,
-        configuration.x0,
-        math.copysign(configuration.step, configuration.t_span[1] - configuration.t_span[0]),
-        steps=steps,
-    )
+    first, last = run.file.run.span
+    step = math.copysign(run.prepared.step, last - first)
+    certificate = certify(run.prepared.system, run.prepared.method, run.x0, step, steps=steps)
     click.echo(str(certificate))
-    if json_target is not None:
-        with reporting_write_errors(configuration.path, json_target):
-            write_text(certificate.to_json(), json_target)
-    if figure_target is not None:
-        with reporting_write_errors(configuration.path, figure_target):
-            write_figure(certificate.plot(), figure_target)
-    for written in (json_target, figure_target):
-        if written is not None:
-            click.echo(f"written: {written}")
+    writers: dict[Path | None, Callable[[Path], object]] = {
+        json_target: lambda path: write_text(certificate.to_json(), path),
+        figure_target: lambda path: write_figure(certificate.plot(), path),
+    }
+    for target, write in writers.items():
+        if target is not None:
+            with reporting_write_errors(run.path, target):
+                write(target)
+            click.echo(f"written: {target}")
     if not certificate.passed:
         raise click.exceptions.Exit(1)
 
@@ -271,9 +255,37 @@ def saving_partial_run(
         with interruption.raise_on_interrupt():
             yield
     except IntegrationError as error:
-        raise _failure_error(name, error, archive, target, dataset) from error
+        kept = "" if archive is None else f"; the archive {archive} holds the solution so far"
+        if target is not None and dataset is not None and error.partial is not None:
+            kept = _write_partial(dataset(error.partial), error, target)
+        raise _run_ended(f"{name}: the run failed: {error}{kept}") from error
     except interruption.Interrupted as interrupt:
-        raise _interruption_error(name, interrupt, archive, target, dataset) from interrupt
+        partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
+        kept = ""
+        if archive is not None and partial is not None:
+            kept = f"; {archive} holds {partial.progress_text}: coadjoint resume {archive} continues it"
+        elif target is not None and dataset is not None and partial is not None and len(partial.t):
+            kept = _write_partial(dataset(partial), interrupt, target)
+        message = f"{name if kept else 'coadjoint'}: {interrupt.description}{kept}"
+        raise _run_ended(message, 128 + interrupt.number) from interrupt
+
+
+def _write_partial(dataset: xarray.Dataset, error: IntegrationError | interruption.Interrupted, target: Path) -> str:
+    """Write the solution so far, marked as failed or incomplete; return the part of the message about it."""
+    from coadjoint.files.datasets.export import failure_attributes, incomplete_attributes
+    from coadjoint.files.output.output_files import write_dataset
+
+    if isinstance(error, IntegrationError):
+        attributes, mark = failure_attributes(error), ""
+    else:
+        attributes = incomplete_attributes(error.description, float(dataset["time"][-1]))
+        mark = ", marked as incomplete"
+    try:
+        with reporting_write_errors("the solution so far is lost", target):
+            write_dataset(dataset.assign_attrs(attributes), target)
+    except click.ClickException as reason:
+        return f"; {reason.message}"
+    return f"; the solution so far is in {target}{mark}"
 
 
 @contextmanager
@@ -284,41 +296,8 @@ def reporting_write_errors(name: str, target: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, OutputError, MemoryError) as reason:
-        raise _run_ended(f"{name}: {_write_error(target, reason)}") from reason
-
-
-def _write_error(target: Path, reason: BaseException) -> str:
-    detail = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
-    return f"{target} could not be written ({detail}); nothing was replaced"
-
-
-def _failure_error(
-    name: str, error: IntegrationError, archive: Path | None, target: Path | None, dataset: Any
-) -> click.ClickException:
-    """Write the solution so far and return the error to raise."""
-    from coadjoint.files.datasets.export import failure_attributes
-
-    written = "" if archive is None else f"; the archive {archive} holds the solution so far"
-    if target is not None and error.partial is not None:
-        written = _write(dataset(error.partial).assign_attrs(failure_attributes(error)), target)
-    return _run_ended(f"{name}: the run failed: {error}{written}")
-
-
-def _interruption_error(
-    name: str, interrupt: interruption.Interrupted, archive: Path | None, target: Path | None, dataset: Any
-) -> click.ClickException:
-    from coadjoint.files.datasets.export import incomplete_attributes
-
-    partial: Any = interrupt.partial if archive is None else _open_partial_run(archive)
-    written = ""
-    if archive is not None and partial is not None:
-        written = f"; {archive} holds {partial.progress_text}: coadjoint resume {archive} continues it"
-    elif target is not None and partial is not None and len(partial.t):
-        time = float(partial.t[-1])
-        reason = incomplete_attributes(interrupt.description, time)
-        written = _write(dataset(partial).assign_attrs(reason), target, ", marked as incomplete")
-    message = f"{name}: {interrupt.description}{written}" if written else f"coadjoint: {interrupt.description}"
-    return _run_ended(message, 128 + interrupt.number)
+        detail = getattr(reason, "strerror", None) or str(reason) or "it does not fit into memory"
+        raise _run_ended(f"{name}: {target} could not be written ({detail}); nothing was replaced") from reason
 
 
 def _open_partial_run(archive: Path) -> Any:
@@ -329,13 +308,3 @@ def _open_partial_run(archive: Path) -> Any:
         return open_archive(archive)
     except ValueError:
         return None
-
-
-def _write(dataset: xarray.Dataset, target: Path, marked: str = "") -> str:
-    from coadjoint.files.output.output_files import OutputError, write_dataset
-
-    try:
-        write_dataset(dataset, target)
-    except (OSError, OutputError, MemoryError) as reason:
-        return f"; the solution so far is lost: {_write_error(target, reason)}"
-    return f"; the solution so far is in {target}{marked}"

@@ -17,30 +17,14 @@ if TYPE_CHECKING:
 
 SHORTCUTS = {
     "archive_run": "coadjoint.files.archives.resume:archive_run",
-    "check_movie": "coadjoint.files.output.output_files:check_movie",
-    "check_speed": "coadjoint.files.output.output_files:check_speed",
     "choose": "coadjoint.choosing.accuracy:choose",
     "dataset_of": "coadjoint.files.datasets.export:dataset_of",
-    "draw_certificate": "coadjoint.pictures.analysis_figures:draw_certificate",
-    "draw_crossings": "coadjoint.pictures.kinds.phase_plane:draw_crossings",
-    "draw_phase_drift": "coadjoint.pictures.analysis_figures:draw_phase_drift",
+    "draw_result": "coadjoint.pictures.analysis_figures:draw_result",
     "draw_solution": "coadjoint.pictures.solution:draw_solution",
-    "draw_structure_factor": "coadjoint.pictures.analysis_figures:draw_structure_factor",
-    "error_at_end": "coadjoint.analysis.error_at_end:error_at_end",
     "frames_of": "coadjoint.pictures.solution:frames_of",
-    "jvp": "coadjoint.runs.derivatives.of_prepared_runs:jvp",
-    "lost_invariant": "coadjoint.analysis.error_estimates:lost_invariant",
     "modified_hamiltonian": "coadjoint.analysis.backward_error.modified_hamiltonian:modified_hamiltonian",
-    "parameters_of_run": "coadjoint.runs.derivatives.differentiable_run:parameters_of_run",
     "run_to_accuracy": "coadjoint.choosing.validated_run:SampledRun",
-    "state_at": "coadjoint.runs.state_at:state_at",
-    "step_error": "coadjoint.analysis.error_estimates:step_error",
-    "step_errors_of_groups": "coadjoint.analysis.error_estimates:step_errors_of_groups",
-    "table_of": "coadjoint.files.datasets.export:table_of",
-    "vjp": "coadjoint.runs.derivatives.of_prepared_runs:vjp",
-    "warn_of_blocks": "coadjoint.analysis.error_estimates:warn_of_blocks",
-    "warn_of_large_step": "coadjoint.analysis.error_estimates:warn_of_large_step",
-    "write_movie": "coadjoint.files.output.output_files:write_movie",
+    "save_movie": "coadjoint.files.output.output_files:save_movie",
 }
 """Name -> "module:function"."""
 

@@ -18,20 +18,16 @@ from coadjoint.validation import as_tuples
 
 LINE_WIDTH = 100  # characters of a line of the text
 MAX_NAMED = 30  # coordinates that are listed by name: some two lines
-ATTITUDES = {
-    "representation": "attitude=True",
-    "coadjoint": 'attitude="coadjoint"; no representation is known',
-    "matrices": "none: schemes for matrices do not compute a group element",
-    "none": "none, for there is no algebra",
-}
+MAX_BRACKETS = 20  # shown; a screen with the other lines
+MAX_SEARCHED_DIMENSION = 16
+"""Largest dimension for which unknown Casimirs are computed; above it the computation takes seconds."""
+MAX_FORMULA_LENGTH = 300  # letters, three lines
 
 
 def summarize_system(name: str) -> dict[str, Any]:
     """Return the `description` of a ready-made system, with ``"scheme"``, ``"step"`` and ``"command"``."""
-    summary = description(name)
-    gallery_entry = gallery_entry_of(name)
-    system = importlib.import_module("coadjoint.systems").get(name)
-    summary["scheme"] = str(suggested_scheme(system))
+    summary, gallery_entry = description(name), gallery_entry_of(name)
+    summary["scheme"] = str(suggested_scheme(importlib.import_module("coadjoint.systems").get(name)))
     summary["step"] = None if gallery_entry is None else gallery_entry.step
     summary["command"] = None if gallery_entry is None else f"coadjoint gallery --out gallery {name}"
     return summary
@@ -39,78 +35,45 @@ def summarize_system(name: str) -> dict[str, Any]:
 
 def system_text(summary: Mapping[str, Any]) -> str:
     """Format a description of `summarize_system` as text, in lines of at most 100 characters."""
-    return "\n".join(_lines(summary))
+    entries = dict(summary)
+    parameters = {key: (p["meaning"], repr(as_tuples(p["default"]))) for key, p in entries.pop("parameters").items()}
+    call = f"{entries.pop('name')}({', '.join(f'{key}={default}' for key, (_, default) in parameters.items())})"
+    lines = textwrap.wrap(call, LINE_WIDTH, subsequent_indent="    ")
+    for text in (entries.pop("summary"), *entries.pop("equations")):
+        lines += [*textwrap.wrap(text, LINE_WIDTH, initial_indent="    ", subsequent_indent="    "), ""]
+    for key, (meaning, default) in parameters.items():
+        lines += _entry(key, f"{meaning} Default: {default}.")
+    if len(entries["coordinates"]) > MAX_NAMED:
+        del entries["coordinates"]
+    for key, value in entries.items():
+        if isinstance(value, dict):
+            shown = "; ".join(name if text in (None, name) else f"{name} = {text}" for name, text in value.items())
+        else:
+            shown = ", ".join(value) if isinstance(value, list) else str(value)
+        lines += _entry(key, "none is known" if value in (None, "", {}) else shown)
+    return "\n".join(lines)
 
 
-def _lines(summary: Mapping[str, Any]) -> Iterator[str]:
-    parameters = ", ".join(f"{key}={_shown(p['default'])}" for key, p in summary["parameters"].items())
-    yield from textwrap.wrap(f"{summary['name']}({parameters})", LINE_WIDTH, subsequent_indent="    ")
-    yield from textwrap.wrap(summary["summary"], LINE_WIDTH, initial_indent="    ", subsequent_indent="    ")
-    for text in summary["equations"]:
-        yield ""
-        yield from textwrap.wrap(text, LINE_WIDTH, initial_indent="    ", subsequent_indent="    ")
-    yield ""
-    for key, parameter in summary["parameters"].items():
-        yield from _entry(key, f"{parameter['meaning']} Default: {_shown(parameter['default'])}.")
-    yield ""
-    algebra = "none: J(x) is not linear in x" if summary["algebra"] is None else summary["algebra"]
-    yield from _entry("algebra", f"{algebra}; dimension {summary['dimension']}, rank {summary['rank']}")
-    yield from _entry("sign", f"{summary['sign']:+d}")
-    if len(summary["coordinates"]) <= MAX_NAMED:
-        yield from _entry("coordinates", ", ".join(summary["coordinates"]))
-    for kind, missing in (("casimirs", "none is known"), ("integrals", "none beside H and the Casimirs is known")):
-        formulas = summary[kind]
-        yield from _entry(kind, "; ".join(_named(key, formula) for key, formula in formulas.items()) or missing)
-    if summary["state"]:
-        yield from _entry("system", summary["state"])
-    yield from _entry("closed form", "exact(x0, t)" if summary["exact"] else "none is known for these parameters")
-    yield from _entry("attitude", ATTITUDES[summary["attitude"]])
-    step = "" if summary["step"] is None else f", step {summary['step']:g} for the motion of the gallery"
-    yield from _entry("begin with", summary["scheme"] + step)
-    if summary["source"]:
-        yield from _entry("source", summary["source"])
-    if summary["command"]:
-        yield from _entry("see it", summary["command"])
-
-
-def _entry(name: str, text: str) -> list[str]:
-    return textwrap.wrap(text, LINE_WIDTH, initial_indent=f"{name:14}", subsequent_indent=" " * 14)
-
-
-def _named(name: str, formula: str | None) -> str:
-    return name if formula is None or formula == name else f"{name} = {formula}"
-
-
-def _shown(value: Any) -> str:
-    return repr(as_tuples(value))
-
-
-MAX_BRACKETS = 20  # shown; a screen with the other lines
-MAX_NAMES = 30  # of the basis, shown in at most two lines
-MAX_SEARCHED_DIMENSION = 16
-"""Largest dimension for which unknown Casimirs are computed; above it the computation takes seconds."""
-MAX_FORMULA_LENGTH = 300  # letters, three lines
+def _entry(name: str, *texts: str) -> Iterator[str]:
+    """Yield the lines of an entry with a name and one text or several."""
+    for number, text in enumerate(texts):
+        indent = f"{'' if number else name:14}"
+        yield from textwrap.wrap(text, LINE_WIDTH, initial_indent=indent, subsequent_indent=" " * 14)
 
 
 def listed_algebras() -> list[str]:
-    """Return one line per name of the catalogue: name with parameters, dimension, aliases."""
-    known, patterns = entries(), families()
-    return [f"{_signature(name, known):16}{_summary_line(name, known, patterns)}" for name in names()]
-
-
-def _signature(name: str, known: Mapping[str, Mapping[str, Any]]) -> str:
-    parameters = known.get(name, {}).get("parameters", ())
-    return f"{name}({', '.join(parameters)})" if parameters else name
-
-
-def _summary_line(name: str, known: Mapping[str, Mapping[str, Any]], patterns: Mapping[str, tuple[str, ...]]) -> str:
-    if name in patterns:
-        return f"a family; give the numbers, such as {_example(name)}"
-    if name not in known:
-        return f"dimension {get(name).dim}"
-    entry = known[name]
-    more = [entry[key] for key in ("range", "note") if entry.get(key)]
-    return ", ".join([f"dimension {entry['dim']}", *more])
+    """Return one line per name of the catalogue: name with parameters, dimension, range."""
+    known, patterns, lines = entries(), families(), []
+    for name in names():
+        entry = known.get(name, {})
+        if name in patterns:
+            text = f"a family; give the numbers, such as {_example(name)}"
+        else:
+            more = [entry[key] for key in ("range", "note") if entry.get(key)]
+            text = ", ".join([f"dimension {entry['dim'] if entry else get(name).dim}", *more])
+        parameters = ", ".join(entry.get("parameters", ()))
+        lines.append(f"{f'{name}({parameters})' if parameters else name:16}{text}")
+    return lines
 
 
 def _example(pattern: str) -> str:
@@ -127,24 +90,19 @@ def algebra_of(name: str, parameters: Mapping[str, Any]) -> LieAlgebra:
 
 def algebra_text(algebra: LieAlgebra) -> str:
     """Describe an algebra (dimension, basis, brackets, Casimirs) in lines of at most 100 characters."""
-    return "\n".join(_algebra_lines(algebra))
-
-
-def _algebra_lines(algebra: LieAlgebra) -> Iterator[str]:
-    yield str(algebra.name or "a Lie algebra")
-    yield from _entry("dimension", str(algebra.dim))
-    basis_names = algebra.basis if algebra.dim <= MAX_NAMES else (*algebra.basis[:3], "...", algebra.basis[-1])
-    yield from _entry("basis", in_one_line(", ".join(basis_names), MAX_FORMULA_LENGTH))
-    count = count_of_brackets(algebra.triples)
-    shown = format_brackets(algebra.triples, algebra.basis, MAX_BRACKETS)
+    basis_names = algebra.basis if algebra.dim <= MAX_NAMED else (*algebra.basis[:3], "...", algebra.basis[-1])
+    count, shown = count_of_brackets(algebra.triples), format_brackets(algebra.triples, algebra.basis, MAX_BRACKETS)
     more = [f"and {count - len(shown)} more"] if count > len(shown) else []
-    for number, line in enumerate([*shown, *more] or ["none but zero"]):
-        yield from _entry("" if number else "brackets", line)
-    for number, line in enumerate(_casimirs(algebra)):
-        yield from _entry("" if number else "casimirs", line)
     size = None if algebra.representation is None else algebra.representation.shape[1]
-    yield from _entry(
-        "matrices", "none is known; use the coadjoint representation" if size is None else f"{size} x {size}"
+    return "\n".join(
+        [
+            str(algebra.name or "a Lie algebra"),
+            *_entry("dimension", str(algebra.dim)),
+            *_entry("basis", in_one_line(", ".join(basis_names), MAX_FORMULA_LENGTH)),
+            *_entry("brackets", *([*shown, *more] or ["none but zero"])),
+            *_entry("casimirs", *_casimirs(algebra)),
+            *_entry("matrices", f"{size} x {size}" if size else "none is known; use the coadjoint representation"),
+        ]
     )
 
 
@@ -154,10 +112,8 @@ def _casimirs(algebra: LieAlgebra) -> list[str]:
         return [f"not computed here, since there are {algebra.dim} coordinates; call casimirs() of the algebra"]
     found = None if known else algebra._find_casimirs()
     sentence = [found.sentence] if found is not None and found.sentence else []
-    formulas = [_formula(name, value) for name, value in (known if found is None else found).items()]
-    return [in_one_line(line, MAX_FORMULA_LENGTH) for line in [*formulas, *sentence]]
-
-
-def _formula(name: str, value: Any) -> str:
-    text = str(value)
-    return name if text == name or " object at " in text or text.startswith("<") else f"{name} = {text}"
+    lines = []
+    for name, value in (known if found is None else found).items():
+        text = str(value)
+        lines.append(name if text == name or " object at " in text or text.startswith("<") else f"{name} = {text}")
+    return [in_one_line(line, MAX_FORMULA_LENGTH) for line in [*lines, *sentence]]

@@ -11,6 +11,7 @@ import numpy as np
 import coadjoint as co
 
 from .cases import MEMBERS, STEPS, Case, execute, matrices, value_of
+from .schemes import SLOW
 
 Check = Callable[[Case, dict[str, Any]], Iterator[str]]
 AT_STEPS = "[0, 2, 3, 5]", "[0, 3, 6, 12]"
@@ -23,6 +24,11 @@ of a tenth of a state, and less than this where it is 1e5 times as large; roundi
 """
 DRAWN = 8
 """One of so many cases is drawn where a check takes long."""
+COUNTS = (17, 31, 32, 33, 67)
+"""Numbers of members: below, at and above whole rows of lanes."""
+TAME = (1.0, 0.9, 1.1, 0.95)
+WILD = (1.0, 1e-300, 30.0, 1.1, 1e3, 1e-8, 0.0, 0.9, 1e60, 1e6, 0.95)
+"""Sizes of members relative to the states of a case."""
 PART = 0.17
 """The largest part of the time of a motion that a step takes (`step_for`): what a scheme neglects is its power."""
 
@@ -50,6 +56,28 @@ def bits_of_members(case: Case, space: dict[str, Any]) -> Iterator[str]:
     if many and not noise:
         what = "co.batch(systems[::-1])" if case.chosen["members"] == "batch" else "system"
         yield same("numbers(run(what, x0[::-1]), 0)", f"numbers(sol, {MEMBERS - 1})", f"what = {what}\n")
+
+
+def bits_of_lanes(case: Case, space: dict[str, Any]) -> Iterator[str]:
+    """Among so many members that rows of lanes are full, and some left over, each has the bits that it has alone.
+
+    Some are at rest, far away or failing; schemes that choose their steps would take too many there.
+    """
+    if case.chosen["members"] == "one" or case.chosen["forces"] == "noise" or case.method in SLOW:
+        return
+    count, batch = COUNTS[len(str(case)) % len(COUNTS)], case.chosen["members"] == "batch"
+    what = "co.batch([systems[m % 3] for m in range(count)])" if batch else "system"
+    yield same(
+        "[numbers(together, m) for m in chosen]",
+        f"[numbers(tried({'systems[m % 3]' if batch else 'system'}, many[m])) for m in chosen]",
+        f"count, sizes = {count}, {TAME if space['method'].own_steps else WILD}\n"
+        "chosen, sizes = (0, 1, 7, count // 2, count - 2, count - 1), np.resize(sizes, count)\n"
+        "many = np.einsum('m,m...->m...', sizes, x0[np.arange(count) % 3])\n"
+        f"many = fixed(system, many, 1.0)\n"
+        "def tried(*what):\n    try:\n        return run(*what)\n"
+        "    except co.IntegrationError as error:\n        return error.partial\n"
+        f"together = tried({what}, many)\n",
+    )
 
 
 def bits_of_saved_states(case: Case, space: dict[str, Any]) -> Iterator[str]:
@@ -446,6 +474,7 @@ def changed_parameters(case: Case, space: dict[str, Any]) -> tuple[dict[str, str
 
 CHECKS: tuple[Check, ...] = (
     bits_of_members,
+    bits_of_lanes,
     bits_of_saved_states,
     bits_of_prepared_runs,
     bits_of_archives,

@@ -86,6 +86,8 @@ def difference(found: Any, expected: Any, allowed: Any = 0.0) -> str | None:
 
     Nothing allowed means equal bits; all NaN are equal.
     """
+    if isinstance(found, list):
+        return difference(dict(enumerate(found)), dict(enumerate(expected)), allowed)
     if isinstance(found, dict):
         if found.keys() != expected.keys():
             return f"{sorted(found)} are there, not {sorted(expected)}"

@@ -23,7 +23,7 @@ from coadjoint.algebra.polynomials.monomials import check_names, names_of_basis
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.algebra.representation import check_representation
 from coadjoint.algebra.structure import Structure
-from coadjoint.keyword_hints import suggest_keywords, unknown_constructor
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import html_table, short
 from coadjoint.validation import read_integer, read_list, read_title, truncate_title
 
@@ -33,15 +33,8 @@ MAX_BRACKETS = 30
 """Number of brackets shown by `print` and in notebooks."""
 
 
-class Constructors(type):
-    """Metaclass whose AttributeError leads from the names of other libraries to the constructor that is meant."""
-
-    def __getattr__(cls, name: str) -> Any:
-        raise unknown_constructor(name, [known for known in dir(cls) if not known.startswith("_")])
-
-
 @suggest_keywords
-class LieAlgebra(Structure, metaclass=Constructors):
+class LieAlgebra(Structure):
     """A finite-dimensional real Lie algebra, [e_i, e_j] = sum_k c_ij^k e_k, given by its structure constants.
 
     The constants are stored sparse. Antisymmetry and the Jacobi identity are checked at construction, to 64 u times the

@@ -38,6 +38,8 @@ RADII = (8, 12, 16, 24, 32, 48, 64, 96, 128)
 """Half lengths of test functions in samples, of which the one with the least uncertainty is chosen."""
 ENOUGH_FREEDOM = 16
 """Degrees of freedom with which estimated variances are compared; of fewer, the smallest one is so by chance."""
+HIDDEN = 0.1
+"""Noise in the coefficients of the equations, relative to them, with which a direction is undetermined."""
 ITERATIONS = 20  # of weights and noise, which settle in some five
 CONVERGED = (1e-3, 1e-13)
 """Changes of coefficients, relative to their largest standard deviation and size, that end the iteration."""
@@ -63,7 +65,8 @@ class Identification:
     noise : ndarray, shape (n,)
         Standard deviations of the errors of the samples, as found from the data.
     undetermined : tuple of Polynomial
-        Combinations of monomials, no Casimirs, that the trajectories do not determine: H has no part along them.
+        Combinations of monomials, no Casimirs, that the trajectories do not determine, or that are hidden by noise in
+        the states: H has no part along them.
     radius : int
         Half length of the test functions, in samples.
     solution : Solution or None
@@ -158,8 +161,9 @@ def identify(
 
     Notes
     -----
-    H is determined up to Casimirs and constants, which move nothing. Trajectories on one orbit only, or at rest, may
-    leave more undetermined. Errors of the samples are treated to first order: noise of a few percent is the limit.
+    H is determined up to Casimirs and constants, which move nothing. Trajectories on one orbit, a part of it, or at
+    rest, may leave more undetermined. Errors of the samples are treated to first order: noise of a few percent is the
+    limit.
 
     References
     ----------
@@ -209,23 +213,34 @@ def _estimate(
     The result, without a run, comes with the number of determined directions, the degrees of freedom up to
     `ENOUGH_FREEDOM`, and minus the sum of the variances.
     """
-    equations = [(A @ complement, b, by_samples) for A, b, by_samples in equations_of(data, exponents, r)]
+    noise, unknowns = first_noise(data.x), complement.shape[1]
+    # Equations of samples with twice the variance show how much of the matrix is noise.
+    drawn = data._replace(x=data.x + noise * np.random.default_rng(0).standard_normal(data.x.shape))
+    equations = [
+        (np.concatenate([A, noisy - A], axis=2) @ np.kron(np.eye(2), complement), b, by_samples)
+        for (A, b, by_samples), (noisy, _, _) in zip(
+            equations_of(data, exponents, r), equations_of(drawn, exponents, r), strict=True
+        )
+    ]
     count = sum(b.size for _, b, _ in equations)
-    if count < complement.shape[1] + 1:
+    if count < unknowns + 1:
         return None
-    noise = first_noise(data.x)
-    y = np.zeros(complement.shape[1])
+    y, variance = np.zeros(unknowns), 1.0
     V = np.eye(len(y))
     for iteration in range(ITERATIONS):
         H = polynomial_of(exponents, complement @ y)
         whitened = [
             whitened_equations(A, b, by_samples(H if iteration else None), noise) for A, b, by_samples in equations
         ]
-        A, b = (np.concatenate(parts) for parts in zip(*whitened, strict=True))
+        both, b = (np.concatenate(parts) for parts in zip(*whitened, strict=True))
+        A, of_noise = both[:, :unknowns], both[:, unknowns:]
         _, values, rows = np.linalg.svd(A, full_matrices=False)
         if not values.size or not values[0]:
             return None
-        determined = values > RANK * values[0]
+        hidden = np.linalg.norm(of_noise @ rows.T, axis=0) * math.sqrt(variance)
+        determined = (values > RANK * values[0]) & (HIDDEN * values > hidden)
+        if not determined.any():
+            return None
         V, rest = rows[determined].T, rows[~determined].T
         z, _, _, _ = np.linalg.lstsq(A @ V, b, rcond=None)
         freedom = max(1, count - V.shape[1])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.standard_errors import covariances, low_power, student_factor
+from coadjoint.analysis.standard_errors import error_of_rate
 from coadjoint.kernels.tables.derivatives import Frame, stretch_logarithms
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
@@ -30,9 +30,6 @@ from coadjoint.systems.system_checks import check_system, check_vector_states
 from coadjoint.validation import read_integer, read_number
 
 POINTS = 200  # default number of saved times
-MIN_TIMES = 16  # saved times with which a fall like log(t)/t is fitted
-EARLY = 8  # the first part of the time, one in so many, in which stretches do not grow like log(t) yet
-FALLING = 3.0  # standard errors of the coefficient of such a fall that is significant
 MAX_STEPS = 2**53  # of a run
 NEARLY_DEPENDENT = 2.0**-26  # as in the compiled loop: half of the digits are lost
 _warned_types: set[type] = set()
@@ -52,12 +49,19 @@ class LyapunovExponents:
         The dimension of the system.
     by : str
         How the tangent was computed: "compiled", or in Python by "formula", "complex step" or "differences".
+    transient : float
+        Time of the transient before ``t[0]``.
+    step_error : ndarray, shape (k,) or (members, k)
+        Error of the exponents due to the step, from a run with twice the step until the middle of the counted time and
+        the order of the scheme; NaN if that run fails. That of a tolerance is not included.
     """
 
     t: NDArray[np.float64]
     stretches: NDArray[np.float64]
     dim: int
     by: str
+    transient: float = 0.0
+    step_error: Any = 0.0
 
     def __repr__(self) -> str:
         if self.exponents.ndim > 1:
@@ -86,14 +90,16 @@ class LyapunovExponents:
 
         Of chaotic motion, the standard error of the mean of the correlated growth rates between the saved times. Of
         regular motion, the distance of the estimate from its limit, if it falls as log(t)/t, by a fit to the stretches,
-        and the error of that limit. At least the change of the estimate within the last half of the time. NaN if fewer
-        than two times are saved. The error of the step is not included: compare a run with half the step.
+        and the error of that limit; at least that of vectors that grow like t, if noise may hide such a fall. At least
+        the change of the estimate within the last half of the time. The `step_error` is added as an independent one.
+        NaN if fewer than two times are saved.
         """
         count = len(self.t) - 1
         if count < 2:
             return np.full_like(self.exponents, np.nan)
         stretches, elapsed = self.stretches.reshape(count + 1, -1), self._elapsed.ravel()
-        return np.reshape([_standard_error(column, elapsed) for column in stretches.T], self.exponents.shape)
+        errors = [error_of_rate(column, elapsed, self.transient) for column in stretches.T]
+        return np.hypot(np.reshape(errors, self.exponents.shape), self.step_error)
 
     @property
     def sum(self) -> NDArray[np.float64]:
@@ -116,33 +122,6 @@ class LyapunovExponents:
         return np.asarray(np.abs(self.t - self.t[0]).reshape(-1, *(1,) * (self.stretches.ndim - 1)))
 
 
-def _standard_error(stretches: NDArray[np.float64], t: NDArray[np.float64]) -> float:
-    """Return the standard error of a growth rate from stretches at times, or the distance to its limit."""
-    spans, growth, rate = np.diff(t), np.diff(stretches), float(stretches[-1] / t[-1])
-    count = len(spans)
-    if not np.all(np.isfinite(growth)):
-        return float("nan")
-    late = float(np.max(np.abs(stretches[count // 2 :] / t[count // 2 :] - rate)))
-    if count < MIN_TIMES:
-        return max(late, float(np.std(growth / spans, ddof=1)) / np.sqrt(count) * student_factor(count - 1))
-
-    def power(values: NDArray[np.float64]) -> tuple[float, float]:
-        deviations = (values - values.mean())[None]
-        found = low_power(deviations, covariances(deviations))
-        return found.power, found.factor
-
-    of_mean, factor = power(growth / spans)
-    error = np.sqrt(of_mean / count) * factor
-    first = count // EARLY
-    columns = np.stack([spans, np.log(t[1:] / np.maximum(t[:-1], spans[0]))], axis=1)[first:]
-    (limit, slope), _, _, _ = np.linalg.lstsq(columns, growth[first:], rcond=None)
-    noise, factor = power(growth[first:] - columns @ (limit, slope))
-    limit_error, slope_error = np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * noise) * factor
-    if abs(slope) > FALLING * slope_error:
-        error = abs(rate - limit) + limit_error
-    return max(late, float(error))
-
-
 @suggest_keywords
 @long_operation("lyapunov")
 def lyapunov(
@@ -162,7 +141,8 @@ def lyapunov(
 
     Tangent vectors are integrated with the state in the compiled loop of flow and Runge-Kutta methods and their
     compositions, and are orthonormalized periodically; the state has the same bits as in `integrate`. For other schemes
-    `stepper(...).tangent` is called in Python for each step, with a single warning.
+    `stepper(...).tangent` is called in Python for each step, with a single warning. A second run, with twice the step
+    until the middle of the counted time, gives the error of the step.
 
     Parameters
     ----------
@@ -231,7 +211,11 @@ def lyapunov(
     stretches = logarithms - logarithms[0]
     if start.single:
         stretches = stretches[:, 0]
-    result = LyapunovExponents(times.at(times.saved), stretches, system.dim, by)
+    half = Frame(frame.vectors, max(1, every // 2))
+    errors = _errors_of_step(system, scheme, times, start, half, workers, logarithms)
+    errors = errors[0] if start.single else errors
+    skipped = abs(times.h) * float(times.saved[0])
+    result = LyapunovExponents(times.at(times.saved), stretches, system.dim, by, skipped, errors)
     if run.failed_count:
         raise run.failure(result)
     if not np.all(np.isfinite(result.exponents)):
@@ -240,6 +224,29 @@ def lyapunov(
             f"renormalize_every than {every}, or a smaller step"
         )
     return result
+
+
+def _errors_of_step(
+    system: System | Batch,
+    method: Method,
+    times: Times,
+    start: Start,
+    frame: Frame,
+    workers: int,
+    logarithms: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the errors of the exponents of each member by the step, from a run with twice the step, (members, k)."""
+    saved = times.saved  # half of the time suffices: the error does not depend on it
+    k = (len(saved) + 1) // 2
+    k -= int(k > 1 and (saved[k] - saved[0]) % 2)
+    first, last = int(saved[0]) // 2, int(saved[k]) // 2
+    if first == last:
+        return np.full(logarithms.shape[1:], np.nan)
+    coarse = Times(times.t0, 2.0 * times.h, last, 1).with_saved_steps([first, last])
+    (before, after), _, _ = stretching(system, method, coarse, start, frame, workers)
+    rates = (after - before) / (2.0 * abs(times.h) * (last - first))
+    finer = (logarithms[k] - logarithms[0]) / (abs(times.h) * (saved[k] - saved[0]))
+    return np.asarray(np.abs(rates - finer) / (2.0**method.order - 1.0))
 
 
 def _with_saved_steps(times: Times, transient: Any, save_every: Any, numbers_each: int) -> Times:

@@ -88,7 +88,7 @@ class PhaseDrift:
         matplotlib.figure.Figure
             The figure, neither shown nor saved.
         """
-        return shortcut("draw_phase_drift")(self)
+        return shortcut("draw_result")("phase drift", self)
 
     def __str__(self) -> str:
         """Format in one line."""

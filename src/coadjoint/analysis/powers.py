@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -141,11 +141,6 @@ def fit_order(steps: ArrayLike, errors: ArrayLike, floor: ArrayLike | None = Non
     if floor is None and len(turns) > 1 and turns[-1] > turns[-2]:
         uncertainty = max(uncertainty, float(turns[-1]))  # slopes do not settle: a plateau below the last step
     return OrderFit(small, uncertainty, small - large, h, e, dropped)
-
-
-def error_by_comparison(difference: Any, left: float) -> Any:
-    """Return the error of a result from its difference to a better one, which has the fraction `left` of the error."""
-    return difference / (1.0 - left)
 
 
 class Growth(NamedTuple):

@@ -1,4 +1,4 @@
-"""Standard errors from few numbers (Student's factor), and of means and slopes of correlated series."""
+"""Standard errors from few numbers (Student's factor), of means and slopes of correlated series, and of rates."""
 
 from __future__ import annotations
 
@@ -16,6 +16,12 @@ MIN_FREEDOM = 4
 """Degrees of freedom of a power, at least: Student's factor is then at most 1.4."""
 MAX_ORDER = 10.0
 """Largest order of an autoregression, over the logarithm (base 10) of the number of samples."""
+MIN_TIMES = 16
+"""Times with which a fall of a rate like log(t)/t is fitted."""
+EARLY = 8
+"""The first part of the time, one in so many, in which stretches do not grow like log(t) yet."""
+FALLING = 3.0
+"""Standard errors of the coefficient of such a fall that is significant."""
 DIFFERENT = 0.1
 """Probability below which the lower half of the ordinates is larger than the upper one, not by chance."""
 
@@ -105,6 +111,37 @@ def low_power(deviations: NDArray[Any], sums: Floats, removed: int = 1, times: f
     # The second term is that of the coefficients (K. Berk, Ann. Stat. 2, 489, 1974).
     spread = 2.0 * student_factor(used) ** 2 / used + 4.0 * (len(model) - 1) / (members * count)
     return LowPower(power, used, count / max(1, last - removed), spread)
+
+
+def error_of_rate(stretches: Floats, t: Floats, transient: float) -> float:
+    """Return the standard error of a growth rate from stretches at times after the transient, or of its limit."""
+    spans, growth, rate = np.diff(t), np.diff(stretches), float(stretches[-1] / t[-1])
+    count = len(spans)
+    if not np.all(np.isfinite(growth)):
+        return float("nan")
+    late = float(np.max(np.abs(stretches[count // 2 :] / t[count // 2 :] - rate)))
+    if count < MIN_TIMES:
+        return max(late, float(np.std(growth / spans, ddof=1)) / np.sqrt(count) * student_factor(count - 1))
+
+    def power(values: Floats) -> tuple[float, float]:
+        deviations = (values - values.mean())[None]
+        found = low_power(deviations, covariances(deviations))
+        return found.power, found.factor
+
+    of_mean, factor = power(growth / spans)
+    error = np.sqrt(of_mean / count) * factor
+    first = count // EARLY
+    since = transient + t
+    columns = np.stack([spans, np.log(since[1:] / np.maximum(since[:-1], spans[0]))], axis=1)[first:]
+    (limit, slope), _, _, _ = np.linalg.lstsq(columns, growth[first:], rcond=None)
+    noise, factor = power(growth[first:] - columns @ (limit, slope))
+    limit_error, slope_error = np.sqrt(np.diag(np.linalg.inv(columns.T @ columns)) * noise) * factor
+    if abs(slope) > FALLING * slope_error:
+        error = abs(rate - limit) + limit_error
+    else:  # a slope of one, that of vectors that grow like t, may be hidden
+        hidden = min(1.0, abs(slope) + slope_error)
+        error = max(error, hidden * np.log(since[-1] / max(transient, spans[0])) / t[-1])
+    return max(late, float(error))
 
 
 def _dct(row: NDArray[Any], dct: Any) -> NDArray[Any]:

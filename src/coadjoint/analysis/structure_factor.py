@@ -81,7 +81,7 @@ class StructureFactor:
         matplotlib.figure.Figure
             The figure, neither shown nor saved.
         """
-        figure: Figure = shortcut("draw_structure_factor")(self)
+        figure: Figure = shortcut("draw_result")("structure factor", self)
         return figure
 
 

@@ -12,8 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from coadjoint.analysis.spin_energy import SpinEnergy, Sublattice, product, spin_energy
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
-from coadjoint.memory import check_available_memory
-from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.forces.base import read_seed
 from coadjoint.validation import read_choice, read_finite, read_integer
@@ -21,7 +19,6 @@ from coadjoint.validation import read_choice, read_finite, read_integer
 Floats = NDArray[np.float64]
 
 SPINS_AT_ONCE = 2**15  # of the members that are swept together
-BYTES_PER_SPIN = 600  # peak, of those
 MAX_SWEEPS = 2**40  # with which counters stay within 64 bits
 MAX_OVER_RELAXATION = 100  # half turns a sweep, far above any that are useful
 MIN_TEMPERATURE = 1e-300  # its inverse is finite
@@ -152,11 +149,6 @@ def thermal_states(
             "finds states of lowest energy"
         )
     group = max(1, min(number, SPINS_AT_ONCE // energies.sites))
-    check_available_memory(
-        8 * number * (system.dim + 2 * count) + BYTES_PER_SPIN * group * energies.sites,
-        f"{short(count)} sweeps of {short(number)} members of {energies.sites} spins",
-        "take fewer sweeps at a time, or fewer members",
-    )
     temperatures = np.array(np.broadcast_to(kT, number))
     result = ThermalStates(
         np.empty((number, system.dim)), temperatures, np.empty((count + 1, number)), np.empty((count, number))

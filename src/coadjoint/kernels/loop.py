@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from math import prod
 from typing import Any, NamedTuple
 
@@ -125,6 +125,8 @@ class Layout:
             {name for name, (numbers, _) in arrays.items() if numbers == "integers"},
         )
 
+
+layout_of = lru_cache(maxsize=64)(Layout)
 
 # Arguments of a loop: tables, watch, members, first, last, stride; extent, schedule, saved, state, k0, k1, stop. All
 # are passed as C types: conversion by declared argtypes takes half as long as a short call.

@@ -14,6 +14,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import limit
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, matrix_tables
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.isospectral_stages import has_layers, slope_along
 from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations, work_of_products
 from coadjoint.methods.protocol.method import Representation
@@ -62,6 +63,7 @@ def _nodes(stages: Sequence[tuple[int, Sequence[Fraction]]]) -> list[Fraction]:
     return nodes
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class CommutatorFree(CompiledStepMethod):
     """Commutator-free Lie group method: explicit, on the coadjoint orbit, preserves every Casimir; no Poisson map.

@@ -27,6 +27,7 @@ CUBE_ROOT_OF_2 = 1.2599210498948732  # literal, since ** calls pow of the C libr
 SIDE_STEPS = {"triple": 1, "suzuki": 2}  # number of steps on each side of the middle one
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Composition(Composed):
     """One step of the base at each fraction c_1 h, c_2 h, ... of the step: a higher order from a symmetric base.

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.solvers import Coefficients
 from coadjoint.methods.protocol.properties import Properties
 from coadjoint.methods.protocol.runge_kutta import RungeKuttaMethod
@@ -30,6 +31,7 @@ TABLEAUX: dict[str, tuple[int, tuple[Any, ...], tuple[tuple[Any, ...], ...], tup
 """Name -> order, nodes c, rows of a, weights b."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ExplicitRungeKutta(RungeKuttaMethod):
     """An explicit Runge-Kutta method, a general-purpose scheme for comparisons; it preserves no invariants.

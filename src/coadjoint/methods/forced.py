@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.composed import Wrapper, check_base, composition_order
 from coadjoint.methods.protocol.method import Method, Representation, declared_properties
 from coadjoint.methods.protocol.properties import Properties
@@ -78,6 +79,7 @@ def flow_of_force(
     return dense_step(end, np.asarray(derivative), by)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Forced(Wrapper):
     """A scheme for a system with forces, as a symmetric splitting: order two, or one if the scheme has order one.

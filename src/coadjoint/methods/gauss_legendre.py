@@ -57,6 +57,7 @@ def read_stages(value: Any, what: str) -> int:
     return read_integer(value, what, 1, MAX_STAGES, reason="more would not be more accurate")
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class GaussLegendre(RungeKuttaMethod):
     """The Gauss-Legendre method with s stages: implicit, symmetric, of order 2 s; preserves every quadratic invariant.
@@ -145,6 +146,7 @@ def _has_constant_bracket(system: System) -> bool:
     return triples is not None and not np.intersect1d(triples.k, np.concatenate([triples.i, triples.j])).size
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class IteratedGaussLegendre(RungeKuttaMethod):
     """A fixed number m of function iterations of a Gauss-Legendre method: explicit, of order min(m + 1, 2 s).
@@ -225,6 +227,7 @@ class IteratedGaussLegendre(RungeKuttaMethod):
 FREEZES = ("structure", "gradient")
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ModifiedGaussLegendre(IteratedGaussLegendre):
     """Gauss-Legendre with m - 1 function iterations and then one linear system: order min(m, 2 s).

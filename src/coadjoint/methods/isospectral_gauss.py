@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, matrix_tables
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.gauss_coefficients import gauss_legendre
 from coadjoint.methods.numerics.isospectral_stages import increment_of, linearized_step, stages_of
 from coadjoint.methods.protocol.composed import SubstepMethod
@@ -26,6 +27,7 @@ from coadjoint.validation import read_integer
 MAX_STAGES = 8  # order 16, which rounding limits over any step whose stages converge
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class IsospectralGauss(SubstepMethod):
     """Isospectral Gauss methods for matrices: Poisson maps that preserve the whole spectrum; implicit, of order 2 s.

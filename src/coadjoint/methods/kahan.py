@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.solvers import linear_solve
 from coadjoint.methods.protocol.cost_model import Work, work_of_evaluations
 from coadjoint.methods.protocol.method import Representation
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 TYPICAL_COLUMNS = 24  # typical number of products with f' in a step of many dimensions
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Kahan(CompiledStepMethod):
     """Kahan's method for quadratic fields: symmetric, order 2, one linear system per step; preserves nothing exactly.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import STEP_LOOP, numeric_step_tables
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.composed import SubstepMethod
 from coadjoint.methods.protocol.cost_model import Work
 from coadjoint.methods.protocol.method import Representation
@@ -37,6 +38,7 @@ Line = tuple[tuple[int, int], tuple[int, int]]
 """k and l of the modes ``{j k mod N}``; with l such that k x l = 1, each mode is ``j k + d l`` exactly once."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class LineSplitting(SubstepMethod):
     """McLachlan's splitting of the fluid on the torus into lines of modes: an explicit, isospectral Poisson map.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, wrapped_step_tables
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.explicit_runge_kutta import ExplicitRungeKutta
 from coadjoint.methods.numerics.projection import (
     casimirs_restored,
@@ -28,6 +29,7 @@ from coadjoint.program.numbers import Number
 from coadjoint.systems.system import System
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Projected(Wrapper):
     """A scheme with a projection: after each step, energy and polynomial Casimirs get their initial values again.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.gauss_legendre import read_stages
 from coadjoint.methods.numerics.gauss_coefficients import radau
 from coadjoint.methods.numerics.solvers import Coefficients, StageProblem, begin, iterate_to_stagnation, linear_solve
@@ -25,6 +26,7 @@ NO_MULTIPLIER = (
 )
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class RadauEnergy(CompiledStepMethod):
     """Radau IIA for ``x' = f(x) + lambda x``, ``0 = H(x) - H(x_k)``: preserves the energy and nothing else.

@@ -16,6 +16,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.loop import CompiledLoop, loop_over
 from coadjoint.kernels.tables.invariants import invariants_table
 from coadjoint.kernels.tables.steps import INNER_LOOP_INDEX, STEP_LOOP, inner_loop_integers, named_step_tables
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.numerics.taylor_series import TOO_MANY_STEPS_MESSAGE
 from coadjoint.methods.protocol.composed import Wrapper, check_base
@@ -38,6 +39,7 @@ MAX_STEPS = 10**7
 """Largest number of steps in Python."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ReversibleSteps(Wrapper):
     """A symmetric scheme whose step length follows the speed of the motion, in a reversible way.

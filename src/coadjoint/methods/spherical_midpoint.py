@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.solvers import Coefficients, StageProblem, begin, iterate_to_stagnation
 from coadjoint.methods.protocol.cost_model import Work, work_of_iterations
 from coadjoint.methods.protocol.method import Representation
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from coadjoint.methods.numerics.formal_series import FormalNumber
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class SphericalMidpoint(CompiledStepMethod):
     """The spherical midpoint method for spins: a Poisson map on copies of so(3), for any H; implicit, of order 2.

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.protocol.flow_method import FlowMethod
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.protocol.properties import Properties
@@ -103,6 +104,7 @@ DEFAULT_SCHEMES = {
 }
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Splitting(FlowMethod):
     """Composition of exact flows of parts of the Hamiltonian: explicit, a Poisson map, preserves all Casimirs.

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.methods.numerics.projection import (
     casimirs_restored,
     polynomial_casimirs,
@@ -58,6 +59,7 @@ MIN_TOLERANCE, MAX_TOLERANCE = 1e-18, 0.1  # relative to the size of the motion;
 _OPERATIONS: WeakKeyDictionary[System, dict[bool, Operations]] = WeakKeyDictionary()
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Taylor(CompiledStepMethod):
     """The Taylor series of the motion, and a projection that resets energy and Casimirs to their initial values.

@@ -1,17 +1,20 @@
-"""Figures of results of the analysis: phase errors, structure factors, modified energies, and certificates."""
+"""Figures of results that have a method `plot`: phase errors, structure factors, crossings, certificates."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.pictures.register import coordinate_index
 from coadjoint.pictures.style import (
+    COLOURS,
     colour,
     colour_bar,
+    colour_scale,
+    coordinate,
     ink,
     legend,
     new_figure,
@@ -22,8 +25,7 @@ from coadjoint.pictures.style import (
     with_figure_settings,
     write_note,
 )
-from coadjoint.runs.results.solution import Solution, check_solution
-from coadjoint.validation import read_integer, read_list
+from coadjoint.validation import read_list
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,9 +38,9 @@ MARGIN = 1.15
 """Highest frequency shown, in units of the highest visible one."""
 LARGEST_DENOMINATOR = 64  # of wave vectors written as fractions
 
-MAX_POINTS = 5000
-"""Largest number of points drawn; a printed line does not resolve more."""
 
+MAX_LARGE_DOTS = 2000
+"""Largest number of crossings drawn with dots of full size."""
 PASS_COLOUR, FAIL_COLOUR, UNDECIDED_COLOUR = "#009E73", "#D55E00", "#7F7F7F"
 DEFECT_LABELS = {"symmetry": "step back", "reversibility": "reflected step", "poisson": "Poisson bracket"}
 
@@ -129,67 +131,55 @@ def _edges(centres: Any) -> Any:
     return np.concatenate([[2.0 * centres[0] - middle[0]], middle, [2.0 * centres[-1] - middle[-1]]])
 
 
-@suggest_keywords
 @with_figure_settings
-def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
-    r"""Return a figure of the deviations of the energy and of modified energies from their initial values.
-
-    If the run is the motion of a nearby Hamiltonian system, the deviation of each order is below that of the previous
-    one by a factor of about the square of the step, down to round-off, and none grows.
-
-    Parameters
-    ----------
-    solution : Solution
-        By a splitting; of an ensemble the first member is drawn.
-    orders : sequence of int
-        Orders of the modified Hamiltonians; see `coadjoint.modified_hamiltonian`.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Neither shown nor saved.
-
-    Examples
-    --------
-    >>> import coadjoint as co
-    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
-    >>> [line.get_label() for line in draw_modified_energy(sol, orders=(4, 6)).axes[0].lines]
-    ['energy $H$', '$\\tilde H$ of order 4', '$\\tilde H$ of order 6']
-    """
-    check_solution(solution)
-    listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
-    checked = [read_integer(order, "an order") for order in listed]
-    figure = new_figure("drawing modified energies", 7.2, 4.2)
-    axes = figure.add_subplot()
-    draw_deviations(axes, solution, checked)
-    axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
-    legend(axes, beside=True)
+def draw_crossings(events: Any, components: Any = None, axes: Any = None) -> Figure:
+    """Draw the crossings of events in two coordinates (right, up), by default those that vary most."""
+    names = events.coordinates
+    across, up = drawn_coordinates(events, components)
+    if axes is None:
+        axes = new_figure("pictures", 5.2, 4.8).add_subplot()
+    plain_axes(axes)
+    size = 2.0 if len(events) <= MAX_LARGE_DOTS else max(0.15, 2.0 * (MAX_LARGE_DOTS / len(events)) ** 0.5)
+    style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0, "rasterized": True}
+    members = np.unique(events.member)
+    shades, bar = _colours_of(members)
+    for m in members:
+        x = events.x[events.member == m]
+        axes.plot(x[:, across], x[:, up], color=shades(m), label=f"member {m}", **style)
+    axes.set(xlabel=coordinate(names[across]), ylabel=coordinate(names[up]))
+    set_title(axes, f"{len(events)} crossings of {', '.join(events.names)}")
+    if bar is not None:
+        colour_bar(axes, bar, "member")
+    elif len(members) > 1:
+        legend(axes, beside=True, markerscale=4.0 / size)
+    figure: Figure = axes.figure
     return figure
 
 
-def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> None:
-    """Draw the deviations of energy and modified energies of the first member from their initial values into axes."""
-    series = {"energy $H$": solution.energy}
-    series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
-    at_start = [values.reshape(len(values), -1)[0, 0] for values in series.values()]
-    if solution.t[0] != solution.t_span[0]:  # t_eval does not save the start
-        at_start = _energies_at_start(solution, orders)
-    every = max(1, -(-len(solution.t) // MAX_POINTS))
-    for line, ((label, values), initial) in enumerate(zip(series.items(), at_start, strict=True)):
-        energy = values.reshape(len(values), -1)[:, 0]
-        deviation = np.abs(energy - initial)[::every]
-        # Zero deviations have no logarithm, and leave gaps.
-        visible = np.where(deviation > 0.0, deviation, np.nan)
-        axes.plot(solution.t[::every], visible, color=colour(line), linewidth=0.9, label=label)
-    axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")
-    plain_axes(axes)
+def _colours_of(members: Any) -> tuple[Callable[[int], Any], Any]:
+    """Return the colours of members by number, and what a colour bar shows if they are too many for a legend."""
+    if len(members) <= len(COLOURS):
+        return lambda m: colour(int(np.searchsorted(members, m))), None
+    shades = colour_scale(members)
+    return lambda m: shades.to_rgba(np.array(float(m))), shades
 
 
-def _energies_at_start(solution: Solution, orders: Sequence[int]) -> list[Any]:
-    """Return the energy and the modified energies of the initial state of the first member."""
-    # As if it were the only saved point.
-    start = type(solution)({**vars(solution), "x": np.asarray(solution.x0)[None]})
-    return [np.ravel(solution.initial["energy"])[0], *(np.ravel(start.modified_energy(order))[0] for order in orders)]
+def drawn_coordinates(events: Any, components: Any = None) -> tuple[int, int]:
+    """Return the indices of the coordinates (right, up); arguments and errors are those of `draw_crossings`."""
+    names = events.coordinates
+    if len(names) < 2:
+        raise TypeError("crossings of matrix states cannot be drawn; plot two quantities computed from the states")
+    if not len(events):
+        raise ValueError("there are no crossings to draw; take a longer run, or another event")
+    if components is None:
+        widest = np.argsort(-np.std(events.x, axis=0), kind="stable")[:2]
+        across, up = sorted(widest.tolist())
+        return across, up
+    chosen = read_list(components, "components", "give two numbers or names of coordinates")
+    if len(chosen) != 2:
+        raise ValueError(f"components has {len(chosen)} entries; give two numbers or names of coordinates")
+    across, up = (coordinate_index(names, one) for one in chosen)
+    return across, up
 
 
 @with_figure_settings
@@ -287,3 +277,16 @@ def _draw_verdicts(axes: Any, rows: Any) -> None:
 def _write_note(axes: Any, text: str) -> None:
     axes.set(xticks=[], yticks=[])
     write_note(axes, text)
+
+
+FIGURES = {
+    "certificate": draw_certificate,
+    "crossings": draw_crossings,
+    "phase drift": draw_phase_drift,
+    "structure factor": draw_structure_factor,
+}
+
+
+def draw_result(kind: str, result: Any, *options: Any) -> Figure:
+    """Return the figure of a result of one of these kinds."""
+    return FIGURES[kind](result, *options)

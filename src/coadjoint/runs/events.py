@@ -233,7 +233,7 @@ class RecordedEvents:
         -------
         matplotlib.figure.Figure
         """
-        return shortcut("draw_crossings")(self, components, axes)
+        return shortcut("draw_result")("crossings", self, components, axes)
 
 
 class TerminalEvent(NamedTuple):

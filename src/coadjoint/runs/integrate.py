@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, read_progress
-from coadjoint.methods.protocol.method import NO_ERROR_CONTROL, Method
+from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.registry import read_method
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution, set_elapsed, with_choice
@@ -38,8 +38,6 @@ def integrate(
     progress: bool = False,
     events: Any = None,
     archive: str | Path | None = None,
-    rtol: None = None,
-    atol: None = None,
 ) -> Solution:
     """Integrate a system at a constant step, given or chosen for a required accuracy.
 
@@ -71,7 +69,9 @@ def integrate(
         that `choose` selects; ``sol.method`` names it.
     accuracy : float, optional
         Wanted error of the momentum at the end, relative to the largest momentum during the run. `choose` then selects
-        the step, and without `method` also the scheme.
+        the step, and without `method` also the scheme. There is no `rtol`: a step that is chosen by an estimate of the
+        error would lose what the schemes keep over long times, except those of `Taylor(tolerance=...)` and
+        `ReversibleSteps(Splitting(...))`.
     save_every : int
         Save every k-th step, and always the start and the end. Memory is needed for the saved points only.
     t_eval : array_like, shape (k,), optional
@@ -103,9 +103,6 @@ def integrate(
         A new folder, such as ``run.zarr``, to which the run is written while it runs, in the format Zarr. The memory
         does not grow with the length of the run. The folder can be read at any time, and `resume` continues the run
         after any interruption. The solution reads from the folder lazily.
-    rtol, atol : None
-        Not available: a step that is chosen by an estimate of the error would lose what the schemes keep over long
-        times. Give `accuracy`, or take `Taylor(tolerance=...)` or `ReversibleSteps(Splitting(...))`.
 
     Returns
     -------
@@ -146,8 +143,6 @@ def integrate(
     began = time.perf_counter()
     method = None if method is None else read_method(method)
     system, x0 = combined(system, x0)
-    if rtol is not None or atol is not None:
-        raise TypeError(f"integrate has no {'rtol' if atol is None else 'atol'}: {NO_ERROR_CONTROL}")
     if (step is None) == (accuracy is None):
         supplied = "neither" if step is None else "both"
         raise TypeError(
@@ -167,7 +162,9 @@ def integrate(
             prepared, x0, t_span, save_every, archive, t_eval=t_eval, progress=progress, events=events
         )
     if choice is None:
-        prepared.warn_of_large_step(sol)
+        from coadjoint.runs.error_estimates import warn_of_large_step
+
+        warn_of_large_step(sol, prepared)
     if archive is None:
         set_elapsed(sol, time.perf_counter() - began)
     return with_choice(sol, choice)

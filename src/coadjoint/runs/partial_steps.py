@@ -4,6 +4,7 @@ of a run at output times.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
-from coadjoint.kernels.loop import Extent, Layout, NamedArrays, limited_blas_threads
+from coadjoint.kernels.loop import Extent, NamedArrays, layout_of, limited_blas_threads
 from coadjoint.kernels.tables.compiled import as_structure
 from coadjoint.kernels.tables.recording import partial_step_schedule
 from coadjoint.methods.protocol.method import Method
@@ -27,8 +28,8 @@ MAX_NUMBERS = 2**20
 """Array entries processed at a time."""
 ROWS_PER_CALL = 2**16
 """States processed at once."""
-SINGLE_THREAD_ROWS = 256
-"""Up to this many rows one thread is faster than starting others."""
+SINGLE_THREAD_NUMBERS = 2**10
+"""Up to this many numbers in states one thread is faster than starting others."""
 
 
 def noises_of(system: Any) -> list[str]:
@@ -46,6 +47,14 @@ def reject_noise(system: Any) -> None:
         )
 
 
+@cache
+def _no_values(dim: int) -> Any:
+    """Return the tables of no invariants."""
+    from coadjoint.kernels.tables.invariants import invariants_table
+
+    return as_structure(invariants_table([], dim).tables)
+
+
 class StepResult(NamedTuple):
     """Momenta, elements and invariants after one step of each row; NaN in failed rows, whose `status` is not zero."""
 
@@ -60,12 +69,10 @@ class StepResult(NamedTuple):
 class PartialSteps:
     """Steps of any lengths by the scheme of a run, without history; the bits of a row depend on that row only."""
 
-    def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1) -> None:
-        from coadjoint.kernels.tables.invariants import invariants_table
-
+    def __init__(self, system: Any, method: Method, loops: Loops, workers: int = 1, inside: int = 1) -> None:
         reject_noise(system)
-        self.method, self.loops, self.workers = method, loops, workers
-        self._no_values = as_structure(invariants_table([], system.dim).tables)
+        self.method, self.loops, self.workers, self._inside = method, loops, workers, inside
+        self._no_values = _no_values(system.dim)
 
     def take(
         self,
@@ -103,7 +110,7 @@ class PartialSteps:
         finite = np.flatnonzero(np.isfinite(momenta).all(axis=1))
         numbers = 4 * momenta.shape[1] + 4 * groups.shape[1] + self.loops.memory + 16 * tracked + 8
         chunk = max(1, MAX_NUMBERS // numbers)
-        workers = self.workers if len(finite) > SINGLE_THREAD_ROWS else 1
+        workers = self.workers if momenta.size > SINGLE_THREAD_NUMBERS else 1
         for first in range(0, len(finite), chunk):
             chunk_rows = finite[first : first + chunk]
             arguments = (
@@ -131,11 +138,11 @@ class PartialSteps:
         groups_of_loops = loops.groups if watched else [group._replace(watch=self._no_values) for group in loops.groups]
         rows, filled, member_batches = rows_of_groups(groups_of_loops, owners, workers, loops.block)
         count = loops.tracked if watched else 0
-        layout = Layout(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], count, loops.memory))
+        layout = layout_of(Extent(len(rows), 1, momenta.shape[1], groups.shape[1], count, loops.memory))
         saved, state = NamedArrays(layout.saved), NamedArrays(layout.state)
         state["momenta"][:], state["groups"][:] = momenta[rows], groups[rows]
         starts, steps = times[rows].astype(np.float64), np.where(filled, lengths[rows], 0.0)
-        schedule = partial_step_schedule(starts, steps)
+        schedule = partial_step_schedule(starts, steps, self._inside)
         with limited_blas_threads(loops.rows, workers):
             run_in_threads(member_batches, (layout, schedule, saved, state, 0, 1), loops.raised, workers)
         slots = np.empty(len(momenta), dtype=np.int64)

@@ -23,7 +23,6 @@ from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
 from coadjoint.runs.partial_steps import noises_of
 from coadjoint.runs.plan_and_state import Plan, State, bytes_of_run
 from coadjoint.runs.results.quantities import Observed, check_observe, observed_quantities
-from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run
 from coadjoint.runs.start import (
     Start,
@@ -48,7 +47,6 @@ from coadjoint.runs.times import (
     times_between,
 )
 from coadjoint.short_repr import short
-from coadjoint.shortcuts import shortcut
 from coadjoint.systems.batch import Batch, selected
 from coadjoint.systems.coordinates import states_by_label
 from coadjoint.systems.system import System
@@ -170,6 +168,11 @@ class Preparation(Immutable):
         copied.__dict__.update(vars(self), **fields, cache=_Cache(self.step, loops))
         return copied
 
+    def threads_for(self, members: int) -> tuple[int, int]:
+        """Return the threads of a run of so many members, and those that share a member."""
+        workers = min(members, self._threads)
+        return workers, min(self._threads // workers, MAX_THREADS_INSIDE)
+
     def in_one_thread(self) -> Self:
         """Return a copy that uses one thread, and whose further loops are its own."""
         return self._copy(dict(self.cache.loops), _threads=1)
@@ -275,9 +278,8 @@ class Preparation(Immutable):
         return plan.with_loops(loops, partial(self.system_at, values))
 
     def _new_plan(self, times: Times, groups: tuple[int, ...]) -> Plan:
-        loops, workers = self.loops(times.h), min(groups[0], self._threads)
-        options = self._watching, workers, min(self._threads // workers, MAX_THREADS_INSIDE)
-        plan = Plan(self.system, self.method, loops, times, groups, *options)
+        threads = self.threads_for(groups[0])
+        plan = Plan(self.system, self.method, self.loops(times.h), times, groups, self._watching, *threads)
         # The free memory is checked again for each large run.
         if bytes_of_run(plan.layout, times) <= UNCHECKED_BYTES:
             self.cache.plan = plan
@@ -317,20 +319,6 @@ class Preparation(Immutable):
             if self.cache.observed is None:
                 self.cache.observed = observed_quantities(self.system.of_member(0), self.observe, start.momenta[0])
         return self.cache.observed
-
-    def warn_of_large_step(self, solution: Solution) -> bool:
-        """Warn if the step is too large for a run of this system, or if rounding is; return whether the step is."""
-        return bool(shortcut("warn_of_large_step")(solution, self))
-
-    def warn_of_blocks(self, solution: Solution, lost: list[list[Any]]) -> None:
-        """Warn of the invariants that blocks of an ensemble have lost, if any has."""
-        if lost:
-            shortcut("warn_of_blocks")(solution, self, lost)
-
-
-def lost_invariant(solution: Solution) -> Any:
-    """Return the invariant that deviates most in a step of a run, relative to its size."""
-    return shortcut("lost_invariant")(solution)
 
 
 def trial_run(

@@ -22,7 +22,6 @@ from coadjoint.runs.run import Run
 from coadjoint.runs.short_runs import ENDS_ONLY, FinalStateRun, solution_of_short_run
 from coadjoint.runs.start import Start
 from coadjoint.runs.times import OutputTimes, Times
-from coadjoint.shortcuts import shortcut
 from coadjoint.systems.system import System
 from coadjoint.validation import FLOAT64
 
@@ -126,7 +125,9 @@ class PreparedRun(Preparation):
         """Warn if the step is too large for the first run; loops of half a step are those of a copy, and not kept."""
         if self.cache.checks_step:
             self.cache.checks_step = False
-            self.in_one_thread().warn_of_large_step(solution)
+            from coadjoint.runs.error_estimates import warn_of_large_step
+
+            warn_of_large_step(solution, self.in_one_thread())
 
     @property
     def parameters(self) -> Mapping[str, NDArray[np.float64]]:
@@ -144,8 +145,9 @@ class PreparedRun(Preparation):
         >>> co.prepare(co.systems.heavy_top(), co.Splitting(), step=0.1).parameters
         {'inertia': array([...]), 'lever': array([...])}
         """
-        found = shortcut("parameters_of_run")(self.system)
-        return {name: parameter.value.copy() for name, parameter in found.items()}
+        from coadjoint.systems.parameters import parameters_of_members
+
+        return {name: parameter.value.copy() for name, parameter in parameters_of_members(self.system).items()}
 
     @suggest_keywords
     def jvp(
@@ -223,8 +225,9 @@ class PreparedRun(Preparation):
         """
         given: dict[str, Any] = {"x0": x0, "t_span": t_span, "save_every": save_every, "t_eval": t_eval}
         given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs, "fixed": fixed}
-        found: tuple[Solution, Tangents] = shortcut("jvp")(self, directions, **given)
-        return found
+        from coadjoint.runs.derivatives.of_prepared_runs import jvp
+
+        return jvp(self, directions, **given)
 
     @suggest_keywords
     def vjp(
@@ -294,8 +297,9 @@ class PreparedRun(Preparation):
         """
         given: dict[str, Any] = {"x0": x0, "t_span": t_span, "save_every": save_every, "t_eval": t_eval}
         given |= {"attitude": attitude, "events": read_events(events), "inputs": inputs, "fixed": fixed}
-        found: tuple[Solution, Pullback] = shortcut("vjp")(self, reverse, **given)
-        return found
+        from coadjoint.runs.derivatives.of_prepared_runs import vjp
+
+        return vjp(self, reverse, **given)
 
     @suggest_keywords
     def end(self, x0: Any, t_span: tuple[float, float]) -> NDArray[np.float64]:

@@ -356,3 +356,15 @@ def _of_matrix_builder(system: Any, values: Mapping[str, Floats]) -> dict[str, P
 
 def _plain(value: Floats) -> Any:
     return value if value.ndim else float(value)
+
+
+def parameters_of_members(system: Any) -> Mapping[str, Parameter]:
+    """Return the parameters of a system; of a batch those of all members, with an axis of members."""
+    if not system.is_batch:
+        return parameters_of(system)
+    members = [parameters_of(member) for member in system]
+    found = {}
+    for name, first in members[0].items():
+        if all(name in one and one[name].value.shape == first.value.shape for one in members):
+            found[name] = first._replace(value=np.stack([one[name].value for one in members]))
+    return found

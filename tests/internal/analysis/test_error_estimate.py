@@ -1,8 +1,6 @@
 """Estimated errors: how near they are, whose they are, and when there is none."""
 
-import copy
 import math
-import pickle
 from functools import cache
 
 import numpy as np
@@ -14,7 +12,6 @@ from coadjoint.systems.coordinates import CoordinateGroups
 from digests.explicit_systems import LONG, many_digits, written_out
 from digests.schemes_under_test import EXAMPLES, schemes, serves
 from digests.systems_under_test import matrices
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 pytestmark = pytest.mark.thinned(1)
@@ -189,15 +186,6 @@ def test_of_matrices_and_forces():
         assert sol.error_estimate() == pytest.approx(error, rel=0.1)
 
 
-def test_noise_is_refused_by_name():
-    spins = co.systems.spin_lattice("ring", 4).with_forces(co.forces.HeatBath(0.1, temperature=0.5, seed=1))
-    sol = co.integrate(spins, np.tile((0.0, 0.6, 0.8), 4), (0, 1), 0.1)
-    with refused(TypeError, "random forces"):
-        sol.error_estimate()
-    with refused(TypeError, "random forces"):
-        sol.step_error()
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("span", [(0.0, 60.0), (2.0, -58.0)])
 @pytest.mark.parametrize("method", [None, co.Splitting(order=2), co.Splitting(order=4), co.GaussLegendre(2)])
@@ -240,23 +228,6 @@ def test_of_members_by_their_own_sizes_in_any_order():
     assert sol.error_estimate() == pytest.approx(errors, rel=0.1)
 
 
-def test_it_does_not_depend_on_how_one_looked():
-    runs = [
-        co.integrate(BODY, X0, (0, 60), accuracy=1e-9, **options)
-        for options in ({}, {"watch": False}, {"save_every": 10**6}, {"attitude": True, "method": None})
-    ]
-    told = [run.error_estimate() for run in runs[:3]]
-    assert told[0] == told[1] == told[2]
-    assert 0.0 < runs[3].error_estimate() <= 1e-9
-
-
-@pytest.mark.parametrize("times", [(3.0, 17.7, 41.3), (60.0,), (0.0, 5.0)])
-def test_at_the_last_of_the_times_that_were_asked_for(times):
-    sol = co.integrate(BODY, X0, (0, 60), accuracy=1e-6, t_eval=times, method=co.Splitting(order=4))
-    error = np.linalg.norm(sol.x[-1] - BODY.exact(X0, times[-1])) / np.linalg.norm(X0)
-    assert sol.error_estimate() == pytest.approx(error, rel=0.1)
-
-
 def test_round_off_is_said_and_not_zero():
     """At rest, and where every step is exact, at least the rounding of a state is left."""
     for x0 in ((0.0, 0.0, 0.0), (0.0, 0.0, 2.0)):
@@ -264,14 +235,6 @@ def test_round_off_is_said_and_not_zero():
     spinning = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.0, 0.0, 0.0], linear=[0.0, 0.0, 1.0]))
     assert UNIT_ROUNDOFF <= co.integrate(spinning, X0, (0, 40), accuracy=1e-9).error_estimate() < 1e-13
     assert co.integrate(BODY, X0, (3, 3), accuracy=1e-6).error_estimate() == 0.0
-
-
-def test_a_copy_has_it_too():
-    sol = co.integrate(BODY, X0, (0, 20), accuracy=1e-6)
-    late = pickle.loads(pickle.dumps(sol))
-    told = sol.error_estimate()
-    assert late.error_estimate() == told == copy.deepcopy(sol).error_estimate()
-    assert late.choice == sol.choice and sol.choice.method == sol.method
 
 
 @pytest.mark.thinned(2)

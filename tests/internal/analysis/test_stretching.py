@@ -59,7 +59,7 @@ def test_schemes_without_a_loop_go_step_by_step_and_say_so(monkeypatch):
 
 
 @pytest.mark.thinned(3)
-@pytest.mark.parametrize("span", [(0.0, 2.0), (3.5, 5.5), (3.5, 1.5)])
+@pytest.mark.parametrize("span", [(3.5, 5.5), (0.0, 2.0), (3.5, 1.5)])  # the first is fast with the first scheme
 @pytest.mark.parametrize("method", [Euler(), co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
 def test_tangents_of_a_driven_system_are_those_at_the_time_of_each_step(method, span):
     spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))

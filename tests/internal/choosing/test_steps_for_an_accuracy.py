@@ -13,11 +13,7 @@ from coadjoint.choosing.fitting import ROUNDING_MARGIN, StepFit, confirmed_fit, 
 from coadjoint.choosing.fitting import fit as fit_steps
 from coadjoint.choosing.pilot import PilotErrors, Trial
 from coadjoint.choosing.step_predictor import (
-    MAX_ADVANTAGE,
-    NEAREST_DIVISOR,
-    RELATED_DIVISOR,
     StepPredictor,
-    series_error_model,
 )
 
 NOISE = 1e-13
@@ -179,113 +175,6 @@ def test_rounding_of_variable_steps_includes_the_trial(method, seen, windows):
     assert (0.75 * seen * windows > model) == (seen == 1e-9)
 
 
-class Candidate(SimpleNamespace):
-    """A candidate, one step of which costs its iterations times the evaluations of each."""
-
-    share = 1.0
-
-    def cost(self, trial):
-        return trial.evaluations
-
-
-def fit_of(order, steps, error, method=None, iterations=1.0, newton=False, extrapolated=1.0):
-    trial = Trial(int(steps), PilotErrors(error, error, error), iterations, iterations * order / 2, newton)
-    return SimpleNamespace(
-        candidate=Candidate(method=method or co.Taylor(order)),
-        steps=steps, error=error, end=error, trial=trial, extrapolated=extrapolated,
-    )  # fmt: skip
-
-
-def law(p, goal=1e-6):
-    """Steps of a scheme of order p: with c = 3 and T / r = 50 the error of N steps is 3 (50 / N)^p."""
-    return 50.0 * (3.0 / goal) ** (1.0 / p)
-
-
-def predictor_of(*fits, goal=lambda candidate: 1e-6):
-    predictor = StepPredictor(goal, None)
-    for fit in (*(fit_of(p, law(p), 1e-6) for p in (16, 8)), *fits):
-        predictor.add_fit(fit)
-    return predictor
-
-
-def test_the_error_model_needs_two_distant_orders_and_reproduces_their_law():
-    model = series_error_model([fit_of(p, 80.0 + p, 3.0 * (50.0 / (80.0 + p)) ** p) for p in (16, 8)])
-    for p, goal in ((6, 1e-3), (12, 1e-9), (24, 1e-12)):
-        assert model(p, goal) == pytest.approx(law(p, goal), rel=1e-9)
-    near = [fit_of(16, 100, 1e-9), fit_of(14, 110, 1e-9)]
-    others = [fit_of(16, 100, 1e-9, co.GaussLegendre(8)), fit_of(8, 300, 1e-9, co.GaussLegendre(4))]
-    own = fit_of(8, 300, 1e-9, co.Taylor(8, tolerance=1e-6))
-    for fits in (near, near[:1], others, [near[0], own]):
-        assert series_error_model(fits) is None
-    assert series_error_model([*others, near[0], fit_of(8, 300, 0.0)]) is not None
-    assert series_error_model([near[0], own, fit_of(8, 300, 1e-9)]) is not None
-
-
-def test_predictions_from_the_error_model_alone():
-    series, gauss = (Candidate(method=m) for m in (co.Taylor(12), co.GaussLegendre(6)))
-    nothing = StepPredictor(lambda candidate: 1e-6, None)
-    assert nothing.predict_steps(series) is None and nothing.cost_lower_bound(gauss) == 0.0
-    predictor, steps = predictor_of(), law(12)
-    assert predictor.predict_steps(series) == pytest.approx(steps)
-    assert steps / MAX_ADVANTAGE < predictor.predict_steps(gauss) < steps
-    # Six stages, ten rounds, and a quarter of the steps.
-    assert predictor.cost_lower_bound(gauss) == pytest.approx(steps / MAX_ADVANTAGE * 10 * 6)
-    # A trial of variable steps has the error c (h / r)^p too; constant steps are some more.
-    trial = fit_of(20, 40.0 * 1e-9 ** (-1.0 / 20), 1e-9, co.Taylor(20, tolerance=1e-10))
-    predictor = StepPredictor(lambda candidate: 1e-9, trial)
-    assert 1.0 < predictor.predict_steps(Candidate(method=co.Taylor(16))) / (40.0 * 1e-9 ** (-1.0 / 16)) < 1.5
-    for method in (co.Taylor(8), co.GaussLegendre(8)):
-        assert predictor.predict_steps(Candidate(method=method)) is None
-
-
-@pytest.mark.parametrize("backward", [False, True])
-def test_predictions_from_related_schemes(backward):
-    """A Gauss method took half the steps of the law in 20 rounds: others do about the same."""
-    related = [
-        fit_of(16, 0.5 * law(16), 1e-6, co.GaussLegendre(8), iterations=20.0),
-        fit_of(8, 3.0 * law(8), 1e-6, co.GaussLegendre(4), iterations=30.0, newton=True),
-    ]
-    predictor = predictor_of(*(related[::-1] if backward else related))
-    gauss = Candidate(method=co.GaussLegendre(6))
-    # A fit that needed Newton's method does not count for others.
-    assert predictor.predict_steps(gauss) == pytest.approx(0.5 * law(12))
-    assert predictor.cost_lower_bound(gauss) == pytest.approx(0.5 * law(12) * 20 * 6 / RELATED_DIVISOR)
-    # Among series the nearest order decides: one of order 20 took twice the steps of the law.
-    predictor.add_fit(fit_of(20, 2.0 * law(20), 1e-6))
-    for p, factor in ((24, 100.0 * 3e6 ** (1.0 / 24)), (12, law(12))):
-        candidate = Candidate(method=co.Taylor(p))
-        assert predictor.predict_steps(candidate) == pytest.approx(factor)
-        assert predictor.cost_lower_bound(candidate) == pytest.approx(factor * p / 2 / NEAREST_DIVISOR)
-    waiting = [Candidate(method=m) for m in (co.GaussLegendre(6), co.Taylor(24), co.Taylor(12), co.Splitting())]
-    assert predictor.cheapest_first(waiting) == [waiting[k] for k in (2, 1, 0, 3)]
-
-
-def test_bounds_scale_with_the_share_and_weaken_with_the_extrapolation():
-    """In an ensemble a member has a share of the cost: of each scheme its own, not that of related schemes."""
-    related = fit_of(10, 1000.0, 1e-6, co.Splitting(order=10))
-    predictor = predictor_of(related)
-    for method in (co.Taylor(12), co.Splitting(order=8), co.GaussLegendre(6)):
-        alone, among = Candidate(method=method), Candidate(method=method, share=0.1)
-        assert predictor.cost_lower_bound(among) == pytest.approx(0.1 * predictor.cost_lower_bound(alone))
-        assert predictor.predict_steps(among) == predictor.predict_steps(alone)
-    splitting = Candidate(method=co.Splitting(order=8))
-    far = predictor_of(fit_of(10, 1000.0, 1e-6, co.Splitting(order=10), extrapolated=4.0))
-    assert far.cost_lower_bound(splitting) == pytest.approx(predictor.cost_lower_bound(splitting) / 2.0)
-    assert far.cost_lower_bound(splitting) > 0.0
-
-
-def test_predictions_use_the_goal_of_each_scheme():
-    def own(p):
-        return law(p, 1e-6 / p**2)
-
-    related = fit_of(16, 2.0 * own(16), 1e-6 / 256, co.GaussLegendre(8))
-    predictor = predictor_of(related, goal=lambda candidate: 1e-6 / candidate.method.order**2)
-    gauss, splitting = (Candidate(method=m) for m in (co.GaussLegendre(4), co.Splitting(order=4)))
-    assert predictor.predict_steps(gauss) == pytest.approx(2.0 * own(8))
-    assert predictor.cost_lower_bound(gauss) == pytest.approx(2.0 * own(8) * 4 / RELATED_DIVISOR)
-    assert predictor.cost_lower_bound(splitting) == pytest.approx(own(4) / MAX_ADVANTAGE * 4 * 2)
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("wanted", [1e-3, 1e-10])
 def test_schemes_left_untried_are_not_cheaper(monkeypatch, wanted):
@@ -319,11 +208,3 @@ def test_few_trials_and_short_runs_are_made(monkeypatch):
     made["fit"] = 0
     # Particles fly apart: variable steps are so much longer that few other schemes are worth a trial.
     assert co.choose(co.systems.toda(4), TODA, (0.0, 80.0), 1e-6).method.own_steps and 2 <= made["fit"] <= 6
-
-
-def test_cache_is_bounded(monkeypatch):
-    made = []
-    monkeypatch.setattr(pilots, "MAX_ENTRIES", 3)
-    for key in (1, 2, 3, 4, 4, 1, [], []):  # what has no hash is not kept
-        pilots.cached_for_system(BODY, ("test", key), lambda key=key: made.append(key))
-    assert made == [1, 2, 3, 4, 1, [], []] and len(pilots._cache_of(BODY)) <= 3

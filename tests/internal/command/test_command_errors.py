@@ -78,7 +78,7 @@ def test_selftest_counts_and_prints(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("error", "status", "message"),
     [
-        (ValueError("a is\nwrong"), 2, "coadjoint: ValueError: a is wrong"),
+        (ValueError("a is\nwrong"), 2, "coadjoint: a is wrong"),
         (RecursionError("a"), 2, "coadjoint: RecursionError: a"),
         (MemoryError("a"), 2, "coadjoint: MemoryError: a"),
         (ImportError("a"), 2, "coadjoint: a"),
@@ -110,7 +110,7 @@ def test_warnings_are_printed_after_success(monkeypatch):
         warnings.simplefilter("always")
         assert commands.perform(["methods"]) == (0, "coadjoint: warning: b\ncoadjoint: warning: a")
         failing.append(True)
-        assert commands.perform(["methods"]) == (2, "coadjoint: ValueError: wrong")
+        assert commands.perform(["methods"]) == (2, "coadjoint: wrong")
 
 
 def test_long_wait_warning_with_closed_stderr(monkeypatch):

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from coadjoint import cli
 from coadjoint.experiments import selftest as checks
 from coadjoint.experiments.reich1993 import reproduce
 from coadjoint.experiments.reich1993 import statements as paper
 from coadjoint.experiments.reich1993.figures import drift_figure
 from coadjoint.experiments.reich1993.section5 import spiral_run
-from refusals import refused
 
 # Statements that are not simply confirmed; all others hold.
 EXPECTED = {
@@ -63,12 +61,6 @@ def test_reproduction_has_all_verdicts_and_figures(tmp_path):
     assert any("the step 0.1 is too large" in line and "runge2" in line for line in large)
 
 
-@pytest.mark.parametrize("wrong", [{"phase_end": 10.0}, {"phase_end": 60.5}, {"steps": 15_000}, {"steps": 0}])
-def test_wrong_lengths_are_refused(wrong, tmp_path):
-    with refused(ValueError, *wrong):
-        reproduce(tmp_path, lambda line: None, **wrong)
-
-
 @pytest.mark.parametrize(
     ("method", "expected"),
     [(paper.MIDPOINT, (0.152, 0.280, 0.678, 1.39, 2.73)), (paper.SPLITTING, (0.020, 0.008, 0.107, 0.198, 0.146))],
@@ -101,17 +93,6 @@ def test_drift_figures(method, energy, casimir):
     assert "dotted" in figure.get_suptitle() and "solid" in figure.get_suptitle()
 
 
-WORDS = {"paper": "p", "criterion": "|x| < 1", "measured": "m, 0.5"}
-
-
-@pytest.mark.parametrize(
-    ("holds", "limited", "verdict"),
-    [(True, False, paper.HOLDS), (True, True, paper.LIMITED), (False, False, paper.FAILS), (False, True, paper.FAILS)],
-)
-def test_verdict(holds, limited, verdict):
-    assert paper.judge("k", "place", "s", holds=holds, limited=limited, **WORDS).verdict == verdict
-
-
 X = np.array([1.0, 2.0, 0.5])
 
 
@@ -128,30 +109,6 @@ def test_step_matrix_reproduces_the_modified_step_and_its_limit(stages, freeze):
         step = co.stepper(body, method, H)(X)
         # 3 s unknowns by elimination.
         assert np.linalg.norm(B @ X - step) <= 64 * 2.0**-53 * 3 * stages * np.linalg.norm(X)
-
-
-@pytest.mark.parametrize(
-    "found",
-    [checks.Finding("a", 2.0, 1.0), checks.Finding("a", float("nan"), 1.0), checks.Finding("a", 3.4, 3.5, "", True)],
-)
-def test_exit_status_is_1_if_a_check_fails(monkeypatch, capsys, found):
-    monkeypatch.setattr(checks, "CHECKS", (lambda: [checks.Finding("good", 0.0, 1.0), found],))
-    assert cli.main(["selftest", "--quiet"]) == 1
-    assert capsys.readouterr().out == f"{found}\n"
-    assert str(found).startswith("FAIL")
-
-
-def test_check_that_raises_has_failed(monkeypatch, capsys):
-    def broken():
-        yield checks.Finding("begun", 0.0, 1.0)
-        raise KeyError("x")
-
-    monkeypatch.setattr(checks, "CHECKS", (broken, lambda: [checks.Finding("good", 0.0, 1.0)]))
-    assert cli.main(["selftest"]) == 1
-    output = capsys.readouterr().out
-    assert (
-        "KeyError" in output and "ok    begun" in output and "ok    good" in output and "3 checks, 1 failed" in output
-    )
 
 
 def failing(check):

@@ -246,6 +246,26 @@ def test_a_stopped_process_loses_its_block(tmp_path, monkeypatch):
     assert co.open_archive(path).status.tolist() == [1] * 7
 
 
+def test_a_process_that_writes_keeps_its_block(tmp_path):
+    """Whatever it writes renews the time of its lock, by which others see that it is alive; without writes it ages."""
+    path = tmp_path / "many.zarr"
+    co.integrate_ensemble(BODY, X, (0, 2), 0.125, archive=path, members_per_block=3)
+    block = MemberBlock(1, 3, 6)
+    working, other = (ArchiveStore(path, *read_root(path), ArchiveFolder(path), block.lock_file) for _ in range(2))
+    assert working.lock() and not other.lock()
+    lock = path / ".coadjoint" / block.lock_file
+    for write in (
+        lambda: working.write("x", np.zeros((17, 3, 3)), (0, 3)),
+        lambda: working.write_marker(block, {"rows": 0}, {}),
+    ):
+        os.utime(lock, (1e9, 1e9))
+        write()
+        assert not other.take_over(3600.0)
+    os.utime(lock, (1e9, 1e9))
+    assert other.take_over(3600.0)
+    working.close(), other.close()
+
+
 ENCRYPTED_OR_NEAR = ("tls://192.0.2.7:8786", "tcp://127.1.2.3:8786", "tcp://[::1]:8786", "tcp://localhost:8786",
     "inproc://192.0.2.7/1/1")  # fmt: skip
 REMOTE = ("tcp://192.0.2.7:8786", "tcp://[2001:db8::7]:8786", "ucx://192.0.2.7:8786", "tcp://somewhere:8786",

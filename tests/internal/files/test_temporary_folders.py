@@ -4,7 +4,6 @@ import contextlib
 import errno
 import fcntl
 import os
-import shutil
 import stat
 from pathlib import Path
 
@@ -53,9 +52,9 @@ def raising(number):
 @pytest.fixture
 def target(tmp_path):
     """The path of a result; descriptors and cleanups are released at the end."""
-    before, registered = open_descriptors(), list(interruption._cleanups)
+    before, registered = open_descriptors(), list(interruption.cleanups)
     yield tmp_path / "run.nc"
-    assert open_descriptors() == before and interruption._cleanups == registered
+    assert open_descriptors() == before and interruption.cleanups == registered
 
 
 @pytest.mark.parametrize("mask", [0, 0o022])
@@ -71,10 +70,10 @@ def test_temporary_folder_is_private(target, mask):
 
 @pytest.mark.parametrize("how", ["finished", "abandoned", "failed", "not created"])
 def test_only_a_finished_result_is_left(tmp_path, target, how):
-    registered = list(interruption._cleanups)
+    registered = list(interruption.cleanups)
     with contextlib.suppress(KeyError, FileNotFoundError):
         with PendingOutput(target if how != "not created" else tmp_path / "none" / "run.nc") as own:
-            assert interruption._cleanups == [*registered, own.abandon]
+            assert interruption.cleanups == [*registered, own.abandon]
             own.path.write_text("whole")
             if how == "failed":
                 raise KeyError
@@ -176,115 +175,6 @@ def test_replaced_store_is_restored_to_a_free_path(tmp_path, target, there):
     assert there == "link to nothing" or os.listdir(target) == ["old"] * (there is None)
 
 
-@pytest.mark.parametrize("by", ["the run", "the next one"])
-def test_unrestorable_store_is_restored_later(tmp_path, target, monkeypatch, by):
-    """Neither old nor new content is at the target then; the old one is found and restored later."""
-    replace = os.replace
-
-    def full(source, place):
-        if Path(place) == target:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        replace(source, place)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "replace", full)
-        if by == "the run":
-            target.mkdir()
-            (target / "old").touch()
-            with pytest.raises(OSError, match="No space left"), PendingOutput(target) as own:
-                own.path.mkdir()
-                own.finish()
-        else:
-            leftover(target, replaced=True)
-        remove_leftovers(target)
-        assert not target.exists()
-    remove_leftovers(target)
-    assert os.listdir(tmp_path) == ["run.nc"] and os.listdir(target) == ["old"]
-
-
-def obstruct(folder, kind, monkeypatch):
-    """Change a leftover so that it is not removed."""
-    unlink, rmtree = Path.unlink, shutil.rmtree
-    if kind in ("pipe", "link", "folder"):
-        make_lock(folder / LOCK_FILE, kind)
-    elif kind == "without a lock":
-        (folder / LOCK_FILE).unlink()
-    elif kind == "file":
-        rmtree(folder)
-        folder.write_text("precious")
-    elif kind == "file in use":
-        busy = raising(errno.EBUSY)
-        monkeypatch.setattr(
-            Path, "unlink", lambda path, **how: busy() if path.parent == folder else unlink(path, **how)
-        )
-    elif kind == "folder in use":
-        (folder / "inside").mkdir()
-        monkeypatch.setattr(shutil, "rmtree", lambda path, **how: None if path.parent == folder else rmtree(path))
-
-
-@pytest.mark.thinned(4)
-@pytest.mark.parametrize(
-    "kind", ["pipe", "link", "folder", "without a lock", "file", "file in use", "folder in use", "gone", "running"]
-)
-@pytest.mark.parametrize("at", [0, 2, 4])
-def test_undeletable_leftover_does_not_block_the_others(tmp_path, target, monkeypatch, kind, at):
-    """In any order of the listing; a replaced store is restored from any of them."""
-    scandir = os.scandir
-    folders = [leftover(target, ending=str(k), replaced=k == (4 if at < 4 else 0)) for k in range(5)]
-    one = folders[at]
-    held = open_locked(one / LOCK_FILE) if kind == "running" else None
-
-    def in_order(place):
-        with scandir(place) as entries:
-            found = sorted(entries, key=lambda entry: entry.name)
-        if kind == "gone" and place == tmp_path and one.exists():
-            for name in os.listdir(one):
-                os.unlink(one / name)
-            os.rmdir(one)
-        return contextlib.nullcontext(found)
-
-    with monkeypatch.context() as patched:
-        obstruct(one, kind, patched)
-        with monkeypatch.context() as listed:
-            listed.setattr("coadjoint.files.output.atomic_output.os.scandir", in_order)
-            remove_leftovers(target)
-    left = [] if kind == "gone" else [one.name]
-    assert sorted(os.listdir(tmp_path)) == [*left, "run.nc"] and os.listdir(target) == ["old"]
-    if kind in ("pipe", "link", "folder", "without a lock"):
-        assert (one / "run.nc").read_text() == "half"
-    if held is not None:
-        os.close(held)
-    remove_leftovers(target)
-    removable = kind in ("file in use", "folder in use", "gone", "running")
-    assert one.exists() == (not removable), "recognized again without the obstacle"
-
-
-@pytest.mark.parametrize("times", [1, 2])
-def test_folder_taken_by_another_process_is_not_used(tmp_path, target, monkeypatch, times):
-    """Another process saw it before it was locked; the next folder is used."""
-    taken = []
-
-    def lost(path, *args):
-        if len(taken) < times:
-            path.parent.rmdir()
-            taken.append(path.parent)
-            return None
-        return open_locked(path, *args)
-
-    monkeypatch.setattr(unfinished, "open_locked", lost)
-    with PendingOutput(target) as own:
-        folder = own.path.parent
-        assert folder not in taken and os.listdir(tmp_path) == [folder.name] and open_locked(folder / LOCK_FILE) is None
-    assert not os.listdir(tmp_path)
-
-
-def test_failed_lock_leaves_nothing(tmp_path, target, monkeypatch):
-    monkeypatch.setattr(unfinished, "open_locked", raising(errno.EMFILE))
-    with pytest.raises(OSError, match="Too many open files"), PendingOutput(target):
-        pass
-    assert not os.listdir(tmp_path)
-
-
 def test_lock_is_removed_last(target, monkeypatch):
     """An interrupted removal leaves a recognizable leftover."""
     folder, removed, unlink = leftover(target), [], Path.unlink
@@ -293,23 +183,3 @@ def test_lock_is_removed_last(target, monkeypatch):
     monkeypatch.setattr(Path, "unlink", lambda self, **kwargs: (removed.append(self.name), unlink(self, **kwargs))[1])
     remove_leftovers(target)
     assert sorted(removed) == ["a", LOCK_FILE, "run.nc", "z"] and removed[-1] == LOCK_FILE
-
-
-@pytest.mark.parametrize("name", [b"\xff\xfe.nc", "é".encode() * 120 + b".nc", b"a b\n.nc"])
-def test_unusual_file_names(tmp_path, name):
-    target = tmp_path / os.fsdecode(name)
-    write_whole(target)
-    leftover(target)
-    remove_leftovers(target)
-    assert os.listdir(os.fsencode(tmp_path)) == [name] and target.read_text() == "whole"
-
-
-def test_failed_cleanup_does_not_hide_an_error(tmp_path, target, monkeypatch):
-    """The folder becomes a leftover, which a later run removes."""
-    with monkeypatch.context() as patched, pytest.raises(KeyError, match="first"), PendingOutput(target) as own:
-        own.path.write_text("half")
-        patched.setattr(Path, "unlink", raising(errno.EBUSY))
-        raise KeyError("first")
-    assert len(os.listdir(tmp_path)) == 1
-    remove_leftovers(target)
-    assert not os.listdir(tmp_path)

@@ -1,12 +1,10 @@
 """The compiled libraries: which one is loaded, what is wrong with an installation, and what Python and they share."""
 
 import os
-import platform
-import runpy
 import subprocess
 import sys
 from pathlib import Path
-from types import MappingProxyType, SimpleNamespace
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -77,24 +75,6 @@ def installed(monkeypatch, folder, processor, built, asked=None):
 def test_the_highest_level_that_is_built_and_usable(monkeypatch, tmp_path, processor, built, asked, taken):
     installed(monkeypatch, tmp_path, processor, built, asked)
     assert library.level_in_use() == taken
-
-
-@pytest.mark.parametrize(
-    ("machine", "level"), [("x86_64", 3), ("AMD64", 3), ("aarch64", None), ("arm64", None), ("ARM64", None)]
-)
-def test_processors_with_levels_on_every_system(monkeypatch, machine, level):
-    """Windows names x86-64 AMD64, in capitals."""
-    functions = SimpleNamespace(processor_level=lambda: 3)
-    monkeypatch.setattr(platform, "machine", lambda: machine)
-    monkeypatch.setattr(library, "_load", {"_processor": functions}.__getitem__)
-    assert library.processor_level() == level
-
-
-@pytest.mark.parametrize(("system", "suffix"), [("linux", ".so"), ("darwin", ".dylib"), ("win32", ".dll")])
-def test_suffix_is_that_of_the_build(monkeypatch, system, suffix):
-    """CMake's suffix of shared libraries on each system."""
-    monkeypatch.setattr(sys, "platform", system)
-    assert runpy.run_path(library.__file__)["SUFFIX"] == suffix
 
 
 INDEX = np.zeros(2, dtype=np.uint32)
@@ -221,21 +201,3 @@ def test_the_order_and_shapes_of_arrays_are_those_of_the_kernels(monkeypatch):
     assert before.saved.size == after.saved.size == 2 * 3 * (4 + 9 + 2)
     assert before.state.shapes["worst"] == (3, description.limit("TENTHS"), 2)
     assert NamedArrays(before.state)["status"].dtype == np.int64
-
-
-@pytest.mark.parametrize(
-    ("processor", "built", "asked", "named"),
-    [
-        *(
-            (3, (4, 3, 1), level, [f"is {level!r}", "use v3, v1,", "v4, v3, v1 are built"])
-            for level in ("v5", "4", "", "v4")
-        ),
-        (4, (4,), "v3", ["is 'v3'", "use v4, v3, v1,", "v4 is built", "COADJOINT_LEVELS=v3 pip install"]),
-        *((level, (), None, [f"(_kernels_v{level}) are missing"]) for level in (1, 3, 4)),
-        (3, (4,), None, ["are built for v4", "use v3, v1:", "`COADJOINT_LEVELS=v3 pip"]),
-    ],
-)
-def test_levels_that_are_not_usable_or_not_built(monkeypatch, tmp_path, processor, built, asked, named):
-    installed(monkeypatch, tmp_path, processor, built, asked)
-    message = refusal_of(library.kernels.__wrapped__)
-    assert all(words in message for words in named)

@@ -1,14 +1,11 @@
 """The cache of compiled steps: no file or folder is used that another user can have written or can replace."""
 
-import errno
 import hashlib
 import os
 import shutil
 import subprocess
-import tempfile
 import threading
 import warnings
-from pathlib import Path
 
 import pytest
 
@@ -183,71 +180,6 @@ def test_a_relative_folder_is_ignored(cache, monkeypatch, given):
     assert [path.parent for path in home.rglob("*") if path.is_file()] == [home / ".cache" / "coadjoint"]
 
 
-def nowhere():
-    raise RuntimeError("Could not determine home directory.")
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("case", ["absent", "relative", "unknown", "file", "below a file"])
-def test_no_folder_can_be_made(cache, monkeypatch, case):
-    file = cache.base.parent / "file"
-    file.touch()
-    if case in ("file", "below a file"):
-        monkeypatch.setenv("XDG_CACHE_HOME", str(file if case == "file" else file / "below"))
-    else:
-        monkeypatch.delenv("XDG_CACHE_HOME")
-        monkeypatch.setenv("HOME", {"absent": str(file.with_name("absent"))}.get(case, "relative"))
-    if case == "unknown":
-        monkeypatch.setattr(Path, "home", nowhere)
-    cache.check_unused("XDG_CACHE_HOME")
-    assert sorted(path.name for path in file.parent.iterdir()) == ["file"]
-
-
-@pytest.mark.parametrize("private", [True, False])
-def test_temporary_files_behind_a_link(cache, monkeypatch, private):
-    """The library is built in the folder that the link leads to, unless others can replace it there."""
-    real, link, places = cache.base.parent / "real", cache.base.parent / "link", []
-    real.mkdir()
-    real.chmod(0o755 if private else 0o777)
-    link.symlink_to(real)
-    monkeypatch.setattr(tempfile, "tempdir", str(link))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(cache.base.parent / "file" / "below"))
-    (cache.base.parent / "file").touch()
-    build = cache.build
-    monkeypatch.setattr(cache, "build", lambda path: (places.append(path.parent.parent), build(path)))
-    if private:
-        cache.check_unused("XDG_CACHE_HOME")
-    else:
-        with refused(RuntimeError, str(real), "TMPDIR"):
-            cache.load()
-    assert places == [real] * private and not os.listdir(real)
-
-
-def test_a_link_to_a_folder_that_is_still_missing(cache):
-    """The folder is made where the link leads."""
-    cache.base.symlink_to(cache.base.parent / "later")
-    assert cache.load() == (BUILT, []) == cache.load() and cache.built == 1
-    assert [mode(path) for path in (cache.base.parent / "later", cache.folder)] == [0o700, 0o700]
-
-
-def test_a_folder_in_which_nothing_can_be_made(cache, monkeypatch):
-    """The reason and the place are in the warning; what is there already is used."""
-    cache.folder.mkdir(parents=True, mode=0o700)
-    cache.base.chmod(0o755)
-    mkdir = os.mkdir
-
-    def no_mkdir(path, *given, **more):
-        if str(path).startswith(f"{cache.base}{os.sep}"):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-        mkdir(path, *given, **more)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "mkdir", no_mkdir)
-        cache.check_unused(f"{os.strerror(errno.EACCES)}: {cache.folder}{os.sep}")
-        cache.plant()
-        assert cache.load() == (PLANTED, []) and cache.built == 1
-
-
 @pytest.mark.parametrize("damage", [lambda raw: b"", lambda raw: raw[: len(raw) // 2], lambda raw: raw[:-1] + b"?"])
 def test_a_damaged_file_is_built_again(cache, damage):
     """Half of a library would end the process that loads it."""
@@ -255,19 +187,6 @@ def test_a_damaged_file_is_built_again(cache, damage):
     cache.file.write_bytes(damage(cache.file.read_bytes()))
     assert cache.load() == (BUILT, []) == cache.load() and cache.built == 1
     assert list(cache.folder.iterdir()) == [cache.file], "the damaged one is removed"
-
-
-def test_names_that_begin_alike(cache):
-    """A library does not displace another one."""
-    for _ in range(2):
-        for name in (NAME, f"{NAME}4", NAME[:-1]):
-            assert cached_library(name, cache.build).which() == BUILT
-        assert cache.built == 3 and len(list(cache.folder.iterdir())) == 3
-
-
-def test_a_library_that_cannot_be_loaded(cache):
-    with refused(OSError, NAME):
-        cached_library(NAME, lambda path: path.write_bytes(b"no library"))
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError])

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from functools import partial
-from itertools import pairwise
 from types import SimpleNamespace
-from typing import Any
 
 import mpmath
 import numpy as np
@@ -14,28 +10,17 @@ import pytest
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3D
-from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 import coadjoint as co
-from coadjoint.pictures.analysis_figures import with_error
-from coadjoint.pictures.artists import FadingLine, PanelLayout
-from coadjoint.pictures.curves import COLUMNS, FAR_ALPHA, Globe, draw_series, envelope, towards_viewer, unit_vectors
-from coadjoint.pictures.gallery import SCENES, decaying_turbulence, piece
-from coadjoint.pictures.kinds.directions import _rotation_to_vertical
-from coadjoint.pictures.kinds.fields import direction_colours, sites_of_row
+from coadjoint.pictures.artists import FadingLine
+from coadjoint.pictures.curves import FAR_ALPHA, draw_series, unit_vectors
 from coadjoint.pictures.kinds.quantities import flip_times
-from coadjoint.pictures.kinds.vorticity import PROJECTIONS, on_grid, turned
+from coadjoint.pictures.kinds.vorticity import PROJECTIONS
 from coadjoint.pictures.plot_data import REFINED_TOLERANCE, REFINED_TURN, PlottedRun, _chord_duration
-from coadjoint.pictures.style import symbol
 
 T0, FADING = 7.3, {"faint": FAR_ALPHA, "hollow": "white"}
 SENSES = [1.0, -1.0]
 BODY = co.systems.rigid_body((1.0, 2.0, 3.0))
-SPIN = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(0, linear=[0, 0, 1.0]))
-
-
-def data(line: Any) -> np.ndarray:
-    return np.asarray(line.get_data(), dtype=np.float64)
 
 
 def drawn_with(t, values, joined):
@@ -66,23 +51,6 @@ def test_an_attitude_turns_where_the_momentum_rests():
     turned = np.arccos(np.clip(np.sum(first[1:] * first[:-1], axis=1), -1.0, 1.0))
     # It turns by one radian in a unit of time.
     assert 0.9 * REFINED_TURN < turned.max() <= REFINED_TURN * (1 + 1e-9)
-
-
-@pytest.mark.parametrize("points", [601, 3000, 6001, 7777])
-def test_envelopes_hold_every_point_in_its_own_stretch(points):
-    rng = np.random.default_rng(points)
-    t, values = T0 + np.sort(rng.random(points)), rng.normal(size=points)
-    values[-1], values[0] = 9.0, -9.0
-    edges = np.linspace(0, points, COLUMNS + 1).astype(int)
-    values[edges[10] : edges[11]] = np.nan
-    middle, low, high = envelope(t, values, COLUMNS)
-    # The stretches, one after the other: their ends are the points of a new column.
-    for k, (first, last) in enumerate(pairwise(edges)):
-        own = values[first:last]
-        np.testing.assert_array_equal([low[k], high[k]], [own.min(), own.max()])
-        inside = (t[0], t[-1])[k > 0] if k in (0, COLUMNS - 1) else 0.5 * (t[first] + t[last - 1])
-        assert middle[k] == inside
-    assert high[-1] == 9.0 and low[0] == -9.0
 
 
 @pytest.mark.thinned(1)
@@ -116,47 +84,6 @@ def test_no_line_of_a_map_crosses_its_edge(name, seed):
         np.testing.assert_allclose((x[0], y[0]), wanted, atol=2e-3)
 
 
-def uneven(count: int, sense: float, span: float = 4.0) -> np.ndarray:
-    """Return times of a span, three quarters of them in its first quarter."""
-    steps = np.where(np.arange(count - 1) < 0.75 * (count - 1), 1.0, 9.0)
-    steps *= np.random.default_rng(count).uniform(0.5, 1.5, count - 1)
-    return T0 + sense * span * np.append(0.0, np.cumsum(steps)) / steps.sum()
-
-
-@pytest.mark.parametrize("sense", SENSES)
-def test_changes_of_sign_between_unequal_times_at_saved_points_and_at_gaps(sense):
-    t = uneven(200, sense, 10.0)
-    x = np.stack([np.cos(t - T0), -np.sin(t - T0), 0.0 * t + 0.5], axis=-1)
-    if np.sign(SPIN.vector_field(x[0])[1]) > 0:
-        x[:, 1] *= -1.0
-    field, wanted = SPIN.vector_field, T0 + sense * np.pi * (0.5 + np.arange(3))
-    error = np.abs(np.diff(t)).max() ** 4 / 384.0
-    np.testing.assert_allclose(flip_times(field, t, x, 0), wanted, rtol=0, atol=error)
-    np.testing.assert_allclose(flip_times(field, t, x, 0, max_count=2), wanted[:2], rtol=0, atol=error)
-    # A saved point exactly at the second one, and a start and an end at which the coordinate is zero.
-    k = int(np.argmin(np.abs(t - wanted[1])))
-    t[k], x[k] = wanted[1], [0.0, x[k, 1], 0.5]
-    found = flip_times(field, t, x, 0)
-    assert len(found) == 3 and found[1] == pytest.approx(wanted[1], abs=1e-12)
-    np.testing.assert_allclose(flip_times(field, t, x, 1), T0 + sense * np.pi * np.arange(1, 4), rtol=0, atol=error)
-    x[k] = np.nan
-    assert len(flip_times(field, t, x, 0)) == 2
-
-
-@pytest.mark.parametrize(
-    ("alone", "style"),
-    [(slice(1, None, 2), "None"), (slice(2, None, 3), "-"), (slice(30, 31), "-"), (slice(0, 0), "-")],
-)
-def test_points_between_gaps_are_dots_since_lines_do_not_show_them(alone, style):
-    t, values = uneven(100, 1.0), np.linspace(1.0, 2.0, 100)
-    values[alone] = np.nan
-    axes = Figure().add_subplot()
-    draw_series(axes, t, values, True, color="C0", linewidth=1.0)
-    (line,) = axes.lines
-    assert line.get_linestyle() == style
-    np.testing.assert_array_equal(line.get_data(), [t, values])
-
-
 @pytest.mark.parametrize("sense", SENSES)
 def test_the_longest_chord_is_that_of_the_member_and_time_that_turn_most(sense):
     """x' = a (cos(w t^2), sin(w t^2)) has the acceleration 2 a w |t|, at fixed times none."""
@@ -173,57 +100,6 @@ def test_the_longest_chord_is_that_of_the_member_and_time_that_turn_most(sense):
         wanted = (8.0 * REFINED_TOLERANCE / max(turning)) ** 0.5
         # The difference over 1e-5 of the path leaves the third derivative, of relative size w t dt.
         assert _chord_duration(run) == pytest.approx(wanted, rel=2e-2)
-
-
-@pytest.mark.parametrize("radius", [1.0, 2.5])
-def test_the_axes_of_a_sphere_stand_out_of_it_with_their_names(radius):
-    axes = Figure().add_subplot()
-    globe = Globe(axes, ("a", "b", "c"), (200.0, -30.0), radius)
-    arrows = [text for text in axes.texts if not text.get_text()]
-    names = [text for text in axes.texts if text.get_text()]
-    assert [text.get_text() for text in names] == ["a", "b", "c"]
-    for direction, arrow, name in zip(np.eye(3), arrows, names, strict=True):
-        foot, depth = globe.project(radius * direction)
-        np.testing.assert_allclose(arrow.xyann, foot, atol=1e-12)
-        np.testing.assert_allclose(arrow.xy, 1.22 * foot, atol=1e-12)
-        beyond = 0.1 * radius * foot / np.linalg.norm(foot)
-        np.testing.assert_allclose(name.get_position(), 1.22 * foot + beyond, atol=1e-12)
-        assert (arrow.get_zorder() > 0) == (name.get_zorder() > 0) == bool(depth > 0.0)
-    # East is to the right of the direction of view, north is up, and the near side has positive depth.
-    towards = globe.frame[2]
-    assert np.degrees(np.arcsin(towards[2])) == pytest.approx(-30.0)
-    assert np.degrees(np.arctan2(towards[1], towards[0])) % 360.0 == pytest.approx(200.0)
-    np.testing.assert_allclose(np.cross(globe.frame[0], globe.frame[1]), towards, atol=1e-15)
-    assert globe.frame[1][2] > 0.0 and axes.get_xlim() == axes.get_ylim() == (-1.42 * radius, 1.42 * radius)
-
-
-def test_points_of_a_sphere_that_are_not_joined_are_strong_in_front_and_faint_behind():
-    axes = Figure().add_subplot()
-    globe = Globe(axes, ("a", "b", "c"), (0.0, 0.0))
-    points = np.random.default_rng(2).normal(size=(50, 3))
-    points /= np.linalg.norm(points, axis=1)[:, None]
-    before = len(axes.lines)
-    globe.path(points, "C0", joined=False)
-    near, far = axes.lines[before:]
-    for line, own, strength in ((near, points[:, 0] >= 0.0, 1.0), (far, points[:, 0] < 0.0, 0.28)):
-        assert len(line.get_xdata()) == 50, "each point has its place, for movies"
-        np.testing.assert_allclose(data(line).T[own], points[own][:, 1:], atol=1e-15)
-        assert np.isnan(data(line).T[~own]).all()
-        assert line.get_linestyle() == "None" and line.get_alpha() == pytest.approx(strength)
-
-
-@pytest.mark.parametrize(
-    "v", [*np.random.default_rng(3).normal(size=(5, 3)), [0, 0, 2.0], [0, 0, -3.0], [1e-9, 0, -1.0]]
-)
-def test_a_vector_is_raised_by_the_shortest_rotation(v):
-    v = np.array(v, dtype=np.float64)
-    R, size = _rotation_to_vertical(v), np.linalg.norm(v)
-    # The divisor 1 + u3 is at least 1e-12, if u3 is not taken for -1.
-    np.testing.assert_allclose(R @ v / size, [0.0, 0.0, 1.0], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(R @ R.T, np.eye(3), rtol=0, atol=1e-12)
-    assert np.linalg.det(R) == pytest.approx(1.0)
-    assert np.trace(R) == pytest.approx(1.0 + 2.0 * v[2] / size, abs=1e-8), "the angle is that between both"
-    np.testing.assert_array_equal(_rotation_to_vertical(0.0 * v), np.eye(3))
 
 
 @pytest.mark.parametrize("name", PROJECTIONS)
@@ -260,15 +136,6 @@ def space(elevation, around):
     return axes
 
 
-@pytest.mark.parametrize("elevation, around", [(20.0, 35.0), (-50.0, 200.0), (0.0, -90.0)])
-def test_points_along_the_line_of_sight_are_drawn_at_one_place(elevation, around):
-    axes = space(elevation, around)
-    towards, start = towards_viewer(axes), np.array([0.7, 0.4, 5.3])
-    places = np.array([proj_transform(*(start + s * towards), axes.get_proj()) for s in (0.0, 0.1, 0.7)])
-    np.testing.assert_allclose(places[1:, :2], [places[0, :2]] * 2, rtol=0, atol=1e-12)
-    assert places[0, 2] > places[1, 2] > places[2, 2], "towards the viewer the depth decreases"
-
-
 @pytest.mark.parametrize("joined", [True, False])
 @pytest.mark.parametrize("alpha", [None, 0.5])
 def test_hidden_points_are_faint_and_gaps_between_the_parts_are_closed(joined, alpha, monkeypatch):
@@ -292,18 +159,6 @@ def test_hidden_points_are_faint_and_gaps_between_the_parts_are_closed(joined, a
         np.testing.assert_array_equal(drawn, np.where(shown[:, None], points, np.nan))
     np.testing.assert_array_equal(np.array(line.get_data_3d()).T, points)
     assert line.get_alpha() == alpha
-
-
-@pytest.mark.parametrize("behind", [True, False])
-def test_a_hidden_mark_is_hollow_and_not_faint(behind, monkeypatch):
-    seen = []
-    monkeypatch.setattr(Line3D, "draw", lambda self, _: seen.append((self.get_alpha(), self.get_markerfacecolor())))
-    axes = space(20.0, 35.0)
-    mark = FadingLine(np.ones((1, 3)), lambda *_: np.array([behind]), marker="o", ls="none", color="red", **FADING)
-    axes.add_line(mark)
-    mark.draw(RendererAgg(10, 10, 72))
-    ((alpha, face),) = seen
-    assert alpha == 1.0 and (face == "red") == (not behind) and mark.get_markerfacecolor() == "red"
 
 
 def half_period(inertia, x0):
@@ -344,71 +199,3 @@ def test_the_flip_comes_after_half_the_period_of_the_elliptic_functions(inertia,
     # The other components have the period, or half of it; both are whole numbers of flips.
     flipped = co.analysis.period(body.vector_field, x0).time / wanted
     assert flipped == pytest.approx(2.0, abs=1e-9)
-
-
-def read_back(text: str) -> tuple[float, float, float]:
-    """Return the value, the error, and the unit of the last digit, which both share."""
-    value, error, power = re.fullmatch(r"\$\((-?[\d.]+) \\pm ([\d.]+)\) \\times 10\^\{(-?\d+)\}\$", text).groups()
-    digits = [len(number.partition(".")[2]) for number in (value, error)]
-    assert digits[0] == digits[1] and 1.0 <= max(abs(float(value)), float(error)) <= 10.0
-    return float(value) * 10.0 ** int(power), float(error) * 10.0 ** int(power), 10.0 ** (int(power) - digits[0])
-
-
-@pytest.mark.parametrize("sense", [1.0, -1.0])
-@pytest.mark.parametrize("part", [1e-9, 1.3e-3, 0.0996, 0.97, 1.0, 4.1, 750.0, 1e12])
-@pytest.mark.parametrize("size", [3.7e-14, 0.5, 2.2e9])
-def test_a_value_has_two_digits_of_its_error_whichever_is_larger(size, part, sense) -> None:
-    value, error, unit = read_back(with_error(sense * size, part * size))
-    # The error has two digits before the unit: from 10 to 99 of it, or 100 if it is rounded up.
-    assert 9.5 <= part * size / unit < 100.0
-    assert abs(value - sense * size) <= 0.501 * unit and abs(error - part * size) <= 0.501 * unit
-
-
-def test_values_and_errors_of_zero() -> None:
-    assert read_back(with_error(0.0, 2.5e-7))[:2] == (0.0, pytest.approx(2.5e-7))
-    assert read_back(with_error(-1.25e4, 0.0)) == (-1.25e4, 0.0, pytest.approx(1e-2))
-    assert with_error(0.0, 0.0) == "$0$" and with_error(np.inf, 1.0) == "$inf$"
-
-
-@pytest.mark.parametrize("name", ["title", "xlabel", "ylabel"])
-def test_titles_and_labels_are_wrapped_to_their_panels(name):
-    """Anew where a figure is resized; texts that fit are not broken."""
-    words = " ".join(f"word{k}" for k in range(20))
-    figure = Figure(layout=PanelLayout())
-    axes = figure.add_subplot()
-    axes.set(**{"title": "one title", "xlabel": "one label", "ylabel": "one label", name: words})
-    texts = {"title": axes.title, "xlabel": axes.xaxis.label, "ylabel": axes.yaxis.label}
-    side, lines = "height" if name == "ylabel" else "width", []
-    for size in ((9.0, 9.0), (5.0, 3.5), (9.0, 9.0), (20.0, 20.0)):
-        figure.set_size_inches(size)
-        figure.draw_without_rendering()
-        length, available = (getattr(part.get_window_extent(), side) for part in (texts[name], axes))
-        lines.append(texts[name].get_text().split("\n"))
-        assert " ".join(lines[-1]) == words and length < 1.05 * available
-        assert all(text.get_text() in ("one title", "one label") for other, text in texts.items() if other != name)
-    assert lines[0] == lines[2] and len(lines[1]) > len(lines[0]) > len(lines[3]) == 1
-
-
-def test_decaying_turbulence_is_drawn_when_it_is_named(monkeypatch):
-    """A shorter run with the pictures of the scene; the field has one seed, the degrees 3 to 8 and mean square 1."""
-    short = partial(decaying_turbulence, N=12, end=2.0, step=0.1)
-    monkeypatch.setitem(SCENES, "decaying_turbulence", ("sphere_euler", short))
-    figure, section = piece("decaying_turbulence")
-    titles = [axes.get_title() for axes in figure.axes if axes.get_label() != "<colorbar>"]
-    assert titles == [f"vorticity{part} at $t$ = {t}" for t in (0, 0, 2) for part in ("", ", large scales")]
-    assert "<code>sphere_euler(N=12" in section and " s</code>" in section
-    degrees, enstrophy = co.systems.sphere_euler(12).enstrophy_spectrum(short().start())
-    assert degrees[enstrophy > 1e-20].tolist() == list(range(3, 9))
-    assert enstrophy.sum() == pytest.approx(2 * np.pi, rel=1e-12)
-
-
-def test_texts_maps_and_colours():
-    names = "|x|^2", "energy", "log C", "x1*x3 + x2^2", "my integral", "|x|^2 [12]", "|total L|^2", "tr W Theta^3"
-    texts = r"$|x|^2$; $H$; $\log C$; $x_{1}\,x_{3} + x_{2}^2$; my integral; $|x|^2$ [12]; |total L|^2"
-    assert "; ".join(map(symbol, names)) == texts + r"; $\mathrm{tr}\,W\,\Theta^3$"
-    colours = direction_colours(np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0], [1.0, -1.0, 0.0]]))
-    assert np.allclose(colours, [[1.0, 1.0, 1.0], [0.0, 0.0, 0.0], [0.9, 0.1, 0.1]])
-    assert np.allclose(turned((90.0, 0.0)), [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)
-    rows = np.array([[-1.0, -1.0], [0.0, 0.0], [1.0, 1.0]])
-    assert np.isclose(on_grid(rows, np.array([0.0, 3**0.5 / 2, 0.5])), 1 / 3)
-    assert (sites_of_row("chain", 20), sites_of_row(None, 100), sites_of_row("square", 100)) == (20, 15, 100)

@@ -3,7 +3,6 @@
 import ast
 import contextlib
 import importlib.util
-import pickle
 import re
 import sys
 import tomllib
@@ -66,42 +65,6 @@ def test_broken_package_is_reported_in_one_line(monkeypatch, capsys):
     assert cli.main(["run", "body.toml"]) == 2
     assert capsys.readouterr().err == "coadjoint: Numba needs NumPy 2.0 or less\n"
     assert commands.perform(["--version"]) == (0, "")
-
-
-def test_missing_package_error_is_picklable(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ImportError) as caught:
-        require_packages("a compiled picture", "numba", "matplotlib")
-    copy = pickle.loads(pickle.dumps(caught.value))
-    assert isinstance(copy, MissingPackageError) and str(copy) == str(caught.value) and copy.name == caught.value.name
-
-
-@pytest.mark.parametrize(
-    ("missing", "listed", "extras"),
-    [
-        (["zarr"], "the package zarr,", "[io]"),
-        (["zarr", "h5py"], "the packages zarr and h5py,", "[io]"),
-        (["zarr", "click", "h5py"], "the packages zarr, click and h5py,", "[io,cli]"),
-    ],
-)
-def test_missing_packages_are_listed_with_their_extras(monkeypatch, missing, listed, extras):
-    find = importlib.util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name in missing else find(name))
-    with pytest.raises(MissingPackageError) as caught:
-        require_packages("a", missing[0], "numpy", *missing[1:])
-    message = str(caught.value)
-    assert message.startswith(f"a needs {listed}") and message.endswith(f'pip install "coadjoint{extras}"')
-    assert caught.value.name == missing[0]
-
-
-@pytest.mark.parametrize(("package", "name"), [("jax", "solution"), ("torch", "function")])
-def test_front_ends_name_missing_packages(monkeypatch, package, name):
-    ready = coadjoint.prepare(coadjoint.systems.rigid_body((1, 2, 3)), coadjoint.Splitting(), 0.1)
-    find = importlib.util.find_spec
-    monkeypatch.setattr("importlib.util.find_spec", lambda one, *args: None if one == package else find(one, *args))
-    message = rf'co\.{package}\.{name} needs the package {package}, .*"coadjoint\[{package}\]"'
-    with pytest.raises(MissingPackageError, match=message):
-        getattr(getattr(coadjoint, package), name)(ready, (0, 1))
 
 
 @pytest.mark.parametrize(("value", "refused"), [("1", True), ("yes", True), ("0", False), ("", False)])

@@ -58,10 +58,7 @@ def test_layers_import_earlier_layers_only(drawn):
 
 
 def test_shortcuts_are_those_of_the_picture(drawn):
-    """Each name that a layer calls through `coadjoint.shortcuts` is registered, used, and drawn as a dashed arrow.
-
-    Runs call their derivatives by name too, so that they do not import them.
-    """
+    """Each name that a layer calls through `coadjoint.shortcuts` is registered, used, and drawn as a dashed arrow."""
     used = {}
     for layer in drawn.LAYERS:
         for path in (PACKAGE / layer).rglob("*.py"):
@@ -70,7 +67,7 @@ def test_shortcuts_are_those_of_the_picture(drawn):
     assert set(used) == set(SHORTCUTS)
     assert all(callable(shortcut(name)) for name in SHORTCUTS)
     arrows = {(layer, SHORTCUTS[name].split(".")[1]) for name, layers in used.items() for layer in layers}
-    assert arrows - {("runs", "runs")} == {("runs", layer) for layer in drawn.SHORTCUTS} | set(drawn.NEIGHBOURS)
+    assert arrows == {("runs", layer) for layer in drawn.SHORTCUTS} | set(drawn.NEIGHBOURS)
 
 
 def test_layer_figure_is_drawn(drawn, tmp_path):

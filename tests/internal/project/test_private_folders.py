@@ -1,8 +1,6 @@
 """Private folders: those that other users can change are recognized at any depth."""
 
-import errno
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -91,116 +89,6 @@ def test_temporary_folder_is_private(folders, monkeypatch):
     assert list(folders[-1].iterdir()) == []
     monkeypatch.setattr(tempfile, "tempdir", str(folders[-1] / "none"))
     with refused(RuntimeError, "TMPDIR"):
-        with private_folder():
-            pass
-
-
-WAYS = ["link", "relative link", "link to link", "above/b/c", "above/b/beside", "a/b/c", "a/../above/b/c", "link/"]
-
-
-def create_links(folders):
-    """Link to the last folder, to one above it, and to another link; return the folder of the links."""
-    top = folders[0].parent
-    (top / "link").symlink_to(folders[-1])
-    (top / "relative link").symlink_to(os.path.join("a", "b", "c"))
-    (top / "link to link").symlink_to("link")
-    (top / "above").symlink_to(folders[0])
-    (folders[1] / "beside").symlink_to(os.path.join("..", "b", "c"))
-    return top
-
-
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("absolute", [True, False])
-def test_temporary_folder_by_any_path(folders, monkeypatch, way, absolute):
-    """TMPDIR may be a link or a relative path: its real folder counts."""
-    top = create_links(folders)
-    monkeypatch.chdir(top)
-    monkeypatch.setenv("TMPDIR", f"{top}/{way}" if absolute else way)
-    monkeypatch.setattr(tempfile, "tempdir", None)
-    with private_folder() as own:
-        assert own.parent == folders[-1] and own.name.startswith("coadjoint-")
-        (own / "file").touch()
-    folders[1].chmod(0o777)
-    with refused(RuntimeError, folders[-1], folders[1]):
-        with private_folder():
-            pass
-    assert not os.listdir(folders[-1])
-
-
-def test_replaced_link_does_not_move_the_folder(folders, monkeypatch):
-    """The folder was created behind the link and remains there."""
-    (folders[0] / "link").symlink_to(folders[-1])
-    other = folders[0].parent / "other"
-    other.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(folders[0] / "link"))
-    with private_folder() as own:
-        (folders[0] / "link").unlink()
-        (folders[0] / "link").symlink_to(other)
-        assert own.parent == folders[-1] and own.is_dir()
-
-
-@pytest.mark.parametrize("case", ["missing", "file", "below a file", "link to nothing", "link to itself", "unwritable"])
-def test_failed_creation_has_the_reason(folders, monkeypatch, case):
-    place = folders[-1] / "place"
-    if case in ("file", "below a file"):
-        place.touch()
-    elif case.startswith("link"):
-        place.symlink_to({"link to nothing": "none", "link to itself": "place"}[case])
-    elif case == "unwritable":
-        place.mkdir()
-        mkdir = os.mkdir
-
-        def refused(path, *args, **kwargs):
-            if str(path).startswith(str(place)):
-                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), path)
-            mkdir(path, *args, **kwargs)
-
-        monkeypatch.setattr(os, "mkdir", refused)
-    before = sorted(folders[-1].rglob("*"))
-    reasons = {"missing": errno.ENOENT, "link to nothing": errno.ENOENT, "link to itself": errno.ELOOP}
-    reasons |= {"unwritable": errno.EACCES}
-    reason = re.escape(os.strerror(reasons.get(case, errno.ENOTDIR)))
-    monkeypatch.setattr(tempfile, "tempdir", str(place / "below" if case == "below a file" else place))
-    with pytest.raises(
-        RuntimeError, match=rf"^no temporary folder can be made \(.*{reason}.*\); set TMPDIR to a folder"
-    ):
-        with private_folder():
-            pass
-    assert sorted(folders[-1].rglob("*")) == before
-
-
-@pytest.mark.parametrize("error", [OSError, PermissionError, RuntimeError, KeyboardInterrupt])
-def test_errors_in_a_temporary_folder_are_raised(folders, monkeypatch, error):
-    """Nothing is left behind."""
-    monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
-    with pytest.raises(error, match="of the user"), private_folder() as own:
-        (own / "file").touch()
-        raise error("of the user")
-    assert not os.listdir(folders[-1])
-
-
-def test_failed_removal_is_ignored(folders, monkeypatch):
-    """For instance a library in use."""
-    monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
-
-    def busy(*args, **kwargs):
-        raise OSError(errno.EBUSY, "Device or resource busy")
-
-    with monkeypatch.context() as patched:
-        with private_folder() as own:
-            patched.setattr(os, "rmdir", busy)
-        assert own.is_dir()
-
-
-def test_removed_temporary_folder_is_refused(folders, monkeypatch):
-    """It cannot be examined."""
-    monkeypatch.setattr(tempfile, "tempdir", str(folders[-1]))
-
-    def gone(path):
-        raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
-
-    monkeypatch.setattr("coadjoint.private_folders.check_private", gone)
-    with refused(RuntimeError, folders[-1], "No such file"):
         with private_folder():
             pass
 

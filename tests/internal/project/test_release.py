@@ -1,19 +1,13 @@
 """What a release states in several places: version, dependencies, license and links."""
 
-import os
 import re
-import shutil
-import subprocess
 import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
-from textwrap import dedent
 
 import pytest
 
 import coadjoint as co
-from coadjoint.files.archives.root import FORMAT
-from coadjoint.program.public_table import VERSION
 
 ROOT = Path(__file__).parents[3]
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not a checkout")
@@ -53,11 +47,6 @@ def test_changelog_begins_with_this_version_and_its_date():
     assert all(re.fullmatch(r"\d+\.\d+\.\d+ \(\d{4}-\d\d-\d\d\)", heading) for heading in releases)
 
 
-def test_highlights_of_the_changelog_fit_a_page():
-    sections = re.split(r"^## ", text_of("CHANGELOG.md"), flags=re.MULTILINE)[1:]
-    assert max(len(section.rstrip().splitlines()) for section in sections) <= 80
-
-
 def test_minimum_versions_are_those_of_the_project():
     """The versions that `make minimum` installs are the lower bounds, for the core and all extras of users."""
     found = project()["project"]
@@ -85,28 +74,6 @@ def test_recipe_needs_what_the_core_needs():
     assert len(optional) > 3 and {f"{names.get(name, name)}{bound}" for name, bound in optional} <= bounds
 
 
-def test_recipe_has_the_commands_of_the_project():
-    """The package is one for every Python, so that its commands are made where it is installed."""
-    commands = re.search(
-        r"^    entry_points:\n((?:      - .*\n)+)", text_of("packaging/conda/recipe.yaml"), re.MULTILINE
-    )[1]
-    declared = {f"{name} = {function}" for name, function in project()["project"]["scripts"].items()}
-    assert {line[8:] for line in commands.splitlines()} == declared
-
-
-def test_recipe_builds_by_the_tools_of_the_project():
-    """On Windows by Clang, as the wheels are: the kernels do not compile by Microsoft's compiler."""
-    recipe, found = text_of("packaging/conda/recipe.yaml"), project()
-    build, _, host = recipe.partition("\n  build:\n")[2].partition("  run:\n")[0].partition("  host:\n")
-    assert '    - if: unix\n      then: ${{ compiler("cxx") }}\n      else: clangxx\n' in build
-    compiler = found["tool"]["cibuildwheel"]["windows"]["environment"]["CXX"]
-    assert f'      - if: win\n        then: set "CXX={compiler}"\n' in recipe
-    oldest = re.search(r"^cmake_minimum_required\(VERSION (.*)\)$", text_of("CMakeLists.txt"), re.MULTILINE)[1]
-    assert f"    - cmake >={oldest}\n" in build
-    listed = {line[6:].replace(" ", "") for line in host.splitlines() if line.startswith("    - ")}
-    assert set(found["build-system"]["requires"]) <= listed
-
-
 def test_wheels_of_every_platform_have_all_levels():
     """The environment of a platform replaces the common one."""
     table = project()["tool"]["cibuildwheel"]
@@ -116,20 +83,6 @@ def test_wheels_of_every_platform_have_all_levels():
     assert {name for name, variables in environments.items() if variables.get("COADJOINT_LEVELS") != "all"} == set()
     assert "CIBW_ENVIRONMENT" not in text_of(".github/workflows/wheels.yml"), "it would replace all of these"
     assert re.search(r"^      COADJOINT_LEVELS: all$", text_of("packaging/conda/recipe.yaml"), re.MULTILINE)
-
-
-def test_one_wheel_is_for_every_python():
-    """It is built by one Python alone; no library in it is linked with Python, or needs Microsoft's runtime."""
-    tools = project()["tool"]
-    assert tools["scikit-build"]["wheel"]["py-api"] == "py3"
-    assert re.fullmatch(r"cp\d+-\*", tools["cibuildwheel"]["build"])
-    assert "\nset(CMAKE_MSVC_RUNTIME_LIBRARY MultiThreaded)\n" in text_of("CMakeLists.txt")
-
-
-def test_wheels_of_macos_are_for_a_system_with_aligned_allocation():
-    """Which the kernels need; and for no newer one than 11.0, the first system of Apple's own processors too."""
-    variables = project()["tool"]["cibuildwheel"]["macos"]["environment"]
-    assert tuple(map(int, variables["MACOSX_DEPLOYMENT_TARGET"].split("."))) == (11, 0)
 
 
 def test_wheels_have_all_but_the_sources_that_are_compiled():
@@ -156,47 +109,6 @@ def test_a_release_is_published_after_every_other_job():
     assert "  workflow_call:" in triggers_and_jobs("tests.yml")[0].splitlines()
 
 
-def test_a_release_begins_with_a_comparison_of_tag_and_version():
-    """In the first job, which all others need, for every event that publishes."""
-    job = triggers_and_jobs("wheels.yml")[1]["version"]
-    assert re.findall(r"^ *if: (.*)$", job, re.MULTILINE) == ["github.event_name == 'push'"]
-    if None in (shutil.which("bash"), shutil.which("sed")):
-        pytest.skip("bash or sed is missing")
-    script = dedent(job.partition("        run: |\n")[2])
-    for tag, status in {f"v{co.__version__}": 0, co.__version__: 1, f"v{co.__version__}1": 1, "v": 1}.items():
-        variables = {**os.environ, "GITHUB_REF_NAME": tag}
-        done = subprocess.run(
-            ["bash", "-e", "-c", script], cwd=ROOT, env=variables, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == status and bool(done.stderr) == bool(status)
-
-
-@pytest.mark.parametrize("workflow", ["site.yml", "tests.yml", "wheels.yml"])
-def test_conditions_of_a_workflow_name_events_that_start_it(workflow):
-    """A step or job for any other event would be left out in silence."""
-    triggers = re.findall(r"^  (\w+):", triggers_and_jobs(workflow)[0], re.MULTILINE)
-    named = re.findall(r"github\.event_name [!=]= '(.*?)'", text_of(f".github/workflows/{workflow}"))
-    assert named and set(named) <= set(triggers)
-
-
-def test_all_that_is_published_is_in_one_folder():
-    """Each artifact is downloaded into a folder of its own unless they are merged, and folders are not published."""
-    workflow = text_of(".github/workflows/wheels.yml")
-    download = re.search(r"^      - uses: actions/download-artifact@.*\n((?:        .*\n)+)", workflow, re.MULTILINE)[1]
-    assert {line.strip() for line in download.splitlines()} == {"with:", "path: dist", "merge-multiple: true"}
-    artifacts = re.findall(r"^          name: (.*)$", workflow, re.MULTILINE)
-    assert artifacts == ["wheel-${{ matrix.platform }}", "source"], "two of one name replace each other"
-    assert workflow.count("if-no-files-found: error") == len(artifacts)
-
-
-def test_site_of_the_last_release_is_found_by_its_tag():
-    """A checkout has no tags unless it is whole; without them the site of the release would be that of main."""
-    workflow = text_of(".github/workflows/site.yml")
-    assert "git describe --tags" in workflow
-    checkout = re.search(r"^      - uses: actions/checkout@.*\n((?:        .*\n)+)", workflow, re.MULTILINE)[1]
-    assert re.search(r"^          fetch-depth: 0\b", checkout, re.MULTILINE)
-
-
 def test_license_is_the_same_everywhere():
     found = project()["project"]
     assert found["license"] == "MIT" and text_of("LICENSE").startswith("MIT License\n")
@@ -217,11 +129,6 @@ def test_no_link_to_a_repository_that_does_not_exist():
     linked = [path for path in files if path.suffix in texts and path.is_file() and path != Path(__file__)]
     repository = re.compile(r"github(usercontent)?\.(com|io)/coadjoint|coadjoint\.(github|readthedocs)\.io")
     assert [path for path in linked if repository.search(path.read_text(encoding="utf-8"))] == []
-
-
-def test_page_of_versions_names_the_formats():
-    page = text_of("docs/versions.md")
-    assert f"`archive_format` {FORMAT}" in page and f"`version` {VERSION}" in page
 
 
 def test_paper_is_short_and_its_references_exist():

@@ -7,7 +7,7 @@ from functools import cache
 import pytest
 
 import coadjoint as co
-from structure import MAXIMA, ROOT, cycles, figures, reached, tracked
+from structure import MAXIMA, ROOT, cycles, figures, imports_by_text, reached, tracked
 
 TESTS = ROOT / "tests"
 SPACES = {
@@ -33,6 +33,11 @@ def all_figures():
 def test_cycles_and_reached_modules():
     graph = {"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}, "e": set()}
     assert reached("a", graph) == {"a", "b", "c"} and cycles(graph) == [{"b", "c"}]
+
+
+def test_calls_by_text_are_imports():
+    texts = {"shortcuts": 'X = {"draw": "coadjoint.pictures.a:draw_a"}', "run": 'return shortcut("draw")(self)'}
+    assert imports_by_text(texts) == {"shortcuts": set(), "run": {"coadjoint.pictures.a"}}
 
 
 def inside(text):

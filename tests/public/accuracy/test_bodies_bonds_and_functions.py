@@ -1,4 +1,4 @@
-"""Splittings whose parts are free bodies, bonds of spins, or functions that are sums: order, exactness, refusals."""
+"""Splittings whose parts are free bodies, bonds of spins, or functions that are sums: order, exactness."""
 
 from fractions import Fraction
 from itertools import permutations, product
@@ -179,70 +179,6 @@ def test_what_was_found_is_described():
     assert co.Splitting().describe(named).found == ("the sum of a function of q and a function of p",)
 
 
-ON_E3 = co.LiePoissonSystem(
-    co.algebras.copies(E3, 2), co.Quadratic(np.kron([[0, 1], [1, 0]], np.diag([1.0, 1, 1, 0, 0, 0])))
-)
-ON_SO4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.eye(6) + 0.5 * np.eye(6)[::-1]))
-
-
-@pytest.mark.parametrize(
-    ("parts", "system", "said"),
-    [
-        ("free_body", co.systems.paper_a37(2.0, (1.0, 1.5, 0.3)), "no rigid body that turns freely"),
-        ("free_body", co.LiePoissonSystem(SO3, co.Quadratic([0.0, 0.0, 1.0])), "quadratic in at least two components"),
-        ("free_body", co.LiePoissonSystem(SO3, co.Polynomial({(4, 0, 0): 1.0})), "no rigid body"),
-        ("free_body", co.LiePoissonSystem(scaled(1.0, 1.0, -1.0), co.Quadratic([1.0, 2.0, 3.0])), "no rigid body"),
-        ("bonds", co.systems.spin_lattice("chain", 3, tensor=(1.0, 1.0, 0.9)), "no isotropic coupling"),
-        ("bonds", ON_E3, "no isotropic coupling"),
-        ("bonds", ON_SO4, "no isotropic coupling"),
-        ("bonds", co.systems.rigid_body((1, 2, 3)), "no isotropic coupling"),
-    ],
-)
-def test_what_has_no_body_or_bond_is_refused_by_name(parts, system, said):
-    method = co.Splitting(parts=parts)
-    for call in (
-        lambda: method.properties(system),
-        lambda: co.integrate(system, np.ones(system.dim), (0, 1), 0.5, method),
-    ):
-        with refused(ValueError, said):
-            call()
-    with refused(ValueError, "no rational rotations"):
-        co.Splitting(parts=parts, rotation="rational")
-
-
-@pytest.mark.parametrize(
-    ("H", "said"),
-    [
-        (lambda x: np.cos(x[0] * x[1]), ("a function", "x1 and x2", "do not commute")),
-        (lambda x: x[2] + np.exp(x[0]) * x[1], ("a function", "x1 and x2", "do not commute")),
-        (lambda x: (x[0] * x[1]) ** 2, ("x1^2*x2^2", "x1 and x2", "do not commute")),
-        (co.Polynomial({(2, 1, 0): 0.5, (0, 0, 2): 1.0}), ("0.5*x1^2*x2", "do not commute")),
-        (
-            co.Hamiltonian(lambda x: abs(x[0]) + x[1], lambda x: np.array([np.sign(x[0]), 1.0, 0.0])),
-            ("x1 and x2", "cannot be taken apart", "absolute value"),
-        ),
-        (
-            co.Hamiltonian(
-                lambda x: x[0] ** 2 + x[1] if x.dtype == object else np.sin(x[0] * x[1]),
-                lambda x: np.array([x[1], x[0], 0.0]) * np.cos(x[0] * x[1]),
-            ),
-            ("cannot be taken apart", "another function"),
-        ),
-    ],
-)
-def test_other_functions_are_refused_with_the_reason(H, said):
-    class Sheared(co.Splitting):
-        pass
-
-    system = co.LiePoissonSystem(SO3, H, name="top with a lid")
-    for scheme in (co.Splitting(), co.Splitting(order=1, parts="coordinates"), Sheared()):
-        with refused(ValueError, type(scheme).__name__, "top with a lid", *said) as error:
-            scheme.program(system)
-        assert "\n" not in str(error.value)
-    if "another function" not in said:  # which cannot be compiled either
-        assert isinstance(co.integrate(system, (0.3, 0.2, 0.9), (0, 0.1), 0.05).method, co.GaussLegendre)
-
-
 def test_repeated_doubling_is_counted_once():
     """2^60 terms if they were multiplied out."""
 
@@ -254,25 +190,6 @@ def test_repeated_doubling_is_counted_once():
 
     found = co.Splitting().describe(co.LiePoissonSystem(SO3, H))
     assert len(found.parts) == 2
-
-
-@pytest.mark.parametrize(
-    ("name", "choice", "said"),
-    [
-        ("so(4)", [[0, 1], [2, 3], [4, 5]], ("together", "do not commute")),
-        ("e(3)", [[0], [1], [2], [3, 4]], ("leave out", "coordinate 5")),
-        ("e(3)", [[0], [1], [2], [3, 4, 6]], ("coordinate 6", "0 to 5")),
-        ("e(3)", [[0], [1], [2], [3, 4, -1]], ("coordinate", "-1")),
-        ("coupled", [[0], [1], [2], [3, 4], [5]], ("in one set", "couples")),
-    ],
-)
-def test_explicit_parts_that_do_not_serve_are_refused(name, choice, said):
-    M = np.diag(np.arange(1.0, 7.0))
-    M[3, 5] = M[5, 3] = -0.5 * (name == "coupled")
-    system = co.LiePoissonSystem(co.algebras.get("so(4)" if name == "so(4)" else "e(3)"), co.Quadratic(M))
-    with refused(ValueError, *said) as error:
-        co.Splitting(parts=choice).program(system)
-    assert "\n" not in str(error.value)
 
 
 def test_inputs_of_parts():

@@ -1,12 +1,13 @@
 """Splittings and compositions of higher order keep their order with forces, and refuse forces that act forward only."""
 
+import mpmath
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
 from drawn_matrices import full
-from long import long_beyond
+from long import long_beyond, long_where
 from matrix.cases import value_of
 from matrix.forces import force_text
 from refusals import refused
@@ -175,6 +176,8 @@ SAMPLED = {
     f"co.forces.ControlMomentGyros({POINTING}))",
 }
 
+LIKE_GRAVITY = ("Drag", "MagneticDipole", "SolarPressure")
+
 
 def first_fitting(name):
     """Return a system with a registered force."""
@@ -188,7 +191,8 @@ def first_fitting(name):
     raise ValueError(f"no system takes {name}")
 
 
-@pytest.mark.parametrize("name", co.forces.names())
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", long_where([*list(SAMPLED)[1:], *LIKE_GRAVITY], co.forces.names()))
 def test_every_force_acts_backward_or_is_refused_by_name(name):
     system = first_fitting(name)
     (force,), base = system.forces, co.IsospectralGauss(1) if system.has_matrices else co.Splitting()
@@ -205,6 +209,52 @@ def test_every_force_acts_backward_or_is_refused_by_name(name):
     ):
         with refused(ValueError, force.label, "backward", "take", base):
             call()
+
+
+SPINNING, TURNING = co.systems.torus_euler(N=5), co.systems.sphere_euler(N=5)
+RATES, SO4 = full(6, 7), on(co.algebras.so(4), 5)
+# The forces whose flows are written twice, in NumPy and for the kernels, each so strong that a step is a large change.
+STRONG = {
+    "LinearDamping": [(SO4, co.forces.LinearDamping(rate)) for rate in (1.5, np.linspace(-1.0, 4.0, 6), 4.0 * RATES)],
+    "DoubleBracketDamping": [
+        (SO4, co.forces.DoubleBracketDamping(3.0)),
+        (SO4, co.forces.DoubleBracketDamping(3.0, RATES @ RATES)),
+        (CHAIN, co.forces.DoubleBracketDamping(1.5)),
+    ],
+    "HeatBath": [
+        (SO4, co.forces.HeatBath(0.5, temperature=2.0, seed=3)),
+        (SO4, co.forces.HeatBath(0.5, np.linspace(0.25, 1.5, 6), temperature=2.0, seed=3)),
+        (SO4, co.forces.HeatBath(0.5, RATES @ RATES, temperature=2.0, seed=3)),
+        (CHAIN, co.forces.HeatBath(1.5, temperature=2.0, seed=3)),
+    ],
+    "Torque": [(SO4, co.forces.Torque(np.arange(6.0)))],
+    "Friction": [(flow, co.forces.Friction(2.0)) for flow in (SPINNING, TURNING)],
+    "Viscosity": [(flow, co.forces.Viscosity(0.5)) for flow in (SPINNING, TURNING)],
+    "BetaPlane": [(SPINNING, co.forces.BetaPlane(3.0))],
+    "RandomForcing": [(flow, co.forces.RandomForcing(5.0, (1, 2), seed=3)) for flow in (SPINNING, TURNING)],
+}
+ONE_FUNCTION = {  # the kernels call the function that NumPy calls
+    "ControlMomentGyros", "Drag", "GravityGradient", "MagneticDipole", "OwnForce", "Pointing", "ReactionWheels",
+    "Sampled", "SolarPressure", "Thrusters",
+}  # fmt: skip
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", sorted({*co.forces.names()} - ONE_FUNCTION))
+def test_kernels_have_the_flows_of_strong_forces_in_numpy(name):
+    """In a step of half a unit of time, from a late time: changes of the size of the state, and rounding of each."""
+    for system, force in STRONG[name]:
+        system, x = system if isinstance(system, tuple) else (system, None)
+        method = co.Splitting() if x is not None else co.IsospectralGauss(1)
+        if x is None:
+            rng = np.random.default_rng(1)
+            x = system.algebra.projected(rng.normal(size=system.shape) + 1j * rng.normal(size=system.shape))
+        forced = system.with_forces(force)
+        plain = co.methods.Forced(method).step(forced, x, -3.25, 0.5)
+        free = method.step(system, x, -3.25, 0.5)
+        assert np.abs(plain - free).max() > 0.1, force
+        found = co.stepper(forced, method, 0.5)(x, -3.25)
+        np.testing.assert_allclose(found, plain, rtol=0, atol=256 * 2.0**-53 * np.abs(plain).max(), err_msg=repr(force))
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -285,8 +335,24 @@ def test_gradients_of_long_steps_are_those_of_the_flows_of_the_order(order):
     _, pullback = ready.vjp(x0, span)
     weights = np.zeros((3, len(x0)))
     weights[-1] = np.cos(np.arange(len(x0)))
+    plain = co.methods.Forced(co.Splitting(order=order)).step(system, x0, span[0], 1.0)
+    np.testing.assert_allclose(ready.end(x0, (span[0], 1.5)), plain, rtol=0, atol=1e-11)
     # Flows are differentiated by complex steps, and both products have less than 1e5 roundings.
     np.testing.assert_allclose(pullback(weights)["x0"], weights[-1] @ derivative, rtol=0, atol=1e-11)
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("order", [5, 6, 7, 8, 10, 12])
+def test_flows_of_torques_have_the_order_of_their_scheme(order):
+    """x' = x^2 from x is x / (1 - x t) at t, in fifty digits; the error of a flow is of one order more."""
+    body, torque = co.systems.rigid_body(), co.forces.Torque(lambda x: x * x)
+    with mpmath.workdps(50):
+        x = np.array([mpmath.mpf(one) for one in ("0.75", "-0.5", "0.625")])
+        errors = []
+        for tau in (mpmath.mpf(1) / 2, mpmath.mpf(1) / 4):
+            found = torque.flow_of_order(body, x, mpmath.mpf(0), tau, order)
+            errors.append(max(abs(found - x / (1 - tau * x))))
+        assert mpmath.log(errors[0] / errors[1], 2) > order + 0.9
 
 
 def test_members_of_a_batch_have_the_bits_of_single_runs():

@@ -8,6 +8,7 @@ from exported_run import RunInC, assert_same, builds
 from long import long_beyond
 from refusals import refused
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*no body has")
 UNIT = 2.0**-53
 SHAPES = {
     "thin rod": (1.0, 1.0, 1e-6),
@@ -51,6 +52,15 @@ def test_a_step_is_exact_to_rounding(shape, spin, h):
         bound = 20 * unit_of_error(SHAPES[shape], x0 / unit, step)
         assert np.abs(sol.x[-1] - x).max() <= bound * np.linalg.norm(x0)
         assert np.abs(sol.attitude[-1] - A).max() <= bound
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_thousands_of_periods_are_exact_to_rounding(shape):
+    """Whole periods of the momentum are one power of a rotation, forward and backward."""
+    test_a_step_is_exact_to_rounding(shape, "tumbling", -4e4)
+    test_a_step_is_exact_to_rounding(shape, "about the third axis", 2e4)
+    test_a_step_is_exact_to_rounding(shape, "near the second axis", 7e3)
 
 
 @pytest.mark.parametrize("threads", [1, 2])

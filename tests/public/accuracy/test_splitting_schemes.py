@@ -28,7 +28,6 @@ NAMES = (
     " sofroniou_spaletta8 suzuki_umeno8 blanes_casas_murua10 kahan_li10a kahan_li10d sofroniou_spaletta10"
 ).split()
 ORDERS = {name: 2 if name == "strang" else int(re.search(r"\d+", name)[0]) for name in NAMES}
-DEFAULTS = {2: "strang", 4: "suzuki4", 6: "sofroniou_spaletta6", 8: "sofroniou_spaletta8", 10: "sofroniou_spaletta10"}
 PROCESSED = [name for name in ORDERS if name.startswith("blanes_casas")]
 
 
@@ -135,45 +134,6 @@ def test_coefficients_fill_one_step(name):
     with mpmath.workdps(40):
         for a, b in zip(method.sweeps(mpmath.mpf), method.sweeps(), strict=True):
             assert abs(a.coefficient - b.coefficient) <= 2 * U * abs(a.coefficient)
-
-
-def test_defaults_and_equality():
-    for order, name in DEFAULTS.items():
-        assert co.Splitting(order=order).sweeps() == co.Splitting(scheme=name).sweeps()
-    assert not co.Splitting(order=1).symmetric
-    assert co.Splitting(order=4) == co.Splitting(order=4) and hash(co.Splitting(parts=[[0], [1, 2]]))
-
-
-PLANE = co.PoissonSystem(
-    lambda x: np.array([[0.0, 1.0 + x[0] ** 2], [-1.0 - x[0] ** 2, 0.0]]), co.Quadratic([1.0, 2.0]), name="warped plane"
-)
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize(
-    ("options", "error", "named"),
-    [
-        ({"order": 3}, ValueError, ("orders", "3")),
-        ({"scheme": "suzuky4"}, ValueError, ("scheme", "'suzuky4'", "'suzuki4'")),
-        ({"scheme": "strang", "order": 4}, ValueError, ("'strang'", "4")),
-        ({"adjoint": True}, ValueError, ("adjoint", "order 1")),
-        ({"rotation": "exactly"}, ValueError, ("rotation", "'exactly'", "'exact'")),
-        ({"parts": "coordinate"}, ValueError, ("parts", "'coordinate'", "'coordinates'")),
-        ({"parts": [0, 1, 2]}, TypeError, ("sets of coordinates",)),
-        ({"parts": [[0.5], [1]]}, ValueError, ("parts", "0.5")),
-    ],
-)
-def test_refusals(options, error, named):
-    with refused(error, *named):
-        co.Splitting(**options)
-
-
-def test_systems_and_compositions_that_are_refused():
-    with refused(ValueError, "Splitting", "Lie algebra", "warped plane"):
-        co.integrate(PLANE, (1.0, 0.0), (0, 1), 0.1, co.Splitting())
-    for name in PROCESSED:
-        with refused(ValueError, "symmetric base", name):
-            co.Composition(co.Splitting(scheme=name), (0.5, 0.5))
 
 
 SO3 = co.algebras.so(3)

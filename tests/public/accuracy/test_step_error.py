@@ -1,6 +1,5 @@
 """The error of a step, by two half steps: its size against exact motions, and the warning of too large steps."""
 
-import dataclasses
 import math
 import pickle
 import warnings
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from refusals import refused
+from long import long_beyond
 
 OVER_RUN, FASTEST = 0.05, 0.4
 """Largest error over a run without a warning, and the weight of the fastest step, as docs/accuracy.md states them."""
@@ -119,14 +118,6 @@ def test_the_worst_member_counts():
     assert co.integrate(co.batch(bodies), X0, (3, 11), 0.1).step_error() == max(errors)
 
 
-@pytest.mark.parametrize("x0", [(1e-3, 1.0, 1e-3), [(1.0, 0.2, 0.5), (1e-3, 1.0, 1e-3)]], ids=["one", "members"])
-def test_of_a_file_is_that_of_the_run(x0, tmp_path):
-    """The motion starts slowly, so that the start alone would give another error."""
-    sol = co.integrate(BODY, x0, (5, -35), 0.8, co.Splitting(order=2))
-    sol.to_xarray().to_netcdf(tmp_path / "run.nc")
-    assert co.load(tmp_path / "run.nc").step_error() == sol.step_error()
-
-
 def test_of_matrices_forces_and_archives(tmp_path):
     fluid = co.systems.sphere_euler(N=5)
     W = fluid.matrices(np.random.default_rng(1).normal(size=fluid.dim))
@@ -178,15 +169,6 @@ def test_the_step_suggested_follows_the_motion(method):
     assert 1e-4 < co.integrate(TOP, TOP_X0, (0, 24), 24 / steps, method).step_error() < 0.01
 
 
-def test_long_runs_own_steps_and_accuracy_do_not_warn():
-    """The error of a long run may be large, by its phase, where each step is small."""
-    assert quiet(lambda: co.integrate(TOP, TOP_X0, (0, 400), 0.04, save_every=100)).step_error() < 1e-3
-    sol = quiet(lambda: co.integrate(TOP, TOP_X0, (0, 10), 10.0, co.Taylor(tolerance=1e-6)))
-    quiet(lambda: co.integrate(TOP, TOP_X0, (0, 10), accuracy=1e-3))
-    with refused(TypeError, "steps"):
-        sol.step_error()
-
-
 @pytest.mark.parametrize(
     "options", [{}, {"attitude": True}, {"inputs": {"field": (0, 1, 2)}}], ids=["plain", "attitude", "inputs"]
 )
@@ -201,14 +183,6 @@ def test_the_first_run_of_a_prepared_one_warns(options):
     quiet(lambda: co.prepare(BODY, accuracy=1e-6, x0=X0, t_span=(0, 20)).run(X0, (0, 20)))
 
 
-def test_a_failed_run_leaves_the_warning_to_the_next():
-    """The setup of the failed run is cached, but no step was compared."""
-    prepared = co.prepare(BODY, co.GaussLegendre(1), 4.0)
-    with refused(co.IntegrationError, "overflowed"):
-        prepared.run(1e300 * X0, (0, 20))
-    warned(lambda: prepared.run(X0, (0, 20)))
-
-
 def test_ensembles_in_blocks_warn_once(tmp_path):
     states = np.tile(0.1 * X0, (9, 1))
     states[7] = 10 * X0
@@ -221,14 +195,6 @@ def test_ensembles_in_blocks_warn_once(tmp_path):
         warnings.simplefilter("error", co.LargeStepWarning)
         co.integrate_ensemble(BODY, states, *given, archive=tmp_path / "refused.zarr")
     np.testing.assert_array_equal(told(lambda: co.resume(tmp_path / "refused.zarr"))[0].x, many.x)
-
-
-def test_a_member_of_many_systems_is_named_by_its_number_among_all():
-    """Of 70 systems 64 are measured."""
-    bodies = co.batch([co.systems.rigid_body((1, 2, 2 + k / 100)) for k in range(70)])
-    states = np.tile(0.1 * X0, (70, 1))
-    states[69] = 10 * X0
-    warned(lambda: co.integrate(bodies, states, (0, 4), 0.4, co.GaussLegendre(1)), "the motion of member 69")
 
 
 def kepler():
@@ -309,38 +275,6 @@ def test_members_that_an_event_has_ended_are_judged_as_single_runs(every, sense)
     warned(lambda: co.integrate(KEPLER, states, run[0], STEP, GAUSS, **options), "the motion of member 1")
 
 
-def test_ended_members_of_a_driven_ensemble_take_no_later_steps():
-    """A field that grows strong at the time 4, long after the members have been ended."""
-    late = co.systems.spin_lattice(
-        "chain", 1, field=lambda t: (0.0, 0.0, 1.0 + 40.0 / (1.0 + np.exp(-50.0 * (t - 4.0))))
-    )
-    given, end = ((0, 10), 0.1, co.GaussLegendre(1)), co.Event("S1[1]", terminal=True)
-    states = [(0.6, 0.0, 0.8), (0.0, -0.6, 0.8)]
-    sol = quiet(lambda: co.integrate(late, states, *given, events=end))
-    assert np.nanmax(sol.events.ends(2)) < 3.5 and sol.step_error() < 1e-3
-
-
-def test_errors_of_half_steps_do_not_end_runs():
-    """A scheme of the user that refuses other steps than one; `step_error` raises what it raises."""
-
-    @dataclasses.dataclass(frozen=True)
-    class OneStep(co.methods.StepMethod):
-        order, explicit, symmetric, compiles = 1, True, False, False
-
-        def properties(self, system):
-            return co.methods.Properties(poisson=False, energy=False, casimirs="none", attitude="none")
-
-        def step(self, system, x, t, h):
-            if h != 0.25:
-                raise LookupError("no table for this step")
-            return x + h * system.vector_field(x, t)
-
-    for sol in (co.integrate(BODY, X0, (0, 1), 0.25, OneStep()), co.prepare(BODY, OneStep(), 0.25).run(X0, (0, 1))):
-        assert sol.x.shape == (5, 3)
-        with refused(LookupError, "no table for this step"):
-            sol.step_error()
-
-
 def test_steps_with_forces_of_the_time_are_repeated_at_their_times():
     def pushing(t):
         return np.array([0.0, 0.0, 30.0 * np.sin(20.0 * t) if t > 1.5 else 0.0])
@@ -354,21 +288,8 @@ def test_steps_with_forces_of_the_time_are_repeated_at_their_times():
     assert alone.step_error() == in_batch.step_error() > 0.02
 
 
-def test_the_first_run_with_inputs_is_judged_with_their_values():
-    body, x0 = co.systems.rigid_body(inertia=(1, 2, 2.5)), np.array([1.0, 0.2, 0.5])
-    slow, fast = (0.0, 0.0, 0.0), (1.0, -2.0, 3.0)
-    errors: dict[tuple[float, ...], set[float]] = {slow: set(), fast: set()}
-    for order in ((slow, fast), (fast, slow)):
-        ready = co.prepare(body, co.GaussLegendre(1), 0.3, inputs={"rotor": (0, 1, 2)})
-        for values in order:
-            sol, found = told(lambda ready=ready, values=values: ready.run(x0, (0, 6), rotor=values))
-            errors[values].add(sol.step_error())
-            assert len(found) == (values == order[0] == fast)
-    assert len(errors[slow]) == len(errors[fast]) == 1 and max(errors[fast]) > 0.05 > 10 * max(errors[slow])
-
-
-@pytest.mark.parametrize("forward", [False, True])
-@pytest.mark.parametrize(("rate", "h"), [(1e-3, 0.5), (1e-4, 0.25), (1e-5, 0.5), (1e-6, 0.1), (1e-7, 0.1)])
+@pytest.mark.parametrize("forward", long_beyond(1, [True, False]))
+@pytest.mark.parametrize(("rate", "h"), long_beyond(1, [(1e-4, 0.25), (1e-3, 0.5), (1e-7, 0.1)]))
 def test_a_slow_ramp_of_a_controlled_attitude_is_not_warned_of(rate, h, forward):
     """On the ramp the momentum is at rest, and all that it changes is error; its start is over in a few steps."""
 

@@ -1,4 +1,4 @@
-"""Algebras from matrices and from other algebras: exact, in floats, at thresholds, and refused by name."""
+"""Algebras from matrices and from other algebras: exact, in floats, at thresholds."""
 
 from contextlib import nullcontext
 from fractions import Fraction
@@ -165,49 +165,6 @@ def test_a_quotient_is_what_remains(place, mixed):
     assert not known_casimirs(inside)
 
 
-def test_names_of_what_is_made():
-    """Of algebras with names and without; each number in a name is that of the summand, or of the dimension."""
-    plain = co.LieAlgebra([(0, 1, 1, 1.0)], dim=2, representation=np.array([[[1, 0], [0, 0]], [[0, 1], [0, 0]]]))
-    named = co.LieAlgebra(constants_of(plain), basis=("p1", "v1"), name="line", representation=plain.representation)
-    assert direct_sum(so(3), plain, named, plain).name == "so(3) + g2 + line + g4"
-    assert (copies(plain, 3).name, copies(named, 3).name) == ("3 g", "3 line")
-    assert (semidirect(sl(2)).name, semidirect(so(4)).name) == ("sl(2) ⋉ R^2", "so(4) ⋉ R^4")
-    assert (semidirect(plain).name, semidirect(named).name) == ("g ⋉ R^2", "line ⋉ R^2")
-    assert semidirect(plain).basis == ("e1", "e2", "p1", "p2") and semidirect(named).basis == ("p1", "v1", "w1", "w2")
-    still = np.zeros((2, 3, 3))
-    assert semidirect(plain, still, ideal=heisenberg(1)).name == "g ⋉ heisenberg(1)"
-    assert semidirect(named, np.zeros((2, 2, 2)), ideal=plain).name == "line ⋉ h"
-    assert semidirect(plain, still, ideal=so(3)).basis == ("e1[1]", "e2[1]", "e1[2]", "e2[2]", "e3[2]")
-    for made in (change_of_basis(plain, np.eye(2)), subalgebra(plain, ["e2"]), quotient(plain, ["e2"])):
-        assert made.name is None
-    assert subalgebra(named, ["v1"]).name == "subalgebra of line" and quotient(named, ["v1"]).name == "line / ideal"
-    assert subalgebra(named, ["v1"]).basis == ("v1",) and quotient(named, ["v1"]).basis == ("p1",)
-    assert subalgebra(named, [[0, 1]]).basis == change_of_basis(named, np.eye(2)).basis[:1] == ("e1",)
-
-
-@pytest.mark.parametrize(
-    ("build", "error", "named"),
-    [
-        (lambda: direct_sum(), ValueError, ["direct sum", "at least one"]),
-        (lambda: semidirect(get("A4,8")), ValueError, ["representation"]),
-        (lambda: semidirect(so(3), np.ones((3, 2, 2))), ValueError, ["representation", "commutator"]),
-        (lambda: semidirect(so(3), None, heisenberg(2)), ValueError, ["ideal", "5", "3"]),
-        (lambda: semidirect(so(3), None, heisenberg(1)), ValueError, ["Jacobi"]),
-        (lambda: change_of_basis(so(3), np.eye(3)[:2]), ValueError, ["3", "2"]),
-        (lambda: change_of_basis(so(3), np.ones((3, 3))), ValueError, ["1"]),
-        (lambda: subalgebra(so(3), ["e1", "e2"]), ValueError, ["vectors 0 and 1"]),
-        (lambda: subalgebra(so(3), ["e1", "e4"]), ValueError, ["'e4'"]),
-        (lambda: subalgebra(so(3), [[1, 0, "a"]]), TypeError, ["component 2", "vector 0"]),
-        (lambda: quotient(e(3), ["e1"]), ValueError, ["ideal", "e2", "vector 0"]),
-        (lambda: quotient(so(3), np.eye(3)), ValueError, ["ideal"]),
-        (lambda: copies(so(3), 0), ValueError, ["count", "0"]),
-    ],
-)
-def test_products_are_refused_by_name(build, error, named):
-    with refused(error, *named):
-        build()
-
-
 RNG = np.random.default_rng(5)
 
 
@@ -358,44 +315,6 @@ def test_nearly_dependent_matrices_at_their_threshold(share, dependent):
     first, second = np.diag([np.pi, np.e]), np.diag([np.pi, np.e * (1 + share * (np.pi**2 + np.e**2) / (np.pi * np.e))])
     with refused(ValueError, "dependent", "A2 = 1 A1") if dependent else nullcontext():
         assert co.LieAlgebra.from_matrices([first, second]) == co.LieAlgebra([], dim=2)
-
-
-REFUSED = {
-    "a sum": ([[[1, 0], [0, 0]], [[0, 0], [0, 1]], np.eye(2)], ["A3 = 1 A1 + 1 A2"]),
-    "dependent over roots": ([np.diag([1.0, np.sqrt(2)]), np.diag([np.sqrt(2), 2.0])], ["A2 = 1.41421 A1"]),
-    "a root in the second one only": ([np.eye(2), np.sqrt(2) * np.eye(2)], ["A2 = 1.41421 A1"]),
-    "floats of very different sizes": (
-        [np.diag([np.pi, np.e]), 1e-6 * np.diag([np.e, 0.1]), np.diag([3e6 * np.pi - 2 * np.e, 3e6 * np.e - 0.2])],
-        ["A3 = 3e+06 A1 + -2e+06 A2"],
-    ),
-    "zero": ([[[1]], [[0]]][1:], ["A1 = 0"]),
-    "too many": (np.ones((5, 2, 2)), ["5 matrices of 2 x 2", "4"]),
-    "none": ([], ["no matrices"]),
-    "one matrix": (np.eye(2), ["A1", "(2,)"]),
-    "two sizes": ([np.eye(2), np.eye(3)], ["A2", "(3, 3)", "(2, 2)"]),
-    "oblong": (np.ones((2, 2, 3)), ["A1", "(2, 3)"]),
-    "not finite": ([[[np.inf]]], ["finite"]),
-    "too large": ([[[10**400]]], ["finite"]),
-}
-OPEN = {
-    "a commutator outside": ([[[0, 1], [0, 0]], [[0, 0], [1, 0]]], ["[A1, A2]", "[[1.0, 0.0], [0.0, -1.0]]"]),
-    "an imaginary commutator": ([[[0, 1], [-1, 0]], [[1j, 0], [0, -1j]]], ["[[0j, -2j], [-2j, 0j]]"]),
-    "a complex commutator of floats": (
-        [[[0, 1 + 0.3j], [0, 0]], [[0, 0], [1.1j, 0]]],
-        ["[[(-0.33+1.1j), 0j], [0j, (0.33-1.1j)]]"],
-    ),
-    "the third pair": (np.delete(co.algebras.so(4).representation, 5, 0), ["[A2, A3]"]),
-    "a Hermitian set": (spin(3), ["-1j"]),
-}
-
-
-@pytest.mark.parametrize("name", [*REFUSED, *OPEN])
-def test_wrong_matrices_are_refused(name):
-    """Those that are not closed can be completed."""
-    matrices, named = (REFUSED | OPEN)[name]
-    for build in (co.LieAlgebra.from_matrices, co.LieAlgebra.closure)[: 1 if name in OPEN else 2]:
-        with refused(ValueError, *named):
-            build(matrices)
 
 
 def test_complex_matrices_are_written_by_real_blocks():

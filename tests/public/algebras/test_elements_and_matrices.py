@@ -94,44 +94,9 @@ def test_sums():
     assert g == G.sum(*g.blocks) and hash(g) == hash(G.sum(*g.blocks))
 
 
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: G("sp", 5), ["even"]),
-        (lambda: G("gl", 4, 1), ["negative signs"]),
-        (lambda: G("so", 4, 0, (G("so", 2), G("so", 2))), ["MatrixAlgebra.sum"]),
-        (lambda: G.sum(G("so", 3)), ["two MatrixAlgebras"]),
-        (lambda: G("sum", 4, 0, (G("so", 3), G("so", 2))), ["5 rows"]),
-        (lambda: G("su", 4097), ["N", "4096", "4097"]),
-    ],
-)
-def test_wrong_algebras_are_refused(make, named):
-    with refused((ValueError, TypeError), *named):
-        make()
-    assert G("su", 4096).dim == 4096**2 - 1
-
-
 def run(g, W):
     """A run from a state, without motion: what is saved first."""
     return co.integrate(co.MatrixSystem(g, identity), W, (0.0, 2.0**-10), 2.0**-10, co.IsospectralGauss()).x[0]
-
-
-@pytest.mark.parametrize(
-    ("g", "W", "named"),
-    [
-        (G("so", 3), np.ones((3, 3)), ["so(3)", "real and skew"]),
-        (G("sl", 3), np.eye(3), ["trace zero"]),
-        (G("sp", 4), np.diag([1.0, 0, 0, 0]), ["sp(4, R)"]),
-        (G("so", 3), 1j * np.diag([1.0, -1.0, 0.0]), ["real and skew"]),
-        (G.sum(G("so", 3), G("so", 3)), np.ones((6, 6)), ["block by block", "so(3)"]),
-        (G("gl", 3), np.full((3, 3), np.nan), ["finite"]),
-        (G("gl", 3), np.eye(4), ["shape", "(4, 4)"]),
-        (G("gl", 3), "x", ["x0"]),
-    ],
-)
-def test_states_outside_are_refused(g, W, named):
-    with refused((ValueError, TypeError), *named):
-        run(g, W)
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-30])
@@ -165,17 +130,6 @@ def test_a_trace_that_is_round_off_is_left(share, left):
         assert np.array_equal(together, [g.projected(member, spared=8 * U) for member in members[order]])
         changed = np.array([[[True, False], [False, True]], np.zeros((2, 2), bool)])[order]
         assert np.array_equal(together != members[order], changed)
-
-
-@pytest.mark.parametrize("g", [G("so", 3), G("su", 2), G.sum(G("so", 2), G("u", 2)), G("sp(C)", 2)], ids=str)
-def test_the_numbers_of_a_matrix_are_named_by_their_places(g):
-    s = co.MatrixSystem(g, identity)
-    assert len(g.basis) == len(set(g.basis)) == s.dim
-    for k, name in enumerate(g.basis):
-        i, j = map(int, name.removeprefix("re").removeprefix("im").split(","))
-        expected = np.zeros(g.shape, dtype=complex)
-        expected[i, j] = 1j if name.startswith("im") else 1.0
-        assert np.array_equal(s.from_vector(np.eye(s.dim)[k]), expected)
 
 
 TOLERANCE = 2.0**-26
@@ -220,24 +174,6 @@ def test_products_of_exponentials_are_elements_and_other_matrices_are_not(name):
             assert abs(np.linalg.det(g) - 1.0) > 1e-3
             with refused(ValueError, "determinant", "positive"):
                 start(algebra, g @ np.diag([-1.0, 1.0]))
-
-
-def test_what_is_wrong_is_said():
-    far, turn = np.eye(4), np.eye(6)
-    far[:3, 3] = 1e6, 2.0, 3.0
-    turn[:2, :2] = [[0.0, -1.0], [1.0, 0.0]]
-    assert is_accepted(ALGEBRAS["e(3)"], far)
-    for name, g, named in (
-        ("so(3)", 2 * np.eye(3), ["orthogonal", "3"]),
-        ("so(3)", np.diag([1.0, -1.0, 1.0]), ["reflection"]),
-        ("e(3)", 2 * np.eye(4), ["moves a vector"]),
-        ("e(3)", far @ np.diag([2.0, 2.0, 2.0, 1.0]), ["determinant", "8"]),
-        ("e(3)", np.diag([2.0, 0.5, 1.0, 1.0]), ["brackets"]),
-        ("sl(2)", np.diag([3.0, 1.0]), ["determinant", "3", "1"]),
-        ("su(3)", turn, ["brackets"]),
-    ):
-        with refused(ValueError, "attitude", *named):
-            start(ALGEBRAS[name], g)
 
 
 @pytest.mark.parametrize(("share", "kept"), [(0.5, True), (2.0, False)])

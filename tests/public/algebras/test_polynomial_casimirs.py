@@ -320,20 +320,6 @@ def test_a_degree_with_too_many_monomials_is_refused():
         one_block.casimirs(6)
 
 
-@pytest.mark.long
-def test_sizes_are_refused():
-    with refused(ValueError, "dimension 30000", "50000000"):
-        co.algebras.copies(co.algebras.so(3), 10_000).casimirs()
-    with refused(ValueError, "degree 4", "dimension 21", "equations"):
-        in_basis(co.algebras.so(7), orthogonal(21, 0)).casimirs()
-
-
-@pytest.mark.parametrize("wrong", [0, -1, 2.0, True, "4", None])
-def test_wrong_degrees_are_refused(wrong):
-    with refused(ValueError, "max_degree", repr(wrong)):
-        co.algebras.so(3).casimirs(wrong)
-
-
 def test_summands_with_the_same_constants_at_other_places_have_their_own_casimirs():
     g = co.LieAlgebra.from_brackets(6, ["[e1,e2]=e3", "[e5,e6]=e4"])
     x = np.arange(1.0, 7.0)

@@ -1,4 +1,4 @@
-"""Certificates: rows and verdicts, functions of the user, samples, units, thresholds, and what is refused."""
+"""Certificates: rows and verdicts, functions of the user, samples, units, thresholds."""
 
 import functools
 import json
@@ -320,34 +320,6 @@ def test_units_change_no_verdict_and_scale_every_bound(name, method, units):
         if row.bound:
             # Another step or state may be the worst after rounding; a power of a unit too many is at least 2^10.
             assert 2.0**-5 < scaled[key].bound / (unit.get(key, 1.0) * row.bound) < 2.0**5, key
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        ({"step": 0.0}, ["step", "zero"]),
-        ({"steps": 0}, ["steps", "0"]),
-        ({"steps": 10**7 + 1}, ["steps", "10000000"]),
-        ({"method": 3}, ["scheme"]),
-        ({"method": lambda x: x}, ["1 arguments"]),
-        ({"order": 2}, ["declares its own"]),
-        ({"method": euler, "order": 257}, ["order", "256"]),
-        ({"method": euler, "symmetric": 1}, ["symmetric"]),
-        ({"method": euler, "properties": "all"}, ["Properties"]),
-        ({"method": euler, "properties": Properties(True, False, "all", "coadjoint")}, ["attitude"]),
-        ({"system": co.batch([BODY, BODY])}, ["one system"]),
-        ({"x0": (np.nan, 0, 0), "steps": 10**7}, ["x0", "finite"]),
-        (
-            {"system": co.PoissonSystem(lambda x: np.array([[0.0, x[0]], [-x[0], 0.0]]), co.Quadratic([1.0, 1.0])),
-             "x0": (1.0, 1.0)},
-            ["Lie algebra"],
-        ),
-    ],
-)  # fmt: skip
-def test_wrong_input_is_refused(options, named):
-    given = {"system": BODY, "method": co.Splitting(), "x0": X0, "step": 0.1, **options}
-    with refused((ValueError, TypeError), *named):
-        co.certify(given.pop("system"), given.pop("method"), given.pop("x0"), given.pop("step"), **given)
 
 
 @pytest.mark.parametrize(

@@ -172,10 +172,13 @@ def test_intensities_of_few_members():
 
 
 @pytest.mark.parametrize("count", [6, pytest.param(SEEDS, marks=pytest.mark.long)])
-@pytest.mark.parametrize(("members", "samples", "sigma"), [(3, 201, 0.003), (3, 101, 0.02)])
-def test_identified_coefficients(count, members, samples, sigma):
-    """Three orbits of a body; some radii leave one degree of freedom, which is not enough to be chosen by."""
-    z, H = [], BODY.hamiltonian.to_polynomial()
+@pytest.mark.parametrize(
+    ("members", "samples", "sigma", "hidden"),
+    [(3, 201, 0.003, 0), (3, 101, 0.02, 1), (1, 81, 0.003, 2), (1, 81, 0.03, 5), (1, 41, 0.003, 5)],
+)
+def test_identified_coefficients(count, members, samples, sigma, hidden):
+    """Of a body; noise hides directions of a part of an orbit, and some radii leave one degree of freedom."""
+    z, undetermined, H = [], [], BODY.hamiltonian.to_polynomial()
     for seed in range(count):
         rng = np.random.default_rng(seed)
         x0 = rng.normal(size=(members, 3))
@@ -185,8 +188,11 @@ def test_identified_coefficients(count, members, samples, sigma):
         wanted = found.coefficients_of(H)
         error = [found.hamiltonian.monomials.get(e, 0.0) - w for e, w in zip(found.exponents, wanted, strict=True)]
         z.append(np.array(error) / found.standard_deviation)
+        undetermined.append(len(found.undetermined))
     z = np.abs(z)
-    assert np.max(z) < 5 and np.mean(z < 2) > 0.87 and 0.5 < np.mean(z < 1) < 0.9
+    few = 0.3 / np.sqrt(count)
+    assert np.max(z) < 5 and np.mean(z < 2) > 0.9 - few and 0.57 - few < np.mean(z < 1) < 0.8 + few
+    assert np.mean(undetermined) <= hidden, "no more than noise hides"
 
 
 def test_few_equations_have_students_factor():
@@ -201,19 +207,40 @@ def test_few_equations_have_students_factor():
 
 
 @pytest.mark.parametrize("count", [12, pytest.param(100, marks=pytest.mark.long)])
-def test_exponents_of_regular_and_chaotic_motions(count):
+@pytest.mark.parametrize("transient", [0.0, 100.0])
+def test_exponents_of_regular_and_chaotic_motions(count, transient):
     rng = np.random.default_rng(0)
     x0 = rng.normal(size=(count, 3))
     body = co.systems.rigid_body(inertia=(1, 2, 3))
-    found = co.lyapunov(body, x0 / np.linalg.norm(x0, axis=1)[:, None], (0, 300), 0.1, exponents=1)
+    unit = x0 / np.linalg.norm(x0, axis=1)[:, None]
+    found = co.lyapunov(body, unit, (0, 300 + transient), 0.1, exponents=1, transient=transient)
     z = found.exponents / found.uncertainty
-    assert np.all(z < 2.5) and np.mean(z < 1.25) > 0.6 and np.median(z) > 0.4  # the exponents are zero
+    assert np.all(z < 2.0) and np.mean(z < 1.25) > 0.6 and np.median(z) > 0.4  # the exponents are zero
     H = co.Quadratic([1.0, 0.5, 0.4, 0.0, 0.0, 0.0], linear=[0.0, 0.0, 0.0, 0.5, 0.25, 1.0])
     top = co.LiePoissonSystem(co.algebras.e(3), H, sign=-1)
     orbit = co.integrate(top, (1.0, 0.5, -0.75, 0.6, 0.0, 0.8), (0, 100.0 * count), 0.05, save_every=2000)
-    found = co.lyapunov(top, orbit.x[:count], (0, 550), 0.05, exponents=1, transient=50.0)
+    found = co.lyapunov(top, orbit.x[:count], (0, 500 + transient), 0.05, exponents=1, transient=transient)
     z = (found.exponents - np.mean(found.exponents)) / found.uncertainty
     assert np.mean(np.abs(z) < 2) > 0.8 and np.sqrt(np.mean(z**2)) > 0.4
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(25, marks=pytest.mark.long)])
+@pytest.mark.parametrize("name, transient", [("so(2,1)", 40.0), ("sl(2)", 0.0), ("A5,40", 40.0), ("A4,7", 40.0)])
+def test_exponents_by_long_steps(count, name, transient):
+    """Of H = l . x, known from eigenvalues: the error is that of the step, or log(t)/t for those of a Jordan block."""
+    algebra, z, dominated = co.algebras.so(2, 1) if name == "so(2,1)" else co.algebras.get(name), [], []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        linear, x0 = rng.uniform(0.25, 1.0, algebra.dim), 1e-30 * rng.uniform(0.1, 0.2, algebra.dim)
+        system = co.LiePoissonSystem(algebra, co.Quadratic(np.zeros(algebra.dim), linear=linear), casimirs={})
+        wanted = np.sort(np.linalg.eigvals(system.jacobian(x0)).real)[::-1]
+        for scheme in (co.Splitting(order=2), co.GaussLegendre(1), co.GaussLegendre(2)):
+            found = co.lyapunov(system, x0, (0, 80.1), 0.1, scheme, transient=transient)
+            z.append(np.abs(np.sort(found.exponents)[::-1] - wanted) / np.hypot(found.uncertainty, 1e-12))
+            dominated.append(found.step_error > 0.99 * np.hypot(found.uncertainty, 1e-12))
+    z, dominated = np.array(z), np.array(dominated)
+    assert np.mean(z < 2) > 0.97 and np.mean(z < 1.1) > 0.6
+    assert not dominated.any() or 0.8 < np.median(z[dominated]) < 1.1, "neither too small nor too large"
 
 
 INERTIA, X0, START = np.array([1.0, 2.0, 2.5]), np.array([1.0, 0.2, 0.5]), Rotation.from_rotvec([0.3, -0.2, 0.5])

@@ -1,4 +1,4 @@
-"""Equilibria on coadjoint orbits: axes of a body, the sleeping top, every kind of algebra, spirals, refusals.
+"""Equilibria on coadjoint orbits: axes of a body, the sleeping top, every kind of algebra, spirals.
 
 Weak instabilities are compared with eigenvalues in 40 digits, on both sides of the threshold and of neutral stability.
 """
@@ -192,27 +192,6 @@ def test_spiral_of_a_ring_with_dzyaloshinskii_moriya_coupling():
             assert found.frequencies[0] < 1e-6 < found.frequencies[1] and found.growth == 0.0
         else:
             assert found.energy > lowest + 1e-3
-
-
-def test_what_has_no_equilibrium_is_refused_by_name():
-    body, driven = co.systems.rigid_body(), co.systems.spin_lattice(field=lambda t: np.array([0.0, 0.0, t]))
-    plane = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic(0.0, linear=[1.0, 0.0, 0.0]))
-    spiral = co.LiePoissonSystem(co.algebras.A3_7(0.7), co.Quadratic([1.0, 1.2, 0.8]))
-    for error, named, given in (
-        (ValueError, ["singular", "dimension 0", "dimension 2"], (body, (0, 0, 0))),
-        (ValueError, ["dimension 2", "dimension 4"], (co.systems.heavy_top(), (1, 0, 0, 0, 0, 0))),
-        (ValueError, ["x0 has the shape (2,)", "(3,)"], (body, (1, 0))),
-        *((TypeError, ["system", repr(wrong)], (wrong, (1, 0, 0))) for wrong in ("x", None, 3, [1, 2])),
-        (TypeError, ["batch"], (co.batch([body, body]), (1, 0, 0))),
-        (TypeError, ["forces"], (body.with_forces(co.forces.LinearDamping(0.1)), (1, 0, 0))),
-        (TypeError, ["structure constants"], (co.systems.sphere_euler(N=4), np.zeros((4, 4)))),
-        (TypeError, ["time"], (driven, (1, 0, 0, 0, 1, 0))),
-        (ValueError, ["no minimum"], (plane, (0.3, 0.7, 0.5))),
-        (ValueError, ["approaches a singular orbit"], (spiral, (0.4, -0.5, 0.3))),
-        (ValueError, ["relax"], (body, (1, 0, 0), "sideways")),
-    ):
-        with refused(error, *named):
-            co.equilibrium(*given)
 
 
 @pytest.mark.parametrize(("d", "stability"), [(-0.5e-8, "undecided"), (-2e-8, "stable")])

@@ -186,40 +186,6 @@ def test_symmetric_matrices_are_fitted_by_their_upper_triangles(algebra, casimir
     assert len(found.standard_deviation("M")) == len(chosen)
 
 
-GOOD = {"attitude": np.zeros((41, 3, 3))}
-
-
-@pytest.mark.parametrize(
-    "changed, error, named",
-    [
-        ({"unknown": {"mass": True}}, ValueError, "mass"),
-        ({"unknown": {"inertia": (3,)}}, ValueError, "inertia"),
-        ({"unknown": {}}, TypeError, "unknown"),
-        ({"x0": np.ones((2, 4))}, ValueError, "it must be (3,) or (members, 3)"),
-        ({"x0": np.ones((2, 3))}, ValueError, "(41, 2, 3, 3)"),
-        ({"x0": np.ones((2, 3)), "attitude": np.ones((3, 3, 3))}, ValueError, "attitude has the shape (3, 3, 3)"),
-        ({"measured": {"energy": np.zeros(41)}}, ValueError, "energy"),
-        ({"measured": {"attitude": np.zeros((40, 3, 3))}}, ValueError, "shape"),
-        ({"measured": {"attitude": np.full((41, 3, 3), np.nan)}}, ValueError, "NaN or infinite at (0, 0, 0)"),
-        ({"measured": {}}, TypeError, "measured"),
-        ({"sigma": {"x": 1.0}}, ValueError, "sigma"),
-        ({"sigma": {"attitude": 0.0}}, ValueError, "positive"),
-        ({"sigma": {"attitude": np.ones(7)}}, ValueError, "broadcast"),
-        ({"unknown": {"inertia": True, "x0": True}}, ValueError, "inertia and x0; omit"),
-        ({"t_span": (0.0, 0.0)}, ValueError, "shape"),
-        ({"unknown": {"x0": np.broadcast_to(0, (10**7, 10**6))}}, ValueError, f"{10**13} numbers of entries of x0"),
-    ],
-)
-def test_refused_arguments(changed, error, named):
-    """Momentum and inertia have a common scale, which attitudes do not determine."""
-    arguments = {
-        "ready": body(), "x0": X0, "t_span": SPAN, "measured": GOOD, "unknown": {"x0": True}, "save_every": EVERY,
-        "sigma": {"attitude": SIGMA},
-    }  # fmt: skip
-    with refused(error, named):
-        co.fit(**(arguments | changed))
-
-
 @pytest.mark.parametrize(
     ("name", "unknown", "words"),
     [
@@ -397,22 +363,6 @@ def test_coordinates_that_must_be_one_are_not_fitted():
     starts = np.stack([x0, 1.01 * x0 - 0.01 * np.eye(10)[9]])
     both = co.fit(ready, starts, (0, 1), {"x": ready.run(starts, (0, 1), 4).x}, {"x0": True}, 4, sigma={"x": 0.01})
     assert both.unknowns == tuple(("x0", k) for k in range(20) if k not in (9, 19))
-
-
-@pytest.mark.parametrize(
-    ("observe", "error", "named"),
-    [
-        ({"f": lambda x: "a"}, TypeError, "observe['f']"),
-        ({"f": lambda x: x[: 2 if x[0] == X0[0] else 3]}, ValueError, "observe['f']"),
-        ({"f": lambda x: x[:1]}, ValueError, "(41, 1)"),
-        ({"f": co.Polynomial({(1, 0, 0): 1.0})}, ValueError, "(41,)"),
-        ({"angular_velocity": lambda x: x}, ValueError, "angular_velocity"),
-        ({"f": 3.0}, TypeError, "observe['f']"),
-    ],
-)
-def test_refused_functions_of_states(observe, error, named):
-    with refused(error, named):
-        co.fit(body(), X0, SPAN, {"f": np.zeros((41, 2))}, {"x0": (0,)}, EVERY, sigma={"f": 1.0}, observe=observe)
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.0])

@@ -231,24 +231,6 @@ def test_basic_frequencies_are_chosen_wherever_they_stand():
             lines.combinations(basis)
 
 
-def test_what_is_refused():
-    t = np.arange(200) * 0.1
-    run = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.5), (0.0, 30.0), 0.1)
-    for error, named, given in (
-        (ValueError, "equidistant", (t**2, t)),
-        (ValueError, "at least 64", (t[:20], t[:20])),
-        (ValueError, "signal[3] is nan", (t, np.where(np.arange(200) == 3, np.nan, 1.0))),
-        (ValueError, "at most 4 lines", (t, np.sin(t), 20)),
-        (ValueError, "it must be", (t, np.sin(t[:50]))),
-        (TypeError, "samples", (t,)),
-        (ValueError, "attitude=True", (run, "attitude")),
-        (ValueError, "'energy'", (run, "enegy")),
-        (ValueError, "from 0 to 2", (run, 3)),
-    ):
-        with refused(error, named):
-            co.frequencies(*given)
-
-
 @pytest.mark.parametrize("size", [1e-15, 1.0, 1e10 / 3])
 def test_times_that_were_summed_are_equidistant(size: float):
     """Up to eight units in the last place of the largest time for each of them."""

@@ -107,7 +107,7 @@ def member_of(result, m):
         picked = {f.name: getattr(result, f.name) for f in fields(result)}
         return replace(result, **{n: v if n == "_real" else v[m] for n, v in picked.items()})
     if isinstance(result, co.LyapunovExponents):
-        return replace(result, stretches=result.stretches[:, m])
+        return replace(result, stretches=result.stretches[:, m], step_error=result.step_error[m])
     return np.asarray(result)[m : m + 1]
 
 

@@ -2,27 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
 import coadjoint as co
-from refusals import refused
 
 WELL = (lambda y: 0.5 * y * y + 0.1 * y**4, lambda y: y + 0.4 * y**3, lambda y: 1 + 1.2 * y * y)
-
-
-def real_wave(y):
-    return math.cos(y)
-
-
-def real_slope(y):
-    return -math.sin(y)
-
-
-def real_curvature(y):
-    return -math.cos(y)
 
 
 @pytest.mark.thinned(3)
@@ -46,22 +31,3 @@ def test_a_polynomial_as_functions_is_the_polynomial(order, sign):
             assert of_functions(x, h) == pytest.approx(expected, rel=1e-9)
             assert order < 3 or method.order > 1 or not np.allclose(expected, plain.energy(x[0]))
         assert order < 3 or method.order > 1 or not np.allclose(of_plain(x, 0.5), of_plain(x, -0.5), rtol=1e-6)
-
-
-def test_what_cannot_be_differentiated_is_refused():
-    functions = dict.fromkeys(range(3), (real_wave, real_slope, real_curvature))
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(functions))
-    x = [0.5, 0.4, 0.3]
-    assert isinstance(co.modified_hamiltonian(system, co.Splitting(), 4)(x, 0.1), float)
-    with refused(TypeError, "gradient rejects complex numbers", "take a lower order"):
-        co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
-    kink = (lambda y: y * abs(y) ** 3 / 4, lambda y: abs(y) ** 3, lambda y: 3 * y * abs(y))
-    system = co.LiePoissonSystem(co.algebras.so(3), co.Separable(dict.fromkeys(range(3), kink)))
-    with refused(ValueError, "not analytic"):
-        co.modified_hamiltonian(system, co.Splitting(), 6)(x, 0.1)
-    with pytest.raises(ValueError, match='use rotation="exact"'):
-        co.modified_hamiltonian(system, co.Splitting(rotation="rational"), 4)
-    with refused(ValueError, "symbols need a polynomial one"):
-        co.modified_hamiltonian(system, co.Splitting(), 4, symbols=True)
-    with refused(ValueError, "must be (..., 3)"):
-        co.modified_hamiltonian(system, co.Splitting(), 4)([1.0, 2.0], 0.1)

@@ -286,41 +286,8 @@ def test_splittings_are_poisson_with_hamiltonians(name, sign):
             assert found.keeps(C) is None
 
 
-REFUSED = {
-    "driven": (lambda: co.modified_field(TIMED, co.GaussLegendre(1), 64), ValueError, "time"),
-    "no order": (lambda: co.modified_field(whole("so(3)"), co.GaussLegendre(1), 0), ValueError, "order"),
-    "an order too many": (lambda: co.modified_field(TIMED, co.GaussLegendre(1), 65), ValueError, "64"),
-    "a number": (lambda: co.modified_field(whole("so(3)"), 3, 4), TypeError, "scheme"),
-    "floats": (
-        lambda: co.modified_field(whole("so(3)"), lambda x, h: np.asarray(x, dtype=float), 3), TypeError, "float64"
-    ),
-    "irrational": (
-        lambda: co.modified_field(whole("so(3)"), co.RadauEnergy(2), 4, way="exact"), TypeError, "no exact"
-    ),
-    "a shape": (lambda: co.modified_field(whole("so(3)"), RUNGE, 3)([1.0, 2.0], 0.1), ValueError, "(3,)"),
-    "an invariant": (lambda: co.modified_field(whole("so(3)"), RUNGE, 3).keeps("mass"), ValueError, "mass"),
-    "rounded": (
-        lambda: co.modified_field(
-            whole("so(3)"),
-            lambda x, h: np.array([type(v)(float(v)) for v in x + h * whole("so(3)").vector_field(x)]), 3,
-        ),
-        ValueError, "two sets of steps",
-    ),
-    "a large order": (lambda: co.modified_field(LARGE, co.GaussLegendre(1), 20, way="exact"), TypeError, "order 20"),
-}  # fmt: skip
-TIMED = co.LiePoissonSystem(
-    co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * np.cos(t), lambda x, t: np.array([np.cos(t), 0.0, 0.0]))
-)
 LARGE = co.LiePoissonSystem(co.algebras.so(10), co.Quadratic(np.arange(1.0, 46.0)), casimirs={})
 RUNGE, FROZEN = co.ExplicitRungeKutta("runge2"), co.ModifiedGaussLegendre(1, freeze="gradient")
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_cannot_be_served_is_refused(what):
-    call, error, named = REFUSED[what]
-    with refused(error, named):
-        call()
 
 
 def test_a_field_too_large_for_memory_is_computed_at_points():

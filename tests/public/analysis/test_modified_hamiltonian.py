@@ -13,7 +13,6 @@ import pytest
 import coadjoint as co
 from drawn_matrices import full
 from moments import moments
-from refusals import refused
 
 pytestmark = pytest.mark.thinned(3)
 
@@ -258,31 +257,6 @@ def test_fractions_of_the_hamiltonian_stay_exact():
     assert 24 * term.monomials[2, 2, 0] == m1**2 * m2 - m1**2 * m3 - 2 * m1 * m2**2 + 2 * m1 * m2 * m3 - m2**2 * m3
 
 
-def test_refusals():
-    body, strang, coordinates = SYSTEMS["so(3)"][0], co.Splitting(), co.Splitting(parts="coordinates")
-    driven = co.Separable({i: (lambda y, t: y * t, lambda y, t: t + 0 * y) for i in range(3)})
-    shifted, full = co.systems.rigid_body(inertia=(1, 2, 3)), SYSTEMS["so(3), full, body"][0]
-    kept = co.modified_hamiltonian(body, coordinates, symbols=True)
-    make, x, composed = co.modified_hamiltonian, [1.0, 2.0, 3.0], co.Composition(co.GaussLegendre(1), (1.0,))
-    for error, named, call in (
-        (TypeError, ["GaussLegendre(", "not made of exact flows"], lambda: make(body, co.GaussLegendre(1))),
-        (TypeError, ["Composition(", "not made of exact flows"], lambda: make(body, composed)),
-        (TypeError, ["one LiePoissonSystem"], lambda: make(co.batch([body, body]), strang)),
-        (TypeError, ["scheme"], lambda: make(body, 0.5)),
-        (ValueError, ["'strang'", "Splitting"], lambda: make(body, "strang")),
-        (ValueError, ["order", "12"], lambda: make(body, strang, 14)),
-        (ValueError, ["time"], lambda: make(co.LiePoissonSystem(co.algebras.so(3), driven), strang)),
-        (ValueError, ["Casimir", 'parts="coordinates"'], lambda: make(shifted, strang, symbols=True)),
-        (ValueError, ["completed squares"], lambda: make(full, coordinates, symbols=True)),
-        (ValueError, ["m7"], lambda: make(body, coordinates, symbols=("m7",))),
-        (TypeError, ["b1, b3, m1, m2, m3", "with_values()"], lambda: kept(x, 0.1)),
-        (ValueError, ["'m9'"], lambda: kept.with_values({"m9": 1})),
-        (TypeError, ["step h"], lambda: kept.with_values()(x, "0.1")),
-    ):
-        with refused(error, *named):
-            call()
-
-
 def test_casimirs_that_were_taken_off_are_in_the_first_term():
     body = co.systems.rigid_body(inertia=(1, 2, 3))
     assert co.modified_hamiltonian(body, co.Splitting(), 2)([1.0, 2.0, 3.0], 0.1) == body.energy([1.0, 2.0, 3.0])
@@ -313,26 +287,6 @@ def test_all_forms_of_a_modified_hamiltonian_have_one_value(order):
 
 
 # Symbols
-
-
-@pytest.mark.parametrize("square", [True, False], ids=["one square", "two squares"])
-@pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("name", ["so(3)", "e(3)"])
-def test_symbols_of_coupled_coordinates_are_refused(name, sign, square):
-    """a x1^2 + b x1 x2 + c x2^2 is a (x1 + b x2/2a)^2 + (c - b^2/4a) x2^2: each part depends on several coefficients.
-
-    Also if it is (x1 + x2)^2/2, whose form has the coefficients 1 and whose piece those of H.
-    """
-    algebra = co.algebras.get(name)
-    x = [co.Polynomial.variable(i, algebra.dim) for i in range(algebra.dim)]
-    squares = sum(Fraction(i + 2, 6) * v * v for i, v in enumerate(x) if i > 1 or not square)
-    H = squares + (Fraction(1, 2) * (x[0] + x[1]) ** 2 if square else Fraction(1, 10) * x[0] * x[1])
-    system, method = co.LiePoissonSystem(algebra, H, sign=sign), co.Splitting(parts="coordinates")
-    assert 2 in co.modified_hamiltonian(system, method, 3).terms
-    three = ["m1", "m12", "m2"]
-    for symbols in (True, three, *([one] for one in three)):
-        with refused(ValueError, "symbols", "completed squares"):
-            co.modified_hamiltonian(system, method, 3, symbols=symbols)
 
 
 # Exponents and the factor of each symbol; of a square the symbol is twice its coefficient.

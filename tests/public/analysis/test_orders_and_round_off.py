@@ -68,25 +68,6 @@ def test_a_plateau_is_what_falls_more_slowly_than_the_root_of_the_step(ratio):
         co.analysis.fit_order(steps, steps**0.49)
 
 
-@pytest.mark.parametrize(
-    ("steps", "errors", "floor", "named"),
-    [
-        (STEPS, np.maximum(STEPS**6, 1e-5), 1e-5, "2 of 8"),
-        (STEPS[:2], STEPS[:2], None, "needs 3"),
-        (STEPS[:3], np.zeros(3), None, "0 of 3"),
-        (STEPS, STEPS, [1e-9] * 7, "floor"),
-        ([0.1, 0.2], [1.0], None, "shapes"),
-        ([0.1, 0.1, 0.2], [1.0, 1.0, 1.0], None, "distinct"),
-        ([0.1, -0.1, 0.2], [1.0, 1.0, 1.0], None, "positive"),
-        ([0.1, 0.2, 0.4], [1.0, np.nan, 1.0], None, "finite"),
-        ([0.1, 0.2, 0.4], [1.0, -1.0, 1.0], None, "negative"),
-    ],
-)
-def test_wrong_input_is_refused(steps, errors, floor, named):
-    with refused(ValueError, named):
-        co.analysis.fit_order(steps, errors, *([] if floor is None else [floor]))
-
-
 @pytest.mark.parametrize("name", ["so(3)", "sl(2)", "e(3)", "so(4)", "A3,7"])
 def test_coadjoint_action_is_poisson_and_its_transpose_not(name: str):
     """exp(D_u) is linear, and Poisson on every dual of a Lie algebra."""
@@ -208,23 +189,6 @@ def test_orthogonality_and_spatial_momentum_by_their_definitions():
     found, wanted = co.analysis.spatial_momentum(moved), co.analysis.random_walk(relative, 1)
     for field in ("early", "late", "worst", "bias"):
         assert getattr(found, field) == pytest.approx(getattr(wanted, field), rel=1e-9)
-
-
-def test_what_is_no_ensemble_is_refused():
-    body = co.systems.rigid_body(inertia=(1, 2, 3))
-    alone = co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude=True)
-    ensemble = co.integrate(body, STARTS, (0, 1.0), 0.1, attitude=True)
-    with refused(ValueError, "one trajectory"):
-        co.analysis.round_off(alone)
-    with refused(ValueError, "ensemble"):
-        co.analysis.orthogonality(alone)
-    with refused(ValueError, "coadjoint"):
-        co.analysis.spatial_momentum(ensemble)
-    with refused(ValueError, "coadjoint"):
-        co.analysis.spatial_momentum(co.integrate(body, STARTS[0], (0, 1.0), 0.1, attitude="coadjoint"))
-    for size in (0, 4):
-        with refused(ValueError, "size"):
-            co.analysis.orthogonality(ensemble, size)
 
 
 def test_invariants_that_are_functions_are_relative_to_their_largest_value_of_each_member():

@@ -221,33 +221,6 @@ def test_points_without_a_lead_are_left_out_with_their_times(unit: str):
         drift_of_series(t[kept][:15], lead[kept][:15])
 
 
-def test_what_is_refused(run):
-    uneven = co.integrate(BODY, X0, (0.0, 500.0), 0.1, save_every=5)
-    coarse = co.integrate(BODY, X0, (0.0, 510.0), 0.1, co.GaussLegendre(4), save_every=25)
-    bare = co.integrate(BODY, X0, (0.0, 50.0), 0.1)
-    spiral = co.integrate(co.systems.paper_a37(), (1.0, 1.0, 1.0), (0.0, 5.0), 0.1, attitude=True)
-    for error, named, call in (
-        (ValueError, ["A has the shape (2, 2)"], lambda: attitude_angle(np.eye(2), np.eye(3))),
-        (ValueError, ["zero"], lambda: precession_error(np.eye(3), np.eye(3), [0.0, 0.0, 0.0])),
-        (ValueError, ["(2, 3)"], lambda: phase_error(BODY, (1.0, 2.0, 0.5), [0.0, 1.0], np.zeros((3, 3)))),
-        (ValueError, ["16"], lambda: drift_of_series([0.0, 1.0], [0.0, 1.0])),
-        (ValueError, ["in order"], lambda: drift_of_series(np.r_[np.arange(20.0), 0.0], np.zeros(21))),
-        (TypeError, ["Solution"], lambda: co.phase_drift(run, 3.0)),
-        (ValueError, ["(3,)"], lambda: co.phase_drift(run, lambda t: np.zeros(3))),
-        (ValueError, ["'momentum'"], lambda: co.phase_drift(run, of="momenta")),
-        (TypeError, ["no closed form"], lambda: co.phase_drift(spiral)),
-        (ValueError, ["too far apart"], lambda: co.phase_drift(run, coarse)),
-        (ValueError, ["attitude=True"], lambda: co.phase_drift(bare, of="attitude")),
-        (ValueError, ["no attitude of a body"], lambda: co.phase_drift(spiral, spiral, of="attitude")),
-        (ValueError, ["no phase"], lambda: line_drift(run, 0.0)),
-        (ValueError, ["no line"], lambda: line_drift(run, 0.5, signal=lambda x: 0.0 * x)),
-        (ValueError, ["other saved times"], lambda: line_drift(run, 0.5, uneven)),
-        (ValueError, ["window"], lambda: line_drift(run, 0.5, width=1e-3)),
-    ):
-        with refused(error, *named):
-            call()
-
-
 @pytest.mark.parametrize("of", ["momentum", "attitude"])
 @pytest.mark.parametrize("t0, sense", [(0.0, 1), (7.3, -1)])
 def test_members_that_events_have_ended_have_the_drift_up_to_there(t0, sense, of):

@@ -140,24 +140,6 @@ def test_what_is_carried_along():
     assert circle.carried[0] == pytest.approx(0.5 + np.pi / 3, rel=1e-11)
 
 
-@pytest.mark.long
-def test_what_has_no_period_is_refused():
-    body, tilted = BODIES["1, 2, 3"], BODIES["full tensor"]
-    body4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic([1.0, 0.8, 0.55, 0.9, 0.35, 0.6]))
-    for named, field, x0 in (
-        ("at rest", body.vector_field, (0.0, 0.0, 1.0)),
-        ("at rest", tilted.vector_field, np.linalg.eigh(TENSOR)[1][:, 0]),
-        ("not periodic", co.systems.paper_a37().vector_field, (1.0, 1.0, 1.0)),
-        ("not periodic", body4.vector_field, (0.9, -0.4, 0.7, 0.5, 1.1, -0.6)),
-        ("diverges", lambda x: np.array([x[0] ** 2]), [1.0]),
-    ):
-        with refused(ValueError, named):
-            period(field, x0)
-    # The gradient of a Casimir gives J(x) x = 0 up to rounding, which has no motion to follow.
-    with refused(ValueError, "not smooth"):
-        co.predicted_drift(body, (0.9, 0.31, 0.77), gradient=lambda x: x)
-
-
 @pytest.mark.parametrize(("off", "accepted"), [(0.5e-8, True), (2e-8, False)])
 def test_an_orbit_returns_up_to_its_threshold(off, accepted):
     """A spiral that grows by pi off in a turn; the orbit is two wide."""

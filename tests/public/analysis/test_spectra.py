@@ -72,30 +72,6 @@ def test_only_the_last_time_may_be_off_the_grid(start, step):
     assert np.isfinite(co.frequencies(t, np.cos(t), count=1).frequency).all()
 
 
-def test_what_is_no_signal_is_refused():
-    t = np.arange(16.0)
-    spoiled = np.zeros((16, 2))
-    spoiled[2, 1] = np.nan
-    failed = co.integrate(BODY, STARTS, (0.0, 2.0), 0.1)
-    failed.failed[1] = True
-    for given, named in (
-        ((t, spoiled), ["signal[2, 1]"]),
-        ((np.ones(16), t), ["equidistant"]),
-        ((t, np.zeros((16, 0))), ["at least one"]),
-        ((run(True, False), np.zeros(21)), ["(22, members)"]),
-        ((run(False, False), np.zeros((21, 2, 3))), ["(22,)"]),
-        ((run(True, False), 3), ["0 to 2", "3"]),
-        ((run(True, False), -1), ["0 to 2", "-1"]),
-        ((run(True, False), "x4"), ["'attitude', 'energy', 'x3'"]),
-        ((failed,), ["member 1"]),
-        ((t[:9], t[:9]), ["at least 16"]),
-        ((t, t, -1.0), ["window"]),
-        ((t, np.ones(5)), ["(5,)"]),
-    ):
-        with refused(ValueError, *named):
-            autocorrelation(*given)
-
-
 def autoregressive(a, count, members=1, seed=1):
     """Stationary series (count, members) with x' = a x + noise, of variance 1 / (1 - a^2)."""
     noise = np.random.default_rng(seed).normal(size=(count, members))
@@ -249,28 +225,6 @@ def test_static_structure_factor_of_cold_spins_is_that_of_equipartition():
     top = np.argmax(S.intensity, axis=1)
     relative = (S.error / S.intensity)[np.arange(len(top)), top]
     assert np.all(np.abs(relative * np.sqrt(members) - 1.0) < 0.35)
-
-
-def test_what_has_no_structure_factor_is_refused_by_name():
-    ring, complete = co.systems.spin_lattice("ring", 6), co.systems.spin_lattice("complete", 4)
-    of_five = co.LiePoissonSystem(ring.algebra, ring.hamiltonian, layout={"lattice": "chain", "shape": 5})
-    two = co.batch([ring, co.systems.spin_lattice("chain", 6)])
-    x0, times = nearly_up(6), {"t_eval": np.linspace(0, 1, 9) ** 2}
-    for named, system, states, step, options in (
-        (["no lattice"], complete, nearly_up(4)[0], 0.05, {}),
-        (["at least 8"], ring, x0[0], 0.25, {}),
-        (["equidistant"], ring, x0[0], 0.05, times),
-        (["5 sites", "18"], of_five, x0[0], 0.05, {}),
-        (["different lattices"], two, x0, 0.05, {}),
-    ):
-        sol = co.integrate(system, states, (0, 1), step, **options)
-        with refused(ValueError, *named):
-            co.spectra.structure_factor(sol)
-    sol = co.integrate(ring, x0[0], (0, 1), 0.05)
-    with refused(ValueError, "window", "'hannn'"):
-        co.spectra.structure_factor(sol, window="hannn")
-    with pytest.raises(TypeError):
-        co.spectra.structure_factor(sol.x)
 
 
 def test_picture_has_the_corners_of_the_path():

@@ -5,7 +5,6 @@ import pytest
 from scipy import special, stats
 
 import coadjoint as co
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 METHODS = {
@@ -118,33 +117,6 @@ def test_every_sweep_of_over_relaxation_is_a_half_turn():
         np.testing.assert_allclose(spins.reshape(-1, 3), turned if k % 2 else drawn, rtol=0, atol=1e-14)
 
 
-def test_systems_without_thermal_states_are_refused_by_name():
-    pair = co.systems.spin_lattice()
-    for named, system in (
-        ("copies of so", co.systems.heavy_top(inertia=(1, 1, 2))),
-        ("quadratic form", co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(0, 0, 4): 1.0}))),
-        ("forces", pair.with_forces(co.forces.HeatBath(0.1, temperature=1.0, seed=1))),
-        ("time", co.systems.spin_lattice(field=lambda t: np.array([0.0, 0.0, np.cos(t)]))),
-        ("batch", co.batch([pair, pair])),
-        ("not made of spins", co.systems.torus_euler(3)),
-    ):
-        with refused(TypeError, named):
-            co.thermal_states(system, 1.0, seed=1)
-    for named, options in (
-        (["temperature", "0.0", "positive"], {"temperature": 0.0}),
-        (["temperature", "(2, 1)"], {"temperature": [[1.0], [2.0]]}),
-        (["temperature", "(0,)"], {"temperature": []}),
-        (["members"], {"temperature": [1.0, 2.0], "members": 3}),
-        (["x0", "shape"], {"x0": np.ones(5)}),
-        (["method"], {"method": "metropolis hastings"}),
-        (["sweeps"], {"sweeps": 0}),
-        (["needs about"], {"members": 2**40}),
-        (["range"], {"x0": np.full(6, 1e200)}),
-    ):
-        with refused(ValueError, *named):
-            co.thermal_states(pair, **{"temperature": 1.0, "seed": 1, **options})
-
-
 def test_a_member_has_the_same_bits_alone_and_continues_from_its_own_state():
     lattice = co.systems.spin_lattice("triangular", (3, 4), dm=(0, 0, 0.3), on_site=(0, 0, 0.5), field=(0.1, 0, 0))
     kT = np.linspace(0.3, 2.0, 7)
@@ -163,6 +135,20 @@ def test_a_member_has_the_same_bits_alone_and_continues_from_its_own_state():
 def starts(members, spins, seed):
     S = np.random.default_rng(seed).standard_normal((members, spins, 3))
     return (S / np.linalg.norm(S, axis=-1, keepdims=True)).reshape(members, 3 * spins)
+
+
+def test_members_that_are_not_swept_together_have_their_own_starts_and_temperatures():
+    """Those beyond 2^15 spins are swept later: the last ones stay near the state of lowest energy, others do not."""
+    pair, members = co.systems.spin_lattice(exchange=1.0), 2**14 + 5
+    x0, kT = starts(members, 2, 1), np.ones(members)
+    x0[-4:], kT[-4:] = np.tile([0.6, 0.0, 0.8], 2), 1e-6
+    states = co.thermal_states(pair, kT, x0=x0, sweeps=2, seed=3)
+    np.testing.assert_allclose(states.energy[0], pair.energy(x0), rtol=0, atol=16 * UNIT_ROUNDOFF)
+    np.testing.assert_allclose(states.energy[-1], pair.energy(states.x), rtol=0, atol=16 * UNIT_ROUNDOFF)
+    assert np.all(np.abs(states.energy[:, -4:] + 1.0) < 1e-4) and np.std(states.energy[-1, :-4]) > 0.1
+    assert len(np.unique(states.x[:, 0])) == members
+    alone = co.thermal_states(pair, kT[:2], x0=x0[:2], sweeps=2, seed=3)
+    assert np.array_equal(states.x[:2], alone.x)
 
 
 def test_spin_in_a_field_has_boltzmann_density():

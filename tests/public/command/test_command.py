@@ -100,7 +100,7 @@ def test_a_failed_run_writes_what_it_computed(call, name):
 
 REFUSED = {
     "an unknown command": (["rnu"], ("'rnu'", "'run'")),
-    "no command like it": (["zzzzz"], ("'zzzzz'", "algebras, certify, check, export, gallery, methods, reproduce")),
+    "no command like it": (["zzzzz"], ("'zzzzz'", "--help")),
     "no file": (["run"], ("FILE", "--help")),
     "a misspelled option": (["run", "body.toml", "--ot", "x"], ("'--ot'", "'--out'")),
     "options of other commands": (["certify", "--stepps", "3"], ("'--stepps'", "'--steps'")),
@@ -116,15 +116,15 @@ REFUSED = {
     "the format of a description": (["systems", "toda", "--json", "x.txt"], ("x.txt: ", ".json")),
     "a file that is not there": (["run", "none.toml"], ("none.toml: ", "No such file")),
     "a folder": (["run", "."], (".: ", "directory")),
-    "pictures in a file": (["gallery", "toda", "--out", "body.toml"], ("body.toml", "exists")),
-    "experiments in a file": (["reproduce", "--out", "body.toml"], ("body.toml", "exists")),
+    "pictures in a file": (["gallery", "toda", "--out", "body.toml"], ("body.toml", "is a file")),
+    "experiments in a file": (["reproduce", "--out", "body.toml"], ("body.toml", "is a file")),
     "certificate of no name": (["certify", "body.toml", "--json", ""], (".json",)),
     "picture of no name": (["certify", "body.toml", "--plot", ""], (".png, .pdf or .svg",)),
     "certificate in no folder": (["certify", "body.toml", "--json", "none/a.json"], ("none/a.json: ",)),
     "certificate as a picture": (["certify", "body.toml", "--json", "a.png"], ("a.png: ",)),
     "no steps": (["certify", "body.toml", "--steps", "0"], ("steps", "not 0")),
-    "a sweep": (["certify", "sweep.toml"], ("sweep.toml: sweep.over: ",)),
-    "forces": (["certify", "forces.toml"], ("forces.toml: forces: ",)),
+    "a sweep": (["certify", "sweep.toml"], ("batch",)),
+    "forces": (["certify", "forces.toml"], ("forces",)),
     "an end before": (["resume", "held.zarr", "--t-end", "0"], ("t_end is 0",)),
     "no threads": (["resume", "held.zarr", "--t-end", "2", "--threads", "0"], ("not 0",)),
     "workers of one run": (["resume", "held.zarr", "--workers", "0"], ("workers",)),
@@ -232,7 +232,7 @@ def test_systems_and_schemes_are_described(call):
     assert "Examples" not in one and "Splitting(order=2" not in one and one.endswith("\n")
     found = call("systems", "gyrostat", "--json", "described.json")
     assert found.out.startswith("gyrostat(inertia=(1.0, 2.0, 3.0), rotors=(0.25, 0.5, 0.75))")
-    assert "so(3); dimension 3, rank 2" in found.out and "mass times length squared over time" in found.out
+    assert re.search("^rank +2$", found.out, re.MULTILINE) and "mass times length squared over time" in found.out
     assert found.out.endswith("written: described.json\n")
     assert json.loads(Path("described.json").read_text())["casimirs"] == {"|x|^2": "x1^2 + x2^2 + x3^2"}
     assert "so(5)" in call("systems", "matrix_body").out

@@ -16,7 +16,7 @@ from fuzz.run import in_processes
 from long import long_beyond
 from refusals import refused
 
-COUNTS = [("configurations", 30), ("calls", 60), ("configurations", 1200), ("calls", 800)]
+COUNTS = [("configurations", 15), ("calls", 30), ("configurations", 1200), ("calls", 800)]
 
 
 @pytest.mark.parametrize(("kind", "count"), long_beyond(2, COUNTS))

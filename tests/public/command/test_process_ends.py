@@ -93,7 +93,7 @@ threading.Thread(target=work).start()
         ("--version", ">&-", 1, "cannot be written"),
         ("--version", "2>&-", 0, ""),
         ("--version", "<&- >&- 2>&-", 1, ""),
-        ("nonsense", ">&-", 2, "unknown command"),
+        ("nonsense", ">&-", 2, "command"),
         ("nonsense", "2>&-", 2, ""),
         ("nonsense", "2>/dev/full", 2, ""),
         ("schema", ">/dev/full", 1, "cannot be written"),

@@ -29,7 +29,6 @@ members = co.integrate(body, np.outer(np.linspace(0.5, 1.0, 8), x0), (0, 1), 0.0
 co.integrate(body, x0, (0, 10), accuracy=1e-9)
 co.integrate(co.LiePoissonSystem(co.algebras.so(3), co.Hamiltonian(lambda x: x[0] ** 4 + x[1] ** 2)), x0, (0, 1), 0.1,
     co.GaussLegendre(2))
-assert co.certify(body, co.GaussLegendre(2), (0.3, 1.0, 0.2), step=0.1).passed
 """
 CHECKOUT = """
 import doctest, sys
@@ -43,7 +42,6 @@ for arguments in (
     ["run", example, "--out", "body.nc", "--figure", "body.png"],
     ["run", example, "--archive", "body.zarr", "--quiet"],
     ["resume", "body.zarr", "--t-end", "1001"],
-    ["certify", example],
     ["systems"],
     ["schema"],
 ):
@@ -57,10 +55,10 @@ for arguments in (
 
 
 def test_session_without_warnings(tmp_path):
-    """A run, its archive, files, a picture, an ensemble, a chosen scheme, a Python function and a certificate.
+    """A run, its archive, files, a picture, an ensemble, a chosen scheme and a Python function.
 
-    In a checkout also the README, and a configuration file that is checked, run with a dataset, an archive and a
-    picture, and certified.
+    In a checkout also the README, and a configuration file that is checked, and run with a dataset, an archive and a
+    picture.
     """
     checkout = CHECKOUT.format(files=(str(ROOT / "README.md"), str(EXAMPLE))) if EXAMPLE.is_file() else ""
     process = [sys.executable, "-W", "error", "-c", SESSION + checkout]

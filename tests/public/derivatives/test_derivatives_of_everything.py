@@ -4,10 +4,9 @@ import warnings
 
 import numpy as np
 import pytest
-from derivative_checks import DIFFERENCE_ERROR, DISTANCE, assert_derivatives, difference, outputs
+from derivative_checks import DIFFERENCE_ERROR, assert_derivatives, difference, outputs
 
 import coadjoint as co
-from digests.schemes_under_test import EXAMPLES
 from energies import pulsed
 from rounding import UNIT_ROUNDOFF
 
@@ -202,17 +201,6 @@ def test_derivatives_with_forces(kind, scheme, name):
     assert {"M", "linear"} <= set(gradient)
 
 
-@pytest.mark.parametrize("scheme", ["order 4", "Gauss", pytest.param("Kahan", marks=pytest.mark.long)])
-def test_derivatives_by_torques_that_are_inputs(scheme):
-    """A field changes the damping on the orbit too; a parameter changes at fixed inputs."""
-    base, x0 = plain("so(4)")
-    torques = [(F.Torque, {"torque": np.linspace(a, b, 6)}) for a, b in ((0.1, 0.2), (-0.2, 0.1))]
-    build = forced(base, torques[0], (F.DoubleBracketDamping, {"alpha": 0.2}), torques[1])
-    values = {"jets": np.linspace(-0.3, 0.2, 6), "field": np.array([0.2, -0.1])}
-    assert_derivatives(build, SCHEMES[scheme], x0, (0.5, 0.625), H, inputs={"jets": "Torque 2", "field": (2, 0)},
-                       values=values)  # fmt: skip
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("sign", [1, -1])
@@ -243,17 +231,6 @@ def test_gradients_of_long_steps_on_the_orbit(force):
     base, x0 = plain("so(3)")
     gradient = assert_derivatives(forced(base, force), co.Splitting(), 2.0 * x0, (0.5, 1.5), 0.5)
     assert any(name.endswith(".alpha") for name in gradient)
-
-
-OF_FIELDS = ("IsospectralGauss", "LineSplitting")
-WITH_STEPS = [one for one in EXAMPLES if not one.own_steps and type(one).__name__ not in OF_FIELDS]
-
-
-@pytest.mark.parametrize("scheme", WITH_STEPS, ids=str)
-def test_every_scheme_is_differentiated_by_inputs_and_parameters(scheme):
-    """With automatic parts, which are fixed for all inputs but follow the parameters of the system."""
-    options = {"inputs": {"rotors": (0, 2)}, "values": {"rotors": np.array([0.1, 0.2])}}
-    assert_derivatives(BODY, scheme, X3, (0.25, 0.25 + 3 * H), H, **options)
 
 
 class Spring(co.forces.Force):
@@ -390,62 +367,6 @@ def test_observed_quantities_of_the_time_move_with_the_crossing_that_ends_a_run(
     assert abs(found @ direction - difference(total)) <= DIFFERENCE_ERROR * np.abs(found * direction).sum()
 
 
-BATCH = [co.systems.rigid_body(inertia=(1.0, 2.0, third)) for third in (2.25, 2.5, 2.75)]
-NOISE = [BATCH[0].with_forces(F.LinearDamping(rate), F.HeatBath(0.3, temperature=0.2, seed=5)) for rate in (0.1, 0.3)]
-
-
-@pytest.mark.parametrize(
-    ("systems", "method"),
-    [(BATCH, co.Splitting(order=4)), (BATCH, co.GaussLegendre(2)), (NOISE, co.Splitting())],
-)
-def test_members_of_a_batch_have_the_bits_of_single_runs(systems, method):
-    """A bath of member m is that of the stream m."""
-    rng, count, span = np.random.default_rng(3), len(systems), (1.0, 1.25)
-    x0, options = rng.uniform(0.2, 0.9, (count, 3)), {"save_every": 2}
-    ready = co.prepare(co.batch(systems), method, 0.125, attitude="coadjoint")
-    assert ready.parameters["inertia"][:, 2].tolist() == [2.25, 2.5, 2.75] if systems is BATCH else count * [2.25]
-    directions = {name: rng.standard_normal((*v.shape, 2)) for name, v in [("x0", x0), *ready.parameters.items()]}
-    sol, tangents = ready.jvp(x0, span, directions, **options)
-    weights = {name: rng.standard_normal(value.shape) for name, value in outputs(sol).items()}
-    gradient = ready.vjp(x0, span, **options)[1](**weights)
-    for m, system in enumerate(systems):
-        if systems is NOISE:
-            system = BATCH[0].with_forces(system.forces[0], F.HeatBath(0.3, temperature=0.2, seed=5, stream=m))
-        single = co.prepare(system, method, 0.125, attitude="coadjoint")
-        alone, one = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()}, **options)
-        assert all(np.array_equal(value, outputs(tangents)[name][:, m]) for name, value in outputs(one).items())
-        assert np.array_equal(sol.x[:, m], alone.x)
-        found = single.vjp(x0[m], span, **options)[1](**{name: value[:, m] for name, value in weights.items()})
-        assert all(np.array_equal(gradient[name][m], value) for name, value in found.items() if name != "attitude0")
-
-
-def test_members_whose_energies_are_shifted_by_different_multiples_have_the_bits_of_single_runs():
-    """The multiple of the Casimir is half of the energy about the middle axis, and attitudes are corrected by it."""
-    rng, span = np.random.default_rng(6), (0.0, 0.5)
-    systems = [co.systems.rigid_body(inertia=(1.0, middle, 2.5)) for middle in (1.75, 2.0, 2.25)]
-    x0, ready = rng.uniform(0.2, 0.9, (3, 3)), co.prepare(co.batch(systems), co.Splitting(), H, attitude=True)
-    directions = {name: rng.standard_normal(v.shape) for name, v in [("x0", x0), *ready.parameters.items()]}
-    sol, tangents = ready.jvp(x0, span, directions)
-    weights = rng.standard_normal(sol.attitude.shape)
-    gradient = ready.vjp(x0, span)[1](attitude=weights)
-    for m, system in enumerate(systems):
-        single = co.prepare(system, co.Splitting(), H, attitude=True)
-        alone = single.jvp(x0[m], span, {name: value[m] for name, value in directions.items()})[1]
-        assert np.array_equal(alone.attitude, tangents.attitude[:, m])
-        found = single.vjp(x0[m], span)[1](attitude=weights[:, m])
-        assert all(np.array_equal(gradient[name][m], value) for name, value in found.items())
-
-
-@pytest.mark.parametrize("scheme", WITH_STEPS, ids=str)
-def test_every_scheme_is_differentiated_in_a_batch(scheme):
-    """Also where the steps of members that share tables are differentiated in Python."""
-    x0, weights = np.linspace(0.2, 0.9, 9).reshape(3, 3), np.cos(np.arange(27.0)).reshape(3, 3, 3)
-    gradient = co.prepare(co.batch(BATCH), scheme, H).vjp(x0, (0.25, 0.25 + 2 * H))[1](x=weights)
-    for m, system in enumerate(BATCH):
-        alone = co.prepare(system, scheme, H).vjp(x0[m], (0.25, 0.25 + 2 * H))[1](x=weights[:, m])
-        assert all(np.array_equal(gradient[name][m], value) for name, value in alone.items())
-
-
 def _tops(rng, count):
     """Heavy tops of several structures: the order of parts depends on the moments, and some are symmetric."""
     thirds = [2.0, *(1.5 + rng.random(count - 1))]
@@ -530,20 +451,6 @@ def test_members_that_are_differentiated_together_have_the_bits_of_single_runs(
         assert all(np.array_equal(gradient[name][m], value) for name, value in found.items())
 
 
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.Splitting(compensated=True)], ids=str)
-@pytest.mark.parametrize("systems_of", [_tops, _full, _quartic, _lattices])
-def test_gradients_of_an_ensemble_with_attitudes_have_the_bits_of_single_runs(systems_of, method):
-    """Sums over the rows of elements of three to nine rows, which are lanes of a single run."""
-    rng, span = np.random.default_rng(4), (0.5, 1.0)
-    system = systems_of(rng, 2)[1]
-    x0, ready = rng.uniform(0.2, 0.9, (5, system.dim)), co.prepare(system, method, H, attitude="coadjoint")
-    sol, pullback = ready.vjp(x0, span)
-    weights = rng.standard_normal(sol.attitude.shape)
-    found = pullback(attitude=weights)["x0"]
-    for m in range(5):
-        assert np.array_equal(found[m], ready.vjp(x0[m], span)[1](attitude=weights[:, m])["x0"])
-
-
 def test_a_member_of_a_batch_whose_derivatives_overflow_leaves_those_of_the_others():
     """One member grows without bound along its direction; the others are those of a batch without it."""
     plane = co.algebras.get("A2,1")
@@ -608,34 +515,6 @@ def test_gradients_through_steps_that_contract_warn_of_their_errors(members, for
         assert not lost or "jvp" in str(caught[0].message)
 
 
-def growing(c):
-    """Return a term c x^2 / 2 that begins to act at t = 19, with its derivatives."""
-    return (
-        lambda x, t: 0.25 * c * x * x * (1.0 + np.tanh(20.0 * (t - 19.0))),
-        lambda x, t: 0.5 * c * x * (1.0 + np.tanh(20.0 * (t - 19.0))),
-        lambda x, t: 0.5 * c * (1.0 + np.tanh(20.0 * (t - 19.0))) + 0.0 * x,
-    )
-
-
-@pytest.mark.parametrize("forces", [(), (F.LinearDamping(1e-4),)], ids=["free", "forced"])
-@pytest.mark.parametrize(("end", "lost"), [(20.0, False), (38.0, True), (40.0, True)])
-def test_warnings_of_gradients_are_those_of_the_step_that_contracts_most(end, lost, forces):
-    """Not of the first one, the last to be differentiated: the energy acts after it."""
-    energy = co.Separable({k: growing(c) for k, c in enumerate((1.0, 0.5, 0.3))})
-    plain = co.LiePoissonSystem(co.algebras.get("A3_2"), energy)
-    ready = co.prepare(plain.with_forces(*forces) if forces else plain, co.Splitting(order=2), 20.0)
-    start = 0.0 if forces else -20.0 * 2**14  # in several stretches, from whose starts steps are repeated
-    span = start, 20.0 * np.ceil(end / 20.0)
-    sol, pullback = ready.vjp(np.array([0.7, -0.4, 0.6]), span, t_eval=[start, end])
-    weights = np.zeros_like(sol.x)
-    weights[-1] = 0.2, 0.6, 1.0
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        warnings.simplefilter("ignore", co.LongWait)  # of a busy machine
-        pullback(x=weights)
-    assert [warning.category for warning in caught] == [co.LargeStepWarning] * lost
-
-
 @pytest.mark.parametrize("method", [co.GaussLegendre(2), co.GaussLegendre(4)], ids=str)
 @pytest.mark.parametrize("step", [0.25, 4.0])
 def test_derivatives_of_long_steps(method, step):
@@ -692,22 +571,6 @@ def test_differences_by_an_entry_far_below_the_others_do_not_show_rounding():
 def test_differences_by_entries_that_change_the_parts_are_those_of_the_parts_here(x0):
     """The parts of this splitting are ordered anew where a moment changes by some 0.01."""
     assert_derivatives(named("manakov_top"), co.Projected(co.Splitting()), np.array(x0), (0.0, H), H)
-
-
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
-def test_derivatives_of_one_step(method):
-    """By its state and by its inputs."""
-    step, values = co.stepper(TOP({}), method, 0.1, inputs={"field": (3, 4, 5), "rotor": (1,)}), [0.1, 0.2, 0.3, 0.4]
-    given = {"field": values[:3], "rotor": values[3:]}
-    rng = np.random.default_rng(1)
-    dx, du = rng.standard_normal(6), rng.standard_normal(4)
-
-    def moved(by):
-        u = values + by * du
-        return step(X6 + by * dx, field=u[:3], rotor=u[3:])
-
-    found = step.tangent(X6, **given) @ dx + step.tangent_by_inputs(X6, **given) @ du
-    np.testing.assert_allclose(found, difference(moved), rtol=0, atol=DIFFERENCE_ERROR)
 
 
 @pytest.mark.parametrize(
@@ -784,39 +647,3 @@ def test_undone_steps_give_the_same_gradient(scheme):
         for one, other in zip(*((g[name].values() if name == "inputs" else [g[name]]) for g in gradients), strict=True):
             # The states differ by rounding, whose growth over 100 steps is below 2^14 for these motions.
             np.testing.assert_allclose(other, one, rtol=0, atol=2.0**14 * UNIT_ROUNDOFF * max(1.0, np.abs(one).max()))
-
-
-READY_MADE = [
-    (name, parameter)
-    for name in co.systems.names()
-    for parameter in (co.systems.get(name).parameters or {})
-    if not isinstance(co.systems.get(name), co.MatrixSystem)
-]
-
-
-@pytest.mark.filterwarnings("ignore:.*principal moment")
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("method", [co.Splitting(order=4), co.GaussLegendre(2)], ids=str)
-@pytest.mark.parametrize(("name", "parameter"), READY_MADE)
-def test_derivatives_by_arguments_of_ready_made_systems(name, parameter, method):
-    system = co.systems.get(name)
-    try:
-        ready = co.prepare(system, method, 1 / 64)
-    except ValueError:  # no parts with exact flows
-        return
-    if parameter not in ready.parameters:
-        return
-    x0, value = 0.4 * np.cos(np.arange(1.0, 1.0 + system.dim)), ready.parameters[parameter]
-    if "z" in system.casimirs:
-        x0[np.argmax(np.abs(system.casimirs["z"].gradient(x0)))] = 1.0
-    w = np.random.default_rng(1).uniform(0.5, 1.0, value.shape) * np.maximum(np.abs(value), 0.5)
-    _, tangents = ready.jvp(x0, (0.0, 0.25), {parameter: w}, 16)
-
-    def run(by):
-        changed = value + by * w
-        given = {**system.parameters, parameter: changed if changed.ndim else float(changed)}
-        return co.prepare(co.systems.get(name, **given), ready.method, 1 / 64).run(x0, (0.0, 0.25), 16).x
-
-    expected = difference(run, DISTANCE)
-    bound = 10 * 64.0**-4 if tangents.rule[parameter] == "added part" else DIFFERENCE_ERROR
-    assert np.abs(tangents.x - expected).max() <= bound * max(1.0, np.abs(expected).max())

@@ -8,7 +8,7 @@ from long import long_where
 from satellite_forces import CASES, STEP
 
 
-@pytest.mark.thinned(8)
+@pytest.mark.thinned(30)
 @pytest.mark.parametrize("name", long_where(["Sampled"], CASES))
 def test_derivatives_by_parameters_of_forces(name):
     """Tangents, gradients and differences of whole runs, over two samples, where no limit is reached."""

@@ -45,51 +45,6 @@ def test_derivatives_have_the_same_bits_on_any_number_of_threads_and_after_pickl
         assert same_bits(found[1], expected[1]) and same_bits(found[2], expected[2])
 
 
-@pytest.mark.parametrize("members", [1, 3, 9, 40])
-def test_members_have_the_derivatives_that_they_have_alone(members):
-    """In whole lanes, in their remainders, and in one more member."""
-    x0 = X6 * np.linspace(1.0, 0.7, members)[:, None]
-    ready = co.prepare(TOP, co.Splitting(order=4), H, attitude=True)
-    along = np.random.default_rng(1).standard_normal(x0.shape)
-    sol, tangents = ready.jvp(x0, (0.5, 1.5), {"x0": along})
-    gradient = ready.vjp(x0, (0.5, 1.5))[1](sol.x, attitude=sol.attitude)
-    total = 0.0
-    for m in range(members):
-        alone, one = ready.jvp(x0[m], (0.5, 1.5), {"x0": along[m]})
-        found = ready.vjp(x0[m], (0.5, 1.5))[1](alone.x, attitude=alone.attitude)
-        total = total + found["lever"]
-        bound = {"rtol": 0, "atol": 2.0**10 * UNIT_ROUNDOFF}
-        for name, value in outputs(one).items():
-            np.testing.assert_allclose(outputs(tangents)[name][:, m], value, **bound)
-        np.testing.assert_allclose(gradient["x0"][m], found["x0"], **bound)
-        np.testing.assert_allclose(gradient["attitude0"][m], found["attitude0"], **bound)
-    np.testing.assert_allclose(gradient["lever"], total, rtol=0, atol=members * 2.0**10 * UNIT_ROUNDOFF)
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("inputs", [{}, {"rotors": (2, 0)}], ids=["plain", "inputs"])
-@pytest.mark.parametrize("count", [2, 9])
-@pytest.mark.parametrize("system", [BODY, TOP], ids=["body", "top"])
-def test_members_follow_their_own_directions(system, count, inputs):
-    """Few directions, and more than coordinates and Casimirs, which are combined from those of a basis."""
-    rng, n, d = np.random.default_rng(5), system.dim, np.shape(system.representation)[-1]
-    x0 = np.resize(X6, n) * np.array([1.0, 0.75, -0.5])[:, None]
-    ready = co.prepare(system, co.Splitting(), H, attitude=True, inputs=inputs or None)
-    along = {"x0": rng.standard_normal((3, n, count)), "attitude0": rng.standard_normal((3, d, d, count))}
-    given = {name: rng.standard_normal((3, 2)) for name in inputs}
-    of_inputs = {name: rng.standard_normal((3, 2, count)) for name in inputs}
-    _, tangents = ready.jvp(x0, (0.5, -0.5), along | ({"inputs": of_inputs} if inputs else {}), 2, **given)
-    for m in range(3):
-        values = {name: value[m] for name, value in given.items()}
-        for k in range(count):
-            single = {name: value[m, ..., k] for name, value in along.items()}
-            single |= {"inputs": {name: value[m, ..., k] for name, value in of_inputs.items()}} if inputs else {}
-            _, alone = ready.jvp(x0[m], (0.5, -0.5), single, 2, **values)
-            for name, value in outputs(alone).items():
-                bound = {"rtol": 0, "atol": 2.0**10 * UNIT_ROUNDOFF * max(1.0, np.abs(value).max())}
-                np.testing.assert_allclose(outputs(tangents)[name][:, m, ..., k], value, **bound)
-
-
 def test_several_directions_are_a_further_axis():
     ready = co.prepare(TOP, co.Splitting(), H, attitude=True, inputs={"rotor": (0,)})
     rng, given = np.random.default_rng(6), {"rotor": [0.3]}

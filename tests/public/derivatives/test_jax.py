@@ -1,4 +1,4 @@
-"""Runs as functions of JAX: values, derivatives, transformations and refused arguments."""
+"""Runs as functions of JAX: values, derivatives and transformations."""
 
 import os
 from functools import partial
@@ -281,34 +281,6 @@ def test_forces_may_be_given_values_at_which_they_have_no_derivative(force, limi
         jax.grad(lambda value: f(X0, **{parameter: value}).sum())(0.0)
 
 
-@pytest.mark.parametrize(
-    ("x0", "values", "error", "named"),
-    [
-        (X0.astype(np.float32), {}, TypeError, ("x0", "float32", "float64")),
-        (X0, {"inertia": INERTIA.astype(np.float32)}, TypeError, ("inertia", "float32", "float64")),
-        (X0[:2], {}, ValueError, ("x0", "(2,)", "(members, 3)")),
-        (MANY[None], {}, ValueError, ("x0", "(1, 4, 3)")),
-        (MANY[:0], {}, ValueError, ("x0", "(0, 3)")),
-        (X0, {"inertia": np.diag(INERTIA)}, ValueError, ("inertia", "(3, 3)", "(3,)")),
-        (X0, {"inertai": INERTIA}, ValueError, ("inertai", "inertia")),
-        (X0, {"attitude0": np.eye(3)}, ValueError, ("attitude0",)),
-    ],
-)
-@pytest.mark.parametrize("wrapped", [lambda f: f, jax.jit, jax.jacfwd], ids=["at once", "jit", "jacfwd"])
-def test_wrong_arguments_are_refused(f, wrapped, x0, values, error, named):
-    with refused(error, *named):
-        wrapped(lambda x0: f(x0, **values))(x0)
-    jax.config.update("jax_enable_x64", False)
-    with refused(TypeError, "jax_enable_x64"):
-        wrapped(f)(X0)
-
-
-def test_second_derivatives_are_refused(f):
-    for second in (jax.hessian, lambda number: jax.jacrev(jax.jacrev(number)), lambda g: jax.jacfwd(jax.jacfwd(g))):
-        with refused(NotImplementedError, "first derivatives"):
-            second(lambda x0: f(x0)[-1, 0])(X0)
-
-
 def test_gauss_newton_products_are_linear_with_a_transpose(f):
     def product(v):
         return jax.vjp(f, X0)[1](jax.jvp(f, (X0,), (v,))[1])[0]
@@ -325,26 +297,6 @@ def test_refused_values_and_failed_runs_raise(f):
         jax.jit(lambda inertia: f(X0, inertia=inertia))(-INERTIA)
     with pytest.raises(co.IntegrationError):
         f(1e300 * X0)
-
-
-BODY = co.systems.rigid_body((1, 2, 3))
-
-
-@pytest.mark.parametrize(
-    ("ready", "options", "error", "named"),
-    [
-        (co.prepare(BODY, co.GaussLegendre(2), 0.1, inputs=True), {}, TypeError, ("inputs",)),
-        (co.prepare(BODY, co.Taylor(tolerance=1e-9), 0.1), {}, TypeError, ("step", "Taylor")),
-        (co.prepare(BODY, accuracy=1e-6, x0=X0, t_span=(0, 10)), {}, TypeError, ("co.prepare(system, method, step)",)),
-        (BODY, {}, TypeError, ("rigid_body",)),
-        (prepared(), {"backend": "compild"}, ValueError, ("backend", "compild", "compiled")),
-        (prepared(), {"save_every": 0}, ValueError, ("save_every", "0")),
-        (prepared(), {"t_eval": [11.0]}, ValueError, ("t_eval", "11")),
-    ],
-)
-def test_runs_without_derivatives_are_refused(ready, options, error, named):
-    with refused(error, *named):
-        co.jax.solution(ready, SPAN, **options)
 
 
 ONE_CORE = """

@@ -7,14 +7,12 @@ from mpmath import mp
 import coadjoint as co
 from exact_body import exact_motion
 from long import long_beyond
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 jax = pytest.importorskip("jax")
 jnp = jax.numpy
 
 UNITS = {np.float64: UNIT_ROUNDOFF, np.float32: 2.0**-24}
-LARGEST_ANGLE = {np.float64: 2.0**30, np.float32: 2.0**20}  # radians, as the reference says
 # Inverse moments and momentum.
 SHAPES = {
     "ball": ((1.0, 1.0, 1.0), (0.3, 0.7, -0.5)),
@@ -128,7 +126,7 @@ def both_modes(values, along, weights):
 BOTH_MODES = jax.jit(both_modes)
 
 
-@pytest.mark.parametrize(("x", "inertia", "h"), long_beyond(6, CASES))
+@pytest.mark.parametrize(("x", "inertia", "h"), long_beyond(3, CASES[::-1]))
 def test_derivatives_are_differences_in_both_modes(x, inertia, h, kind):
     """By all arguments, at equal moments, on axes and at rest; the error is h^6/140 of the seventh derivative."""
     if kind == np.float32:
@@ -148,6 +146,7 @@ def test_derivatives_are_differences_in_both_modes(x, inertia, h, kind):
         np.testing.assert_allclose(of_h[3:].reshape(3, 3), A @ np.cross(np.eye(3), end / inertia), rtol=0, atol=1e-13)
 
 
+@pytest.mark.long
 def test_second_derivatives_and_attitudes(kind):
     if kind == np.float32:
         pytest.skip("differences need float64")
@@ -181,36 +180,3 @@ def test_momenta_of_any_size_and_ensembles(kind):
                  np.array([inertia / kind(s) for s in times]), h)  # fmt: skip
     for k in (0, 1):
         np.testing.assert_allclose(found[k], np.array([one[k] for one in each]), rtol=0, atol=200 * UNITS[kind])
-
-
-def test_wrong_arguments_are_refused(kind):
-    x = np.ones(3, kind)
-    assert co.jax.free_body((1, 0, 0), None, (1, 2, 3), 1).dtype == kind
-    beyond = kind(4 * LARGEST_ANGLE[kind])  # the momentum turns by half a radian in a unit of time
-    assert np.isnan(co.jax.free_body(x, None, np.array((1, 2, 3), kind), beyond)).all()
-    assert np.isnan(co.jax.free_body(x * kind(np.nan), None, np.array((1, 2, 3), kind), kind(1.0))).all()
-    for values, error, named in (
-        ((x[:2], None, x, 1.0), ValueError, ("x ", "(2,)", "(3,)")),
-        ((np.ones((5, 3), kind), None, x, 1.0), ValueError, ("x ", "(5, 3)", "vmap")),
-        ((x, np.eye(4, dtype=kind), x, 1.0), ValueError, ("A ", "(4, 4)", "(3, 3)")),
-        ((x, None, x, np.ones(2, kind)), ValueError, ("h ", "(2,)")),
-        ((x.astype(np.float16), None, x.astype(np.float16), np.float16(1)), TypeError, ("float16", "float32")),
-    ):
-        with refused(error, *named):
-            co.jax.free_body(*values)
-    # Arrays of float64, which JAX would round; numbers of Python take the precision of the others.
-    for name, values in (
-        ("x", (np.ones(3), None, x, 1.0)),
-        ("A", (x, np.eye(3), x, 1.0)),
-        ("h", (x, None, x, np.array(1.0))),
-    ):
-        if kind == np.float64:
-            assert co.jax.free_body(*values) is not None
-            continue
-        for called in (
-            co.jax.free_body,
-            lambda *values: jax.jit(lambda x: co.jax.free_body(x, *values[1:]))(values[0]),
-        ):
-            if name != "x" or called is co.jax.free_body:
-                with refused(TypeError, f"{name} ", "float64", "jax_enable_x64"):
-                    called(*values)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from explorer_formulas import Formula, energy_formulas, evaluate
 from explorer_systems import SHOWN, WAVES
-from write_explorer import SCHEMES, check, code_of, entry, first_values, moved, rows_of_parts, shared, tables_of
+from write_explorer import SCHEMES, code_of, entry, first_values, rows_of_parts, shared
 
 import coadjoint as co
 
@@ -36,23 +36,6 @@ def test_tables_at_other_values_are_those_of_the_library(shown, random):
     json.dumps(shared({shown.name: written}))
 
 
-@pytest.mark.parametrize(("code", "title"), [scheme[1:] for scheme in SCHEMES])
-def test_titles_of_schemes_name_their_order(code, title):
-    assert title.endswith(f", order {eval(code, {'co': co}).order}")
-
-
-def test_wrong_factors_are_found():
-    (shown,) = (shown for shown in SHOWN if shown.name == "rigid_body")
-    scheme = code_of("co.Splitting(order=2)", shown)
-    base, loops = tables_of(shown, scheme, first_values(shown), 1.0)
-    moves = moved(shown, shown.build(first_values(shown)), loops, base)
-    values = {"I1": 1.25, "I2": 1.75, "I3": 2.25}
-    check(shown, scheme, base, moves, values)
-    moves["watch.terms.weight"][1][2] = -2.0
-    with pytest.raises(ValueError, match=r"watch\.terms\.weight is .* not"):
-        check(shown, scheme, base, moves, values)
-
-
 @pytest.mark.parametrize("shown", SHOWN, ids=lambda shown: shown.name)
 def test_first_views_are_smooth_and_show_the_drift(shown):
     """In 20 s at a step a frame the errors of Runge-Kutta become visible, and curves have no visible corners."""
@@ -66,18 +49,6 @@ def test_first_views_are_smooth_and_show_the_drift(shown):
         moves = np.linalg.norm(np.diff(sol.x, axis=0), axis=1) / np.linalg.norm(x0)
         assert np.median(moves) < 0.3
     assert found["splitting4"] < 1e-12 < 1e-4 < found["rk4"] < 0.2
-
-
-def test_labels_of_drawings_are_those_of_the_coordinates():
-    digits = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-    for shown in SHOWN:
-        names = [name.replace("gamma", "γ").translate(digits) for name in shown.coordinates]
-        view = shown.view
-        if "labels" in view:
-            assert view["labels"] == [names[axis] for axis in view["axes"]], shown.name
-        if section := view.get("section"):
-            assert section["labels"] == [names[section["across"]], names[section["up"]]], shown.name
-            assert section["name"] == f"{names[section['level']]} = 0, rising", shown.name
 
 
 def test_formulas_of_sources():

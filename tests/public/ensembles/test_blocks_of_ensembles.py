@@ -401,14 +401,6 @@ def test_results_of_members_that_have_run(tmp_path, monkeypatch):
             sol.plot("components", members=chosen)
 
 
-def test_results_where_no_member_has_run(tmp_path, monkeypatch):
-    sol = begun(tmp_path / "none", monkeypatch, 0, x0=X[:6], save_every=5)
-    assert all(np.isnan(drift) and np.isnan(drift.members).all() for drift in sol.drift().values())
-    for read in (sol.error_estimate, lambda: sol.at(5.1), sol.plot, lambda: sol.plot("components", members=[0, 5])):
-        with pytest.raises(ValueError, match="member"):
-            read()
-
-
 def test_errors_at_the_end_of_members_that_have_failed():
     """The others are those of runs alone; the second member escapes at t = 1."""
     escape = co.LiePoissonSystem(
@@ -556,26 +548,3 @@ def test_concurrent_calls_are_refused(tmp_path, monkeypatch):
             with refused(error, path, named):
                 ensemble(path)
     check_same(ensemble(path), co.integrate(BODY, X, SPAN, STEP))
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "named"),
-    [
-        ({"x0": X[0]}, ValueError, ("x0", "(3,)")),
-        ({"members_per_block": 0}, ValueError, ("members_per_block",)),
-        ({"workers": 0, "archive": None}, ValueError, ("workers",)),
-        ({"client": 3}, TypeError, ("client is 3",)),
-        ({"client": 3, "workers": 2}, TypeError, ("client", "workers")),
-        ({"archive": 3}, TypeError, ("archive is 3",)),
-        ({"archive": "no/such/folder/many.zarr"}, ValueError, ("folder", "does not exist")),
-        ({"coordinates": {"a b": X[:, 0]}}, ValueError, ("'a b'",)),
-        ({"coordinates": {"energy": X[:, 0]}}, ValueError, ("'energy'",)),
-        ({"coordinates": [1.0]}, TypeError, ("coordinates", "mapping")),
-        ({"coordinates": {"a": X}}, ValueError, ("coordinates", "'a'")),
-        ({"progress": 2}, TypeError, ("progress is 2",)),
-        ({"step": -1}, ValueError, ("step is -1",)),
-    ],
-)
-def test_invalid_arguments_are_refused(change, error, named):
-    with refused(error, *named):
-        co.integrate_ensemble(**{"system": BODY, "x0": X, "t_span": (0, 1), "step": STEP, **change})

@@ -1,6 +1,5 @@
 """Members that differ in coefficients of their energies, which share one table: they have the bits of runs alone."""
 
-import pickle
 import tracemalloc
 from itertools import combinations_with_replacement
 
@@ -9,7 +8,6 @@ import pytest
 
 import coadjoint as co
 from digests.schemes_under_test import EXAMPLES
-from matrix.forces import forces_on
 
 STEP, SPAN, MEMBERS = 1.0 / 64.0, (0.0, 0.5), 6
 METHODS = {
@@ -22,29 +20,6 @@ METHODS = {
     "taylor": co.Taylor(order=8),
     "midpoint": co.SphericalMidpoint(),
 }
-
-
-def varied(value, rng):
-    """A parameter with its numbers changed by up to ten per cent; anything else unchanged."""
-    if isinstance(value, float):
-        return value * (1.0 + 0.1 * rng.random())
-    if not isinstance(value, tuple | list | np.ndarray) or np.asarray(value).dtype != np.float64:
-        return value
-    return np.asarray(value) * (1.0 + 0.1 * rng.random(np.shape(value)))
-
-
-def members_of(name):
-    """The default system and others of other parameters, as far as its builder accepts them."""
-    rng, first = np.random.default_rng(7), co.systems.get(name)
-    systems = [first]
-    for _ in range(3 * MEMBERS):
-        try:
-            systems.append(co.systems.get(name, **{p: varied(v, rng) for p, v in (first.parameters or {}).items()}))
-        except (TypeError, ValueError):
-            continue
-        if len(systems) == MEMBERS:
-            break
-    return systems
 
 
 def assert_as_alone(systems, method, states=None, whole=None, members=None, **options):
@@ -71,29 +46,6 @@ def assert_as_alone(systems, method, states=None, whole=None, members=None, **op
     if members is None:
         assert whole.balance(relative=False) == largest
     return whole
-
-
-@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning", "ignore::coadjoint.RoundingWarning", "ignore:inertia")
-@pytest.mark.parametrize("name", co.systems.names())
-def test_ready_made_systems_of_several_parameters(name):
-    systems = members_of(name)
-    if not isinstance(systems[0], co.LiePoissonSystem) or systems[0].dim > 64 or len(systems) == 1:
-        pytest.skip("no Lie-Poisson system with parameters that vary")
-    try:
-        co.batch(systems)
-    except ValueError:
-        pytest.skip("its parameters change the structure")
-    compared = 0
-    for label in ("auto", "gauss"):
-        try:
-            assert_as_alone(systems, METHODS[label])
-        except ValueError as refused:
-            assert "cannot be used" in str(refused)
-            continue
-        except co.IntegrationError:  # the motion of a member has no bound, or the step is too large
-            continue
-        compared += 1
-    assert compared
 
 
 def bodies(count, seed=1):
@@ -152,14 +104,6 @@ def tied(count):
     return [co.systems.heavy_top(moments[k % 5 if k < 8 else 2 + 2 * (k % 2)]) for k in range(count)]
 
 
-def sums(count):
-    """Two pieces with functions that are equal."""
-    pieces = co.Separable({0: (np.cos, lambda x: -np.sin(x), lambda x: -np.cos(x))})
-    return [
-        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([0.5, 0.6 + 0.1 * k, 0.7]) + pieces) for k in range(count)
-    ]
-
-
 FAMILIES = {
     "bodies": bodies,
     "tops": tops,
@@ -181,30 +125,6 @@ def test_schemes_of_all_kinds(method, family):
         assert any(reason in str(refused) for reason in ("needs", "cannot be used", "integrates", "changes its length"))
     except co.IntegrationError:  # at rest, or where a scheme is singular
         assert "speed" in str(method) or method.name in ("RadauEnergy", "ReversibleSteps")
-
-
-SERIES = [
-    co.Taylor(9),
-    co.Taylor(4, projected=False),
-    co.Taylor(tolerance=1e-9),
-]
-
-
-@pytest.mark.parametrize("span", [(0.75, 0.25), (0.5, 1.5)])
-@pytest.mark.parametrize("family", [tops, polynomials, constants, spins, tied])
-@pytest.mark.parametrize("method", SERIES, ids=str)
-def test_series_of_members_as_lanes(method, family, span):
-    """Blocks of lanes and members that are left over, some with another field; also where events are located."""
-    systems = family(21)
-    states = 0.3 * np.random.default_rng(9).standard_normal((21, systems[0].dim))
-    crossings = co.Event(lambda x, t: x[0] - 0.01)
-    for options in ({}, {"events": crossings}):
-        run = (span, STEP, method), {"save_every": 4, **options}
-        whole = co.integrate(co.batch(systems), states, *run[0], **run[1])
-        for m, one in enumerate(systems):
-            alone = co.integrate(one, states[m], *run[0], **run[1])
-            assert np.array_equal(whole.x[:, m], alone.x) and np.array_equal(whole.energy[:, m], alone.energy), m
-            assert whole.stats.evaluations >= alone.stats.evaluations > 0
 
 
 def quartics(algebra, count, equal=False):
@@ -263,66 +183,6 @@ def test_a_member_of_degree_four_that_fails_leaves_the_others():
     assert_as_alone(systems, co.Taylor(6), states, whole, [0, 4, 6, 7, 8, 16])
 
 
-@pytest.mark.parametrize("method", ["auto", "gauss"])
-def test_functions_that_are_equal_are_shared(method):
-    pytest.importorskip("numba")
-    assert_as_alone(sums(3), METHODS[method])
-
-
-@pytest.mark.parametrize("parts", ["auto", "coordinates", ((0, 3), (1, 4), (2, 5)), "tuned"])
-def test_choices_of_parts(parts):
-    systems = tops(MEMBERS)
-    if parts == "tuned":
-        parts = co.Splitting.tuned(systems[0], (0.1, 1.0, 0.1, 0.3, 0.0, 1.0)).parts
-    try:
-        assert_as_alone(systems, co.Splitting(order=2, parts=parts))
-    except ValueError as refused:
-        assert "parts" in str(refused)
-
-
-def mixed():
-    """Members of several structures in turn, one of them so often that it fills the lanes, and some repeated."""
-    kinds = [[*bodies(5), *bodies(4, 2)], polynomials(4), coupled(3), constants(4)]
-    systems = [kind[k] for k in range(9) for kind in kinds if k < len(kind)]
-    return [*systems, systems[0], systems[3], *[systems[1]] * 40, *bodies(33, 3), systems[2]]
-
-
-@pytest.mark.parametrize("method", ["auto", "gauss"])
-def test_mixed_structures_blocks_threads_and_pickled_runs(method, tmp_path, no_fsync):
-    systems = [co.LiePoissonSystem(co.algebras.so(3), one.hamiltonian) for one in mixed()]
-    states = 0.3 * np.random.default_rng(5).standard_normal((len(systems), 3))
-    prepared = co.prepare(co.batch(systems), METHODS[method], STEP, threads=1)
-    whole = prepared.run(states, SPAN, save_every=4)
-    assert_as_alone(systems, METHODS[method], states, whole, range(0, len(systems), 7))
-    again = pickle.loads(pickle.dumps(prepared)).run(states, SPAN, save_every=4)
-    threaded = co.prepare(co.batch(systems), METHODS[method], STEP, threads=3).run(states, SPAN, save_every=4)
-    assert np.array_equal(again.x, whole.x) and np.array_equal(threaded.x, whole.x)
-    assert np.array_equal(again.energy, whole.energy) and np.array_equal(threaded.energy, whole.energy)
-    blocks = co.integrate_ensemble(
-        co.batch(systems),
-        states,
-        SPAN,
-        STEP,
-        METHODS[method],
-        save_every=4,
-        archive=tmp_path / "a",
-        members_per_block=17,
-    )
-    assert np.array_equal(np.asarray(blocks.x), whole.x) and np.array_equal(np.asarray(blocks.energy), whole.energy)
-    back = prepared.run(whole.x[-1], SPAN[::-1], save_every=4)
-    alone = co.prepare(systems[7], METHODS[method], STEP).run(whole.x[-1, 7], SPAN[::-1], save_every=4)
-    assert np.array_equal(back.x[:, 7], alone.x)
-
-
-def test_constants_of_several_pieces():
-    """Energies are those of the sum of them."""
-    algebra = co.algebras.so(3)
-    pieces = [
-        [((0,), co.Quadratic([1.0 + k], constant=k)), ((1,), co.Quadratic([4.0], constant=9.0))] for k in range(6)
-    ]
-    assert_as_alone([co.LiePoissonSystem(algebra, co.SplitHamiltonian(one)) for one in pieces], METHODS["auto"])
-
-
 def test_choices_that_rounding_decides_are_those_of_each_member():
     """Orders and shifts that tie exactly, or nearly, among members whose choices are clear."""
     ties = [(1.0, 1.0, 2.0), (1.0, 2.0, 2.0), (1.5, 1.5, 1.5), (1.0, 1.0 + 2e-16, 2.0), (1.0, 1.0 + 1e-9, 2.0)]
@@ -339,22 +199,6 @@ def test_products_that_cancel_for_some_members():
         assert_as_alone(systems, METHODS[method])
 
 
-@pytest.mark.parametrize("method", ["gauss", "taylor"])
-def test_a_member_that_fails_leaves_the_others(method):
-    systems = [
-        co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(3, 0, 0): scale, (0, 2, 0): 1.0}), name=f"{scale:g}")
-        for scale in (0.1, 0.2, 1e200, 0.3, 0.4, 0.5, 0.6, 0.7)
-    ]
-    states = np.full((8, 3), 0.5)
-    states[2] *= 1e80
-    prepared = co.prepare(co.batch(systems), METHODS[method], STEP)
-    with pytest.raises(co.IntegrationError) as failed:
-        prepared.run(states, SPAN, save_every=4)
-    whole = failed.value.partial
-    assert np.flatnonzero(whole.failed).tolist() == [2]
-    assert_as_alone(systems, METHODS[method], states, whole, [0, 1, 3, 7])
-
-
 def test_members_with_noise_keep_their_numbers():
     noise = co.forces.HeatBath(alpha=0.1, temperature=0.1, seed=3)
     systems = [one.with_forces(noise) for one in bodies(5)]
@@ -363,65 +207,6 @@ def test_members_with_noise_keep_their_numbers():
     whole = co.prepare(co.batch(systems), method, STEP).run(states, SPAN)
     repeated = co.prepare(co.batch([systems[3]] * 5), method, STEP).run(np.tile(states[3], (5, 1)), SPAN)
     assert np.array_equal(repeated.x[:, 3], whole.x[:, 3])
-
-
-@pytest.mark.parametrize("count", [MEMBERS, 33])
-@pytest.mark.parametrize("attitude", [True, "coadjoint"])
-@pytest.mark.parametrize(("method", "family"), [("auto", bodies), ("auto", tops), ("gauss", bodies), ("taylor", tops)])
-def test_attitudes_of_members(method, family, attitude, count):
-    """Multiples of Casimirs are subtracted from the energies of bodies, which rotate the attitude of each by another
-    angle."""
-    systems = family(count)
-    whole = assert_as_alone(systems, METHODS[method], members=range(0, count, 5), attitude=attitude)
-    x0, initial = whole.x[-1], whole.attitude[-1]
-    prepared = co.prepare(co.batch(systems), METHODS[method], STEP, attitude=attitude)
-    back = prepared.run(x0, SPAN[::-1], attitude=initial)
-    alone = co.prepare(systems[4], METHODS[method], STEP, attitude=attitude).run(x0[4], SPAN[::-1], attitude=initial[4])
-    assert np.array_equal(back.x[:, 4], alone.x) and np.array_equal(back.attitude[:, 4], alone.attitude)
-    again = pickle.loads(pickle.dumps(prepared)).run(x0, SPAN[::-1], attitude=initial)
-    assert np.array_equal(again.attitude, back.attitude)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("attitude", [False, "coadjoint"])
-def test_members_with_forces(method, attitude):
-    options = {"attitude": attitude} if attitude else {}
-    if attitude and METHODS[method].properties(bodies(1)[0]).attitude == "none":
-        pytest.skip("the scheme computes no attitude")
-    damping = co.forces.LinearDamping(0.1, toward=(0.0, 0.1, 0.0))
-    rng = np.random.default_rng(8)
-    systems = [
-        one.with_forces(damping if k % 3 else co.forces.LinearDamping(0.2), co.forces.Torque(rng.standard_normal(3)))
-        for k, one in enumerate(bodies(MEMBERS))
-    ]
-    whole = assert_as_alone(systems, METHODS[method], **options)
-    alone = co.prepare(systems[2], METHODS[method], STEP, **options).run(whole.x0[2], SPAN, save_every=4)
-    for label in ("LinearDamping", "Torque"):
-        assert np.array_equal(whole.work[label]["energy"][:, 2], alone.work[label]["energy"])
-
-
-@pytest.mark.parametrize("method", ["auto", "gauss"])
-@pytest.mark.parametrize("name", ["gyrostat", "rigid_body"])
-def test_members_with_every_force(name, method):
-    """Forces that read the angular velocity differ between members although their parameters are equal."""
-    systems = [co.systems.get(name, inertia=(1.0, 2.0, third)) for third in (2.5, 2.25)]
-    forces = forces_on(systems[0])
-    assert co.forces.Pointing in map(type, forces)
-    for force in forces:
-        if not force.random:  # noise differs between members
-            assert_as_alone([one.with_forces(force) for one in systems], METHODS[method])
-
-
-@pytest.mark.parametrize("count", [3, 33])
-@pytest.mark.parametrize("method", [METHODS["coordinates"], METHODS["auto"], METHODS["gauss"]], ids=str)
-def test_completed_squares_of_one_form(method, count):
-    """Energies that differ in their linear terms alone: offsets of squares are exact sums of these."""
-    M = np.array([[1.0, 0.2, 0.1], [0.2, 0.6, 0.0], [0.1, 0.0, 0.3]])
-    rng = np.random.default_rng(6)
-    systems = [
-        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(M, linear=rng.standard_normal(3))) for _ in range(count)
-    ]
-    assert_as_alone(systems, method, members=range(0, count, 4))
 
 
 SHARED = {
@@ -450,16 +235,3 @@ def test_memory_of_a_prepared_batch(case):
     tracemalloc.stop()
     assert prepared.system is systems
     assert used < bound * count and peak < 2 * bound * count, (used, peak)
-
-
-@pytest.mark.parametrize("method", ["auto", "taylor"])
-@pytest.mark.parametrize("count", [33, 70])
-def test_states_between_steps_of_members_in_several_rows_of_lanes(count, method):
-    """Several times in each step, so that rows of columns follow each other more than once."""
-    rng, systems = np.random.default_rng(count), tops(count)
-    states, times = 0.3 * rng.standard_normal((count, 6)), [0.001, 0.003, 0.01, 0.02, 0.021, 0.5]
-    method, thinned = METHODS[method], (0, 31, 32, count - 1)
-    whole = co.prepare(co.batch(systems), method, STEP).run(states, (0.0, 0.5), t_eval=times)
-    for m in thinned:
-        alone = co.prepare(systems[m], method, STEP).run(states[m], (0.0, 0.5), t_eval=times)
-        assert np.array_equal(whole.x[:, m], alone.x), m

@@ -134,7 +134,7 @@ MORE = {
 }
 
 
-@pytest.mark.thinned(4)
+@pytest.mark.thinned(7)
 @pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("name", long_where(["two stages by Newton and Krylov", "midpoint by Newton and Krylov"], MORE))
 def test_every_scheme_on_large_states_has_the_same_bits_and_energies(name):
@@ -181,7 +181,7 @@ def derivatives(system, method, step, threads, reverse="exact"):
     return tangents.x, tangents.energy, gradient
 
 
-@pytest.mark.thinned(5)
+@pytest.mark.thinned(12)
 @pytest.mark.parametrize(
     ("name", "reverse"),
     [(name, "exact") for name in DIFFERENTIATED]

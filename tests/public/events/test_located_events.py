@@ -230,20 +230,6 @@ def test_event_functions_of_matrices():
     assert abs(sol.events.x[:, 0, 1]).max() < 64 * U * abs(A).max()
 
 
-def test_wrong_events_are_refused():
-    for wrong, error in (("y9", ValueError), (3, ValueError), (None, TypeError), (True, TypeError)):
-        with pytest.raises(error):
-            co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=co.Event(wrong))
-    with refused(ValueError, "direction", "2"):
-        co.Event("x1", direction=2)
-    with refused(ValueError, "name", "a"):
-        co.integrate(BODY, FLIPPING, (0, 1), 0.125, events=[co.Event(0, name="a"), co.Event(1, name="a")])
-    with refused(TypeError, "Event"):
-        co.integrate(BODY, FLIPPING, (0, 1), 0.125, events="x1")
-    with refused(co.IntegrationError, "not a number", "t = "):
-        co.integrate(BODY, FLIPPING, (0, 20), 0.125, events=co.Event(lambda x: np.sqrt(x[1])))
-
-
 @pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(3), co.Taylor(order=12)], ids=str)
 @pytest.mark.parametrize("direction", [-1, 0, 1])
 @pytest.mark.parametrize("sense", [1.0, -1.0])

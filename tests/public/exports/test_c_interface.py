@@ -19,7 +19,6 @@ from exported_run import assert_same
 from exported_table import Failed, Interface, exported_library
 from long import long_beyond
 from random_runs.cases import REFUSALS, some_method, some_systems
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 ROOT = Path(__file__).parents[3]
@@ -281,24 +280,6 @@ def test_mutated_tables_do_no_harm(tmp_path):
     assert min(accepted, wrong) > 4000 and finished > 2000
 
 
-NOT_EXPORTED = {
-    "forces": (lambda: co.prepare(TOP.with_forces(co.forces.LinearDamping(0.1)), step=0.1), ("forces",)),
-    "inputs": (lambda: co.prepare(TOP, co.Splitting(), step=0.1, inputs=True), ("inputs",)),
-    "stages": (lambda: co.prepare(TOP, co.ExplicitRungeKutta(), step=0.1), ("ExplicitRungeKutta", "splitting")),
-    "a function": (lambda: co.prepare(co.systems.satellite(), co.Splitting(), step=0.1), ("satellite", "function")),
-    "an attitude": (lambda: co.prepare(TOP, co.Splitting(), step=0.1, attitude=True), ("attitude",)),
-    "a system": (lambda: TOP, ("prepare",)),
-}
-
-
-@pytest.mark.parametrize("name", NOT_EXPORTED)
-def test_what_has_no_table_is_refused(name, tmp_path):
-    make, named = NOT_EXPORTED[name]
-    with refused(TypeError, *named):
-        co.export_table(make(), tmp_path / "run.json")
-    assert list(tmp_path.iterdir()) == []
-
-
 def example(folder, library):
     """Write the files of the page to a folder, and return its programs and the output."""
     page = (ROOT / "docs" / "other_languages.md").read_text(encoding="utf-8")
@@ -310,7 +291,7 @@ def example(folder, library):
     return texts
 
 
-@pytest.mark.parametrize("compiler", compilers())
+@pytest.mark.parametrize("compiler", long_beyond(1, compilers()))
 @pytest.mark.parametrize("language", ["c", "c++"])
 def test_the_example_in_c(compiler, language, library, tmp_path):
     texts = example(tmp_path, library)

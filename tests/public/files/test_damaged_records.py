@@ -310,68 +310,6 @@ def test_a_contradictory_span_is_refused():
         co.results.rebuild(changed.drop_attrs(deep=False))
 
 
-@pytest.mark.parametrize(
-    ("attribute", "value", "said"),
-    [
-        ("system", "[" * 10**5, "system is '[[[[[[[["),
-        ("system", "{", "system is '{'"),
-        ("system", 3, "system is 3"),
-        ("method", "9" * 5000, "method is '999"),
-        ("method", '{"name": "Splitting", "parameters": {"order": 1e400}}', "method.parameters.order is inf"),
-        ("method", '{"name": "Splitting", "parameters": {"order": 3}}', "not 3"),
-        ("step", "0.25", "step is '0.25'"),
-        ("watch", 2, "watch is 2"),
-        ("save_every", 0, "save_every is 0"),
-        ("save_every", 2.5, "save_every is 2.5"),
-        ("attitude_carried", "all", "attitude_carried is 'all'"),
-        ("attitude_carried", "representation", "attitude"),
-    ],
-)
-def test_a_damaged_attribute_is_named(attribute, value, said):
-    with refused(ValueError, said), bounded_work():
-        co.results.rebuild(stored("a matrix").assign_attrs({attribute: value}))
-
-
-def test_damaged_events_are_refused():
-    dataset = co.integrate(
-        BODY, X, (0, 2), 0.125, events=co.Event(co.Quadratic([1, 0, 0], constant=-0.125))
-    ).to_xarray()
-    dataset.attrs["events"] = dataset.attrs["events"].replace('"kind"', '"sort"')
-    with refused(ValueError, "events", "kind"):
-        co.results.rebuild(dataset)
-    for text in ('{"mine": {}}', '{"mine": 3}', '["mine"]', '{"mine": {"g": null, "sort": 1}}', "mine"):
-        with refused(ValueError, "events"):
-            co.results.rebuild(dataset.assign_attrs(events=text))
-
-
-def test_many_events_are_read_again():
-    events = [co.Event(co.Quadratic([1, 0, 0], constant=-0.125), name=f"number {k}") for k in range(40)]
-    sol = co.integrate(BODY, X, (0, 2), 0.125, events=events)
-    assert co.results.rebuild(sol.to_xarray()).events.names == sol.events.names
-
-
-STATES = {
-    "another axis": lambda d: d.assign(x0=d["x0"].rename(row="line")),
-    "no parts": lambda d: d.assign(x0=d["x0"].isel(part=0, drop=True)),
-    "one part": lambda d: d.assign(x0=d["x0"].isel(part=[0])),
-    "three parts": lambda d: d.drop_dims("part").assign(x0=(("row", "column", "part"), np.zeros((4, 4, 3)))),
-    "no matrix of the algebra": lambda d: d.assign(x0=d["x0"] + 1.0),
-    "fewer rows": lambda d: d.drop_vars("x").assign(x0=d["x0"].isel(row=slice(0, 3))),
-    "not a number": lambda d: d.assign(x0=d["x0"] * np.nan),
-    "infinity": lambda d: d.assign(x0=d["x0"] + np.inf),
-    "text": lambda d: d.assign(x0=d["x0"].astype(str)),
-    "flags": lambda d: d.assign(x0=d["x0"] > 0.0),
-    "nothing": lambda d: d.drop_vars("x0"),
-}
-
-
-@pytest.mark.parametrize("damage", STATES)
-def test_damaged_states_are_refused(damage):
-    dataset = co.integrate(SPHERE, state_of(SPHERE), (0.0, 0.5), 0.25).to_xarray().drop_vars("part")
-    with pytest.raises(ValueError):
-        co.results.rebuild(STATES[damage](dataset))
-
-
 @pytest.mark.parametrize("named", [("part", "column", "row"), ("column", "part", "row"), ("column", "row", "part")])
 def test_states_are_read_by_the_names_of_their_dimensions(named):
     sol = co.integrate(SPHERE, state_of(SPHERE), (0.0, 0.5), 0.25)
@@ -379,9 +317,3 @@ def test_states_are_read_by_the_names_of_their_dimensions(named):
     again = co.results.rebuild(dataset.assign(x0=dataset["x0"].transpose(*named)))
     np.testing.assert_array_equal(again.x0, sol.x0)
     np.testing.assert_array_equal(again.x, sol.x)
-
-
-def test_whole_numbers_are_states():
-    dataset = co.integrate(BODY, (1.0, 2.0, 3.0), (0.0, 0.5), 0.25).to_xarray()
-    again = co.results.rebuild(dataset.assign(x0=dataset["x0"].astype(int)))
-    assert again.x0.dtype == np.float64 and np.array_equal(again.x[-1], dataset["x"][-1])

@@ -7,6 +7,7 @@ import pytest
 from stored_systems import MATRICES, SPHERE
 
 import coadjoint as co
+from long import long_beyond
 from served import state_of
 
 X = (1.0, 0.1, 0.5)
@@ -45,8 +46,7 @@ def test_names_differing_in_symbols_are_distinct():
     assert names == {"casimir_z": "z+", "casimir_z_2": "z-", "casimir_unnamed": "*"}
 
 
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", long_beyond(1, range(4)))
 def test_many_similar_names_keep_their_values(seed, tmp_path):
     """Random names of few letters, in a dataset and in an archive."""
     rng = np.random.default_rng(seed)
@@ -108,7 +108,7 @@ BLOCKS = {
 }
 
 
-@pytest.mark.thinned(2)
+@pytest.mark.thinned(5)
 @pytest.mark.parametrize("name", BLOCKS)
 @pytest.mark.parametrize("members", [1, 2])
 def test_balances_are_those_of_their_invariants(name, members, tmp_path):

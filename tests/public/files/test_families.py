@@ -5,7 +5,6 @@ import pytest
 import xarray
 
 import coadjoint as co
-from refusals import refused
 
 SPAN, STEP = (0.0, 1.0), 0.125
 THIRDS, ENERGIES = [2.5, 2.75, 3.0], [0.5, 1.0]
@@ -174,39 +173,8 @@ def test_forces_are_parameters_too():
     np.testing.assert_array_equal(dataset["x"].sel(rate=0.5)[:, 37], co.integrate(own, x0[37], SPAN, STEP).x)
 
 
-class FakeArray:
-    """Values with dimensions, which xarray would refuse."""
-
-    def __init__(self, values, dims):
-        self.data, self.dims, self.coords = values, dims, {}
-
-
 def run(x0):
     return lambda: co.integrate(family(), x0, SPAN, STEP)
-
-
-REFUSED = {
-    "no function": (lambda: co.batch([body(2.5)], third=THIRDS), TypeError, "third"),
-    "no axes": (lambda: co.batch(body), TypeError, "axes"),
-    "name": (lambda: co.batch(lambda **axes: body(2.5), **{"two words": [1]}), ValueError, "'two words'"),
-    "empty axis": (lambda: co.batch(body, third=[]), ValueError, "third"),
-    "dimension": (lambda: co.batch(lambda time: body(time), time=THIRDS), ValueError, "'time'"),
-    "text": (lambda: co.batch(body, third="abc"), TypeError, "third is 'abc'"),
-    "suffix": (lambda: co.batch(lambda a_values: body(a_values), a_values=[2.5]), ValueError, "a_values"),
-    "shape": (run(states(2, 4)), ValueError, "(2, 4, 3)"),
-    "size": (run(np.ones((4, 2))), ValueError, "(3,"),
-    "taken": (run(xarray.DataArray(states(2), dims=("time", "component"))), ValueError, "'time'"),
-    "twice": (run(FakeArray(states(2, 2), ("start", "start", "component"))), ValueError, "'start'"),
-    "no states": (run(np.ones((0, 3))), ValueError, "at least one member"),
-    "other values": (run(labelled("third", "component", third=[2.5, 3.0, 2.75])), ValueError, "third"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_families_that_are_refused(case):
-    make, kind, said = REFUSED[case]
-    with refused(kind, said):
-        make()
 
 
 @pytest.mark.parametrize("count", [1, 31, 32, 70])
@@ -246,16 +214,6 @@ def test_coordinates_have_the_values_that_were_given():
     dataset = co.integrate(batch, (0.1, 1.0, 0.2), SPAN, STEP).to_xarray()
     for name, wanted in values.items():
         assert dataset[name].values.tolist() == wanted
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize("kind", "?bhilBHILefd")
-def test_coordinates_of_every_type_of_numpy_are_numbers(kind):
-    values = np.array([1, 3], dtype=kind)
-    for given in (values, list(values)):
-        coordinates = co.batch(lambda third: body(2.5), third=given).axes["third"].values
-        assert coordinates.dtype == (np.float64 if kind in "efd" else np.int64)
-        assert coordinates.tolist() == values.tolist()
 
 
 @pytest.mark.parametrize("dims", [("run", "a", "b"), ("b", "run", "a"), ("b", "a", "run")], ids=str)

@@ -332,7 +332,7 @@ OPTIONS = {
     ],
 }
 # Parameters that change no number of a solution.
-WITHOUT_EFFECT = {"system", "threads", "progress", "archive", "rtol", "atol"}
+WITHOUT_EFFECT = {"system", "threads", "progress", "archive"}
 
 
 def test_every_parameter_of_a_run_is_stored():

@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 import pytest
-from drawn_runs import BODY, PALETTE, T0, Picture
+from drawn_runs import BODY
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -112,33 +112,6 @@ def inside(figure: Figure) -> list[str]:
     return out
 
 
-LONG_WORDS = "kinetic energy of the second body in the frame at rest, "
-
-
-LONG_WORD = "kinetic_energy_of_the_second_body_in_the_frame_at_rest_"
-
-
-@pytest.mark.thinned(12)
-@pytest.mark.parametrize("words", [LONG_WORDS, LONG_WORD])
-@pytest.mark.parametrize("length", [10, 90, 108, 200])
-@pytest.mark.parametrize("width", [None, 4.0, 8.0])
-@pytest.mark.parametrize("panels", [None, ["observed"], ["drift", "components", "observed"]])
-def test_long_legends_are_within_the_first_drawing(words, length, width, panels):
-    name = (words * 4)[:length]
-    observe = {name: lambda x: x[0], f"{name}, squared": lambda x: x[0] ** 2}
-    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (1.0, 0.2, 0.1), (0, 5), 0.25, observe=observe, attitude=True)
-    figure = run.plot(panels, width=width)
-    assert inside(figure) == []
-    labels = next(axes for axes in figure.axes if axes.get_title() == "observed").get_legend().get_texts()
-    # Of names up to 100 characters nothing is lost, of longer ones the middle.
-    for text, given in zip(labels, observe, strict=True):
-        shown, wanted = "".join(text.get_text().split()), "".join(given.split())
-        assert shown == wanted if len(given) <= 100 else "..." in shown and shown.endswith(wanted[-20:])
-    for axes in figure.axes:
-        others = [other.get_window_extent() for other in figure.axes if other is not axes]
-        assert axes.get_legend() is None or axes.get_legend().get_window_extent().count_overlaps(others) == 0
-
-
 def test_pictures_that_need_an_attitude_are_left_out_without_one():
     top = co.systems.lagrange_top()
     x0, span = (0.1, 0.0, 2.0, 0.6, 0.0, 0.8), (0.0, 4.0)
@@ -181,42 +154,6 @@ def test_other_sizes_than_the_gallerys_are_drawn(system):
         assert "2 members" in ensemble.get_suptitle()
 
 
-def test_names_options_and_axes_that_are_wrong_are_refused():
-    run = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
-    for wrong, said in [
-        (["drfit"], "did you mean 'drift'"),
-        ([Picture("phase portrait", acros=1)], "did you mean 'across'"),
-        ([Picture("drift", axis=1)], "takes no options"),
-        ([], "empty"),
-        ("path in space", "SE"),
-        ("observed", "observe="),
-    ]:
-        with refused(ValueError, said):
-            run.plot(wrong)
-    with refused(TypeError, "panel"):
-        run.plot([3])
-    with refused(ValueError, "x9"):
-        run.plot(components=["x9"])
-    with refused(ValueError, "coordinate", "3"):
-        run.plot(components=[3])
-    flat = Figure().subplots(1, 2)
-    with refused(ValueError, "axes", "2", "1"):
-        run.plot("drift", axes=flat)
-    with refused(ValueError, "3d"):
-        run.plot("coadjoint orbit", axes=flat[0])
-    with refused(TypeError, "axes", "here"):
-        run.plot("drift", axes=["here"])
-    assert run.plot(["drift", "components"], axes=flat) is flat[0].figure
-    assert [len(axes.lines) for axes in flat] == [2, 3]
-
-
-def test_entries_of_the_gallery_are_checked():
-    for wrong, error in (({"pictures": ["drift"]}, TypeError), ({"step": -0.1}, ValueError)):
-        arguments = {"x0": (1.0, 0.0, 0.0), "t_span": (0.0, 1.0), "step": 0.1, "caption": "It moves."} | wrong
-        with refused(error, "picture" if error is TypeError else "step"):
-            co.plotting.GalleryEntry(**arguments)
-
-
 # Functions take seconds to compile, and many spins a second to draw.
 SLOW = {"double_spherical_pendulum", "sphere_euler", "satellite", "separable_cosh", "sklyanin", "spin_lattice"}
 NAMES = [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in co.systems.names()]
@@ -246,98 +183,9 @@ def test_the_gallery_shows_every_system_and_says_it_in_words(name):
             assert axes.get_aspect() == 1.0, "spheres are round"
 
 
-def test_one_axes_for_a_kind_that_is_declared_twice_has_the_first_picture():
-    lattice = co.systems.spin_lattice("square", (3, 2))
-    run = co.integrate(lattice, np.random.default_rng(4).normal(size=18), (T0, T0 + 1.0), 0.1)
-    both = [axes.get_title() for axes in run.plot("spins").axes if axes.get_title()]
-    axes, last = Figure().subplots(1, 2)
-    run.plot(["spins", "drift"], axes=[axes, last])
-    assert len(both) == 2 and axes.get_title() == both[0] != both[1]
-
-
 @pytest.fixture(scope="module")
 def run():
     return co.integrate(BODY, (0.3, 1.0, 0.2), (0.0, 5.0), 0.05)
-
-
-def sizes(figure):
-    """Sizes of the headline, and of title, labels, ticks and legend of the components, in points."""
-    axes = figure.axes[0]
-    ticks = {label.get_fontsize() for axis in (axes.xaxis, axes.yaxis) for label in axis.get_ticklabels()}
-    texts = {text.get_fontsize() for text in axes.get_legend().get_texts()}
-    labels = {axes.xaxis.label.get_fontsize(), axes.yaxis.label.get_fontsize()}
-    return figure.texts[0].get_fontsize(), axes.title.get_fontsize(), *labels, *ticks, *texts
-
-
-OWN = (10.5, 9.5, 9.0, 8.0, 8.0)
-
-
-@pytest.mark.parametrize(
-    "style, expected",
-    [
-        (None, OWN),
-        ({"font.size": 14.0}, (16.8, 16.8, 14.0, 14.0, 14.0)),  # "large" is 1.2 times the size
-        ({"axes.titlesize": 20.0}, (10.5, 20.0, 9.0, 8.0, 8.0)),
-        (["grayscale", {"legend.fontsize": 5.0}], (10.5, 9.5, 9.0, 8.0, 5.0)),
-    ],
-)
-@pytest.mark.parametrize("how", ["style", "rcParams", "axes"])
-def test_sizes_of_text_are_those_of_the_user(run, style, expected, how):
-    """Given as a style, set in rcParams, or in effect where the axes of the user are drawn into."""
-    from matplotlib import style as styles
-
-    if how == "style":
-        figure = run.plot(["components"], style=style)
-    else:
-        with styles.context(style or []):
-            axes = Figure().add_subplot() if how == "axes" else None
-            figure = run.plot(["components"], axes=axes)
-    if how == "axes":
-        figure.suptitle("", fontsize=expected[0])
-    assert sizes(figure) == pytest.approx(expected)
-
-
-def test_narrow_figures_have_smaller_text(run):
-    assert sizes(run.plot(["components"], width=4.9)) == pytest.approx([0.84 * size for size in OWN])
-    assert sizes(run.plot(["components"], width=5.1)) == pytest.approx(OWN)
-
-
-def test_lines_and_colours_are_those_of_the_user(run):
-    style = {
-        "lines.linewidth": 3.0,
-        "axes.linewidth": 2.0,
-        "axes.edgecolor": "red",
-        "grid.color": "green",
-        "text.color": "blue",
-        "axes.prop_cycle": matplotlib.cycler(color=["#111111", "#222222"]),
-    }
-    own, users = (run.plot(["components"], style=chosen).axes[0] for chosen in (None, style))
-    assert [line.get_color() for line in own.lines[:3]] == PALETTE
-    assert [line.get_color() for line in users.lines[:3]] == ["#111111", "#222222", "#111111"]
-    for line, other in zip(own.lines, users.lines, strict=True):
-        assert other.get_linewidth() == pytest.approx(3.0 * line.get_linewidth())
-    assert own.spines["left"].get_linewidth() == 0.6 and users.spines["left"].get_linewidth() == 2.0
-    np.testing.assert_allclose(users.spines["left"].get_edgecolor(), (1.0, 0.0, 0.0, 1.0))
-    assert {line.get_color() for line in users.get_xgridlines()} == {"green"}
-    assert users.title.get_color() == "blue" and own.title.get_color() == "#333333"
-
-
-@pytest.mark.parametrize(
-    "style, message",
-    [
-        ("grayscal", "which Matplotlib does not know; did you mean 'grayscale'"),
-        (["no such"], "which Matplotlib does not know; give the name of a style"),
-        (3, "which Matplotlib does not know; give the name of a style"),
-        ({"font.sizes": 9.0}, "which Matplotlib refuses: .*font.sizes"),
-        ({"font.size": "huge"}, "which Matplotlib refuses: .*huge"),
-        (["grayscale", {"font.size": "huge"}], "which Matplotlib refuses: .*huge"),
-    ],
-)
-def test_styles_that_do_not_exist_are_refused(run, style, message):
-    before = dict(matplotlib.rcParams)
-    with pytest.raises(ValueError, match=f"^style is .*{message}"):
-        run.plot(["components"], style=style)
-    assert dict(matplotlib.rcParams) == before
 
 
 def test_settings_end_with_the_figure(run):

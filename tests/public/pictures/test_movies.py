@@ -124,28 +124,6 @@ def test_a_frame_that_cannot_be_drawn_leaves_the_old_movie(tmp_path, ffmpeg, suf
     assert path.read_text() == "kept" and sorted(file.name for file in tmp_path.iterdir()) == ["programs", path.name]
 
 
-def test_what_is_wrong_is_refused_and_nothing_is_left(fluid, tmp_path):
-    body = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
-    single = co.integrate(fluid.system, fluid.x[0], (0.0, 0.0), 0.05, co.IsospectralGauss())
-    for run, options, said in [
-        (body, {"picture": "vorticity"}, "rigid_body has no vorticity"),
-        (fluid, {"picture": "drift"}, "'drift'"),
-        (fluid, {"picture": "vorticty"}, "did you mean 'vorticity'"),
-        (fluid, {"frames": 1}, "frames"),
-        (fluid, {"frames": 10**6}, "5000"),
-        (fluid, {"fps": 0}, "fps"),
-        (fluid, {"fps": 100}, "at most 50"),
-        (fluid, {"size": (101, 64)}, "even"),
-        (fluid, {"size": (100, 10**6)}, "4096"),
-        (single, {}, "only one saved state"),
-    ]:
-        with refused(ValueError, said):
-            run.movie(tmp_path / "run.gif", **options)
-    with refused((ValueError, OSError), ".mp4", ".gif"):
-        fluid.movie(tmp_path / "run.avi")
-    assert list(tmp_path.iterdir()) == []
-
-
 FLUID = """
 [system]
 name = "torus_euler"
@@ -174,17 +152,6 @@ def frames_of(run, path, **options):
     raw = np.fromfile(run.movie(path, **options), dtype=np.uint8)
     width, height = options["size"]
     return raw.reshape(-1, height, width, 4).astype(int)
-
-
-@pytest.mark.long
-def test_an_ensemble_shows_its_first_member(tmp_path, ffmpeg):
-    ffmpeg(COPYING)
-    s = co.systems.sphere_euler(N=6)
-    ensemble = np.stack([s.random(seed, degrees=(2, 3)) for seed in (1, 2)])
-    runs = [co.integrate(s, x0, (0.0, 0.5), 0.1, co.IsospectralGauss()) for x0 in (ensemble, ensemble[0])]
-    first = [frames_of(run, tmp_path / "run.mp4", frames=2, **SMALL)[0] for run in runs]
-    # All but the title, which names the member.
-    np.testing.assert_array_equal(*(frame[20:, :80] for frame in first))
 
 
 MOVING = {

@@ -45,11 +45,6 @@ def test_certificates_show_their_evidence_and_verdicts(name, step):
     assert figure.get_suptitle().endswith(said)
 
 
-def test_what_could_not_be_measured_is_said():
-    figure = co.certify(BODY, co.Splitting(), (1.0, 0.0, 0.0), 0.1, steps=20).plot()
-    assert [text.get_text() for text in figure.axes[0].texts] == ["every state rests"]
-
-
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("growth", ["linear", "bounded"])
 def test_a_phase_error_is_drawn_with_its_line_and_what_is_left(sense, growth):

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from drawn_runs import (
-    BARE,
     SENSES,
     T0,
     TURN,
@@ -16,13 +15,10 @@ from drawn_runs import (
     MemberColours,
     Picture,
     axes_of,
-    colour,
     data,
     made,
-    partial,
     rotations,
     shown,
-    spinning,
 )
 from test_pictures_over_time import bodies, curves
 
@@ -75,34 +71,6 @@ def test_axes_and_directions_of_each_member_are_where_they_point(sense):
                 np.testing.assert_allclose(data(marks[label])[:, 0], globe.project(path[k])[0], atol=1e-9)
 
 
-def test_vectors_have_colours_labels_and_gaps_of_their_own():
-    run = spinning(TURN, T0 + TURN)
-    run.x[60], x = 0.0, run.x
-    forms = np.array([[0.0, 2.0, 0.0], [0.0, 0.0, -1.0], [3.0, 0.0, 0.0]])
-    view = (35.0, 22.0)
-    axes = axes_of(run, "directions", vectors={"first": (0, "x2", 2), "second": forms}, view=view, title="both")
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["first", "start", "second"]
-    globe = Globe(view)
-    known = np.arange(200) != 60
-    for i, v in enumerate((x, x @ forms.T)):
-        unit = v[known] / np.linalg.norm(v[known], axis=1)[:, None]
-        flat, depth = globe.project(unit)
-        lines = [line for line in axes.lines if len(line.get_xdata()) == 200 and line.get_color() == colour(i)]
-        assert len(lines) in (1, 2)
-        project = np.isfinite([line.get_xdata() for line in lines])
-        assert not project[:, 60].any() and project[:, known].any(axis=0).all()
-        for line, own in zip(lines, project, strict=True):
-            np.testing.assert_allclose(data(line)[:, own & known].T, flat[own[known]], rtol=0, atol=1e-12)
-        (dot,) = (line for line in axes.lines if len(line.get_xdata()) == 1 and line.get_color() == colour(i))
-        np.testing.assert_allclose(data(dot)[:, 0], flat[0], rtol=0, atol=1e-12)
-        assert dot.get_markerfacecolor() == (colour(i) if depth[0] >= 0.0 else "white")
-    assert axes.get_title() == "both"
-    with refused(co.plotting.CannotShow, "4", "3"):
-        axes_of(made(x), "directions", vectors={"v": np.ones((3, 4))})
-    with refused(co.plotting.CannotShow, "3"):
-        axes_of(made(x), "directions", vectors={"v": (1, 2, 3)})
-
-
 @pytest.mark.thinned(1)
 @pytest.mark.parametrize("around", [-170.0, -80.0, 10.0, 100.0])
 def test_a_path_on_one_side_of_a_sphere_is_seen_from_there(around):
@@ -130,65 +98,6 @@ def test_axes_in_space_of_members_that_hang_down():
     for wrong in ((0.0, 0.0, 0.0), (1.0, 2.0)):
         with refused(ValueError, "axis"):
             axes_of(run, "nutation", axis=wrong)
-
-
-def test_a_nutation_ends_for_each_member_where_it_has_turned_enough():
-    fast, slow = rotations((0, 0, 1), -2.0 * TURN), rotations((0, 0, 1), 0.2 * TURN)
-    tilt = rotations((0, 1, 0), np.full(200, 0.3))
-    A = np.stack([fast @ tilt, slow @ tilt], axis=1)
-    run = made(np.ones((200, 2, 3)), attitude=A, system=BARE, carried="representation")
-    axes = axes_of(run, "nutation", turns=0.5)
-    ends = [np.degrees(-2.0 * TURN), np.degrees(0.2 * TURN)]
-    for m, azimuth in enumerate(ends):
-        kept = azimuth[np.abs(azimuth) <= 180.0 + 1e-9]
-        np.testing.assert_allclose(axes.lines[2 * m].get_xdata()[: len(kept) - 1], kept[:-1], rtol=0, atol=1e-9)
-        assert len(axes.lines[2 * m].get_xdata()) in (len(kept), len(kept) - 1)
-        np.testing.assert_allclose(axes.lines[2 * m + 1].get_data(), [[0.0], [np.degrees(0.3)]], atol=1e-9)
-    assert axes.get_title() == "nutation of third body axis, for the first 180 degrees (dot: start)"
-    assert axes_of(run, "nutation", [1]).get_title() == "nutation of third body axis (dot: start)"
-
-
-def test_group_elements_that_are_no_rotations_have_no_axes():
-    """The first group element is the unit, also of groups of other matrices."""
-    A = np.repeat(np.eye(3)[None], 200, axis=0)
-    A[:, 0, 2] = TURN
-    for wrong in (A, np.repeat(np.eye(2)[None], 200, axis=0), 1.5 * rotations((1, 0, 0), TURN)):
-        with refused(co.plotting.CannotShow, "attitude", "rotation"):
-            axes_of(made(np.ones((200, 3)), attitude=wrong, carried="representation"), "body axis")
-
-
-def test_a_path_in_space_is_framed_with_its_strokes():
-    g = np.zeros((200, 2, 4, 4))
-    for m in range(2):
-        g[:, m, :3, :3] = rotations((1, m, 0), TURN)
-        g[:, m, :3, 3] = np.stack([3.0 * m + np.cos(TURN), 2.0 * np.sin(TURN), 0.1 * TURN - 5.0 * m], axis=-1)
-    g[..., 3, 3] = 1.0
-    run = made(np.ones((200, 2, 6)), co.systems.kirchhoff_body(), attitude=g, carried="representation")
-    axes = axes_of(run, "path in space", axis=1)
-    place = g[..., :3, 3]
-    widest = np.max(np.ptp(place, axis=(0, 1)))
-    strokes = [np.array(axes.lines[3 * m + 1].get_data_3d()).T.reshape(-1, 3, 3) for m in range(2)]
-    for m, own in enumerate(strokes):
-        at = np.linspace(0, 199, 40).round().astype(int)
-        np.testing.assert_array_equal(own[:, 0], place[at, m])
-        np.testing.assert_allclose(own[:, 1] - own[:, 0], 0.09 * widest * g[at, m, :3, 1], rtol=0, atol=1e-12)
-        np.testing.assert_array_equal(np.ravel(axes.lines[3 * m + 2].get_data_3d()), place[0, m])
-        assert axes.lines[3 * m].get_color() == colour(0)
-    ends = np.concatenate([own[:, 1] for own in strokes])
-    for i, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim(), axes.get_zlim())):
-        assert low < min(place[..., i].min(), ends[:, i].min()) and high > max(place[..., i].max(), ends[:, i].max())
-        assert 0.5 * (low + high) == pytest.approx(0.5 * (place[..., i].min() + place[..., i].max()))
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["second body axis", "start"]
-
-
-def test_a_path_in_space_has_the_limits_of_the_members_that_go_on():
-    body = co.systems.kirchhoff_body()
-    starts = [(0.5, 1.5, 1.0, 0.8, 0.1, 0.1), (100.0, -100.0, 100.0, 100.0, 0.1, 0.1)]
-    run = partial(body, starts, (T0, T0 + 2.0), 0.1, co.ExplicitRungeKutta("rk4"), attitude=True)
-    axes = axes_of(run, "path in space")
-    np.testing.assert_array_equal(np.array(axes.lines[0].get_data_3d()).T, run.attitude[:, 0, :3, 3])
-    for i, (low, high) in enumerate((axes.get_xlim(), axes.get_ylim(), axes.get_zlim())):
-        assert low < np.nanmin(run.attitude[..., i, 3]) and np.nanmax(run.attitude[..., i, 3]) < high
 
 
 def test_the_path_in_space_is_the_integral_of_the_velocity():
@@ -236,15 +145,6 @@ def test_lumps_are_drawn_where_they_are():
     assert np.ptp(first[0]) == pytest.approx(2.0 * np.sqrt(0.06 / 2.0), rel=1e-12)
 
 
-def test_a_run_of_no_step_and_functions_that_are_not_finite():
-    moments = co.systems.vlasov_moments(2, "1/2*x20")
-    axes = shown(co.integrate(moments, (1.0, 0.3, 0.5), (0.0, 0.0), 0.1), Picture("phase ellipse", moments=(0, 1, 2)))
-    assert len(axes.lines) == 2
-    lattice = co.systems.toda(3)
-    run = co.integrate(lattice, (0.1, 0.2, 0.3, 0.0, 0.5), (0.0, 1.0), 0.1)  # a_1 = 0: the first two are far apart
-    assert len(run.plot().axes[2].lines) == 3
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_axis_in_space_is_seen_with_its_constant_vector_upward(sign):
     inertia = np.array([[2.0, 0.3, 0.1], [0.3, 3.0, -0.2], [0.1, -0.2, 4.0]])
@@ -259,33 +159,7 @@ def test_an_axis_in_space_is_seen_with_its_constant_vector_upward(sign):
     np.testing.assert_allclose(np.ravel(start.get_data()), [0.0, np.cos(np.radians(22.0))], atol=1e-9)
 
 
-TOPS = {
-    "heavy_top": co.systems.heavy_top(),
-    "kovalevskaya_top": co.systems.kovalevskaya_top(),
-    "lagrange_top": co.systems.lagrange_top(),
-}
-
-
 X = np.array([0.0, 0.2, 3.0, 0.5, 0.0, 0.75**0.5])
-
-
-@pytest.mark.parametrize("name", TOPS)
-def test_inclinations_are_to_the_vertical_of_the_top(name):
-    sol = co.integrate(TOPS[name], X, (0, 2), 0.01, co.Splitting(order=4), attitude=True)
-    (axes,) = sol.plot(["nutation"]).axes
-    assert axes.get_ylabel() == "inclination to the vertical [degrees]"
-    inclination = axes.lines[0].get_ydata()
-    exact = np.degrees(np.arccos(sol.x[:, 5]))
-    assert abs(inclination[0] - exact[0]) < 1e-9
-    assert exact.min() - 0.1 < inclination.min() < exact.min() + 2 and inclination.max() < exact.max() + 0.1
-
-
-def test_inclinations_of_other_systems_are_to_the_third_axis():
-    own = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.4]), sign=-1)
-    sol = co.integrate(own, (0.1, 0.5, 1.0), (0, 5), 0.05, attitude=True)
-    (axes,) = sol.plot(["nutation"]).axes
-    assert axes.get_ylabel() == "inclination to the third axis of space [degrees]"
-    np.testing.assert_allclose(axes.lines[0].get_ydata()[0], 0.0, atol=1e-6)
 
 
 def drawn_polygons(run: Any, **options: Any) -> list[np.ndarray]:
@@ -360,12 +234,3 @@ def test_labels_of_space_are_where_its_axes_point(members):
                 np.testing.assert_allclose(np.ravel(mark.get_data()), end @ space, rtol=0, atol=1e-4)
             found.append(name)
     assert len(found) > 3 and {"body", "satellite_on_orbit"} <= set(found)
-
-
-def test_axes_are_called_as_they_are_counted():
-    run = co.integrate(co.systems.kirchhoff_body(), (0.5, 1.5, 1.0, 0.8, 0.1, 0.1), (0.0, 1.0), 0.1, attitude=True)
-    for number, name in enumerate(["first body axis", "second body axis", "third body axis"]):
-        assert axes_of(run, "body axis", axis=number).get_title() == f"{name} in space"
-        assert axes_of(run, "body", axis=number).get_title().startswith(f"body in space, with {name}, ")
-        assert axes_of(run, "nutation", axis=number).get_title().startswith(f"nutation of {name}")
-        assert axes_of(run, "path in space", axis=number).get_legend().get_texts()[0].get_text() == name

@@ -6,17 +6,9 @@ import functools
 
 import numpy as np
 import pytest
-from drawn_runs import SENSES, T0, Picture, axes_of, colour, data, made, partial, shown
+from drawn_runs import SENSES, T0, Picture, colour, data, made, shown
 
 import coadjoint as co
-from long import long_beyond
-from refusals import refused
-
-
-@pytest.fixture(scope="module")
-def ball():
-    s = co.systems.sphere_euler(N=16)
-    return co.integrate(s, s.random(3, degrees=(2, 6)), (0.0, 2.0), 0.02, co.IsospectralGauss(), save_every=10)
 
 
 @pytest.fixture(scope="module")
@@ -37,17 +29,6 @@ def test_the_torus_is_shown_with_x_to_the_right_and_y_up(square):
     wanted = np.cos(X - 2 * Y) - 0.6 * np.sin(2 * X) - 0.4 * np.cos(Y)
     np.testing.assert_allclose(pixels, wanted, atol=1e-13)
     assert axes.get_xlabel() == "$x$" and image.get_extent() == [0.0, 2 * np.pi, 0.0, 2 * np.pi]
-
-
-def test_colours_are_shared_and_symmetric_and_may_be_limited(ball):
-    grid = (129, 256)
-    largest = max(np.abs(ball.system.to_grid(ball.x[k], grid)).max() for k in (0, -1))
-    for at in (0.0, 1.0):
-        (image,) = shown(ball, Picture("vorticity", at=at)).get_images()
-        assert image.get_clim() == pytest.approx((-largest, largest), rel=1e-12)
-    (image,) = shown(ball, Picture("vorticity", limit=0.5)).get_images()
-    assert image.get_clim() == (-0.5, 0.5) and image.colorbar.extend == "both"
-    assert image.colorbar.ax.get_ylabel() == "vorticity"
 
 
 @pytest.mark.parametrize("name", ["sphere_euler", "planet", "torus_euler"])
@@ -115,45 +96,6 @@ def test_the_stream_function_has_the_sign_of_minus_the_vorticity():
     np.testing.assert_allclose(psi, -omega / 12.0, atol=1e-14)
 
 
-def test_eigenvalues_and_relative_drift(ball):
-    axes = shown(ball, "eigenvalues")
-    spectrum = ball.system.spectrum(ball.x[0])
-    np.testing.assert_allclose(axes.lines[0].get_ydata(), spectrum / np.abs(spectrum).max(), rtol=1e-13)
-    moved = float(axes.get_title().partition("moved by ")[2].partition(" ")[0])
-    assert moved < 1e-13
-    axes = shown(ball, "drift")
-    assert axes.get_ylabel() == "relative deviation from start"
-    lines = {line.get_label(): np.nanmax(line.get_ydata()) for line in axes.lines}
-    cube = np.abs(ball.casimirs["tr W^3"] - ball.casimirs["tr W^3"][0]).max()
-    cube /= ball.drift()["tr W^3"].scale
-    assert lines[r"$\mathrm{tr}\,W^3$"] == pytest.approx(cube, rel=1e-6, abs=0.0) and 0.0 < cube < 1e-13
-    assert lines["$H$"] == pytest.approx(np.abs(ball.energy / ball.energy[0] - 1).max())
-
-
-@pytest.mark.long
-def test_a_run_is_drawn_in_pairs_of_low_pictures(ball):
-    figure = ball.plot()
-    panels = [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
-    titles = [axes.get_title().partition(":")[0].partition(",")[0] for axes in panels]
-    first, last = (f"vorticity at $t$ = {t:.4g}" for t in ball.t_span)
-    assert titles[1:] == ["energy by scale", first, last, "spectra of energy and enstrophy", "spectrum of $W$"]
-    figure.draw_without_rendering()
-    left = [axes.get_position().x0 for axes in panels]
-    assert left[0] == left[1] < left[2] < left[4] and left[4] == pytest.approx(left[5], abs=0.05)
-    assert panels[2].get_position().y0 > panels[3].get_position().y1
-
-
-def test_matrices_of_ones_own_show_their_eigenvalues():
-    a = np.array([1.0, 2.0, 3.0, 4.0])
-    body = co.MatrixSystem(co.MatrixAlgebra("so", 4), co.systems.Weights(1 / np.add.outer(a, a)), name="body of mine")
-    W = body.algebra.projected(np.arange(16.0).reshape(4, 4))
-    run = co.integrate(body, W, (0.0, 1.0), 0.05, co.IsospectralGauss())
-    titles = [axes.get_title() for axes in run.plot().axes]
-    assert titles[-1].startswith("spectrum of $W$") and "components" in titles[1]
-    with refused(co.plotting.CannotShow, "body of mine", "vorticity"):
-        run.plot("vorticity")
-
-
 @pytest.mark.parametrize("name", ["reduced_mhd", "passive_scalar"])
 def test_a_second_field_is_shown_beside_the_vorticity(name):
     fluid = co.systems.torus_euler(N=9)
@@ -176,127 +118,6 @@ def test_a_second_field_is_shown_beside_the_vorticity(name):
     for line in axes.lines:
         if not line.get_label().startswith("$H"):
             assert np.nanmax(line.get_ydata(), initial=0.0) < 1e-13
-
-
-def test_complex_spectra_are_drawn_in_the_plane():
-    s = co.MatrixSystem(co.MatrixAlgebra("gl", 3), co.systems.Weights(np.full((3, 3), 0.5) + np.eye(3)), name="of gl")
-    W = np.array([[0.0, 1.0, 0.2], [-1.0, 0.1, 0.0], [0.3, 0.0, 0.5]])
-    run = co.integrate(s, W, (0.0, 0.5), 0.05, co.IsospectralGauss())
-    axes = shown(run, "eigenvalues")
-    values = np.linalg.eigvals(W)
-    drawn = axes.lines[0].get_xdata() + 1j * axes.lines[0].get_ydata()
-    np.testing.assert_allclose(np.sort_complex(drawn), np.sort_complex(values) / np.abs(values).max(), atol=1e-12)
-    assert "imaginary" in axes.get_ylabel()
-
-
-def test_what_is_no_fluid_is_refused_by_name(ball):
-    body = co.integrate(co.systems.rigid_body((1, 2, 3)), (0.1, 1.0, 0.2), (0.0, 1.0), 0.1)
-    for kind in ("vorticity", "field spectra", "energy by scale"):
-        with refused(co.plotting.CannotShow, "rigid_body", "vorticity"):
-            body.plot(kind)
-    with refused(co.plotting.CannotShow, "rigid_body", "matrix"):
-        body.plot("eigenvalues")
-    for options, said in [
-        ({"part": "lage"}, "did you mean 'large'"),
-        ({"projection": "molweide"}, "did you mean 'mollweide'"),
-        ({"part": "carried"}, "carries no second field"),
-        ({"limit": 0.0}, "limit"),
-        ({"centre": (0.0, np.nan)}, "latitude of centre"),
-    ]:
-        with refused(ValueError, said):
-            ball.plot([Picture("vorticity", **options)])
-
-
-@pytest.mark.parametrize("size", long_beyond(1, [0.0, 0.3]))
-def test_small_matrices_rest_and_backward_spans_are_drawn(size):
-    for s in (co.systems.sphere_euler(N=2, rotation=0.5), co.systems.torus_euler(N=3)):
-        run = co.integrate(s, size * s.random(1, degrees=(1, 1)), (0.2, 0.0), 0.1, co.IsospectralGauss())
-        for kind in ("drift", "energy by scale", "field spectra", "eigenvalues"):
-            shown(run, kind).figure.draw_without_rendering()
-        assert [shown(run, Picture("vorticity", at=at)).get_title() for at in (0.0, 1.0)] == [
-            "vorticity at $t$ = 0.2",
-            "vorticity at $t$ = 0",
-        ]
-
-
-def test_spectra_of_matrices_over_the_part_of_the_eigenvalues_below():
-    fluid = co.systems.torus_euler(5)
-    W = np.stack([fluid.random(seed, degrees=(1, 2)) for seed in (1, 2, 3)])
-    axes = axes_of(made(W, fluid), "eigenvalues", at=0.5)
-    size = np.abs(fluid.spectrum(W[0])).max()
-    for line, k in zip(axes.lines, (0, 1), strict=True):
-        np.testing.assert_allclose(data(line), [(np.arange(5) + 0.5) / 5, fluid.spectrum(W[k]) / size], atol=1e-14)
-    moved = np.abs(fluid.spectrum(W[1]) - fluid.spectrum(W[0])).max() / size
-    assert axes.get_title() == f"spectrum of $W$: moved by {moved:.1e} of the largest"
-    again = axes_of(made(W[:, None] * [[[[1.0]], [[2.0]]]], fluid), "eigenvalues", [1], at=0.5)
-    np.testing.assert_allclose(data(again.lines[1]), data(axes.lines[1]), atol=1e-14)
-
-
-def test_the_six_scales_with_the_largest_share_at_any_time_are_drawn():
-    fluid = co.systems.sphere_euler(12)
-    # Two scales have a share at all times, six others a larger one at one time, of another size each.
-    always = fluid.random(4, degrees=(2, 3))
-    parts = [fluid.random(1, degrees=(k, k + 1)) for k in (9, 4, 6)]
-    W = np.stack(
-        [
-            c * (part / fluid.energy(part) ** 0.5 + 0.6 * always / fluid.energy(always) ** 0.5)
-            for c, part in zip((0.1, 1.0, 3.0), parts, strict=True)
-        ]
-    )
-    axes = axes_of(made(W, fluid, np.array([T0, T0 - 1.0, T0 - 5.0])), "energy by scale")
-    energies = np.array([fluid.energy_spectrum(w)[1] for w in W])
-    shares = energies / energies.sum(axis=1)[:, None]
-    largest, means, sizes = (
-        np.sort(np.argsort(-values)[:6]) for values in (shares.max(axis=0), shares.mean(axis=0), energies.max(axis=0))
-    )
-    assert largest.tolist() != means.tolist() and largest.tolist() != sizes.tolist()
-    assert [line.get_label() for line in axes.lines] == [f"$l = {i + 1}$" for i in largest]
-    for line, i in zip(axes.lines, largest, strict=True):
-        np.testing.assert_allclose(data(line), [[T0, T0 - 1.0, T0 - 5.0], shares[:, i]], rtol=1e-12, atol=1e-15)
-    assert axes.get_ylim()[0] == 0.0
-
-
-def test_circles_of_latitude_and_meridians_of_a_map():
-    fluid = co.systems.sphere_euler(5)
-    W = fluid.random(1, degrees=(1, 2))
-    axes = axes_of(made(np.stack([W, W]), fluid), "vorticity", projection="outside", centre=(30.0, 0.0))
-    edge, *lines = axes.lines
-    np.testing.assert_allclose(np.hypot(*edge.get_data()), 1.0, atol=1e-12)
-    for line, latitude in zip(lines[:5], (-60, -30, 0, 30, 60), strict=True):
-        x, y = data(line)
-        np.testing.assert_allclose(y[np.isfinite(y)], np.sin(np.radians(latitude)), atol=1e-12)
-        assert np.nanmax(np.abs(x)) == pytest.approx(np.cos(np.radians(latitude)), rel=1e-3)
-    for line, longitude in zip(lines[5:], (-180, -120, -60, 0, 60, 120), strict=True):
-        x, y = data(line)
-        known = np.isfinite(x)
-        away = np.radians(longitude - 30.0)
-        assert known.any() == bool(np.cos(away) > 1e-9) or abs(np.cos(away)) < 1e-9
-        np.testing.assert_allclose(x[known], np.sin(away) * np.sqrt(1.0 - y[known] ** 2), atol=1e-7)
-    wide = axes_of(made(np.stack([W, W]), fluid), "vorticity").lines[0]
-    np.testing.assert_allclose(np.max(wide.get_data(), axis=1), [2.0, 1.0])
-
-
-@pytest.mark.parametrize("bad", [0, 1])
-def test_fluids_whose_first_member_fails_have_no_spectrum_at_the_end(bad):
-    fluid = co.systems.torus_euler(5)
-    W = [fluid.random(1, degrees=(1, 2)), fluid.random(2, degrees=(1, 2))]
-    W[bad] = 1e5 * W[bad]
-    run = partial(fluid, np.stack(W), (T0, T0 + 1.0), 0.1)
-    assert run.failed[bad]
-    titles = [axes.get_title() for axes in run.plot(["energy by scale", Picture("vorticity", at=1.0)]).axes]
-    assert "energy by scale of member 0" in titles and f"vorticity of member 0 at $t$ = {run.t[-1]:.4g}" in titles
-    known = np.isfinite(run.x[:, 0]).all(axis=(1, 2))
-    for line in axes_of(run, "energy by scale").lines:
-        np.testing.assert_array_equal(np.isfinite(line.get_ydata()), known)
-    (image,) = axes_of(run, "vorticity", at=1.0).images
-    assert np.isfinite(np.ma.filled(image.get_array(), np.nan)).all() == (bad == 1)
-    assert np.isfinite(image.get_clim()).all() and image.get_clim()[1] > 0.0
-    assert len(axes_of(run, "eigenvalues", at=0.0).lines) == 2
-    if bad == 0:
-        with refused(co.plotting.CannotShow, "8.3"):
-            axes_of(run, "eigenvalues")
-    else:
-        assert len(axes_of(run, "eigenvalues").lines) == 2
 
 
 @functools.cache

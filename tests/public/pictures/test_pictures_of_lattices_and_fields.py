@@ -46,27 +46,6 @@ def test_neighbours_are_neighbours_in_the_picture(lattice):
     assert np.count_nonzero(np.triu(between < 1.2)) == np.count_nonzero(bonds)
 
 
-@pytest.mark.parametrize("count", [31, 100])
-def test_long_chains_are_read_like_text(count):
-    """Sites run to the right, and each row continues in the next one below."""
-    places = places_of("chain", count)
-    row = int(np.count_nonzero(places[:, 1] == places[0, 1]))
-    assert 1 < row < count
-    ends = np.arange(1, count) % row == 0
-    steps = np.diff(places, axis=0)
-    np.testing.assert_allclose(steps[~ends], np.tile([1.0, 0.0], (np.count_nonzero(~ends), 1)), rtol=0, atol=1e-14)
-    assert np.all(steps[ends, 1] < -1.0) and np.all(places[1:][ends, 0] == places[0, 0])
-    assert np.array_equal(places_of("chain", 30), np.stack([np.arange(30.0), np.zeros(30)], axis=-1))
-
-
-def test_spins_without_a_lattice_say_that_it_is_not_known():
-    spins = co.LiePoissonSystem(co.algebras.copies(co.algebras.so(3), 4), co.Quadratic(np.arange(1.0, 13.0)))
-    run = co.integrate(spins, np.tile([0.6, 0.0, 0.8], 4), (0.0, 0.5), 0.1)
-    assert shown(run, "spins").get_title().endswith("on a circle, since the lattice is not known")
-    graph = co.systems.spin_lattice([(0, 1), (1, 3), (2, 3)], 4, field=lambda t: (0.0, np.sin(t), 0.5))
-    assert "circle" not in shown(co.integrate(graph, np.tile([0.6, 0.0, 0.8], 4), (0, 0.5), 0.1), "spins").get_title()
-
-
 def test_spins_of_space_and_of_any_graph():
     cubic = co.systems.spin_lattice("cubic", (2, 2, 2))
     with refused(co.plotting.CannotShow, "three-dimensional"):
@@ -147,18 +126,3 @@ def test_a_field_stands_along_its_axes_in_one_scale(given):
             # Interpolation in cells of 2 / 160 is wrong by an eighth of the square times the second derivative.
             assert low - 1e-4 <= own.min() and own.max() <= high + 1e-4
     assert axes.get_title() == f"w at $t$ = {T0 + 0.05:.4g}" and axes.get_xlim() == axes.get_ylim() == (0.0, 2.0)
-
-
-def test_spins_from_the_side_are_named_and_none_is_cut_off():
-    lattice = co.systems.spin_lattice("square", (2, 5))
-    S = np.random.default_rng(5).normal(size=(4, 2, 30))
-    axes = axes_of(made(S, lattice), "spins", [1], at=1.0, seen="side")
-    arrows, dots = axes.collections
-    np.testing.assert_array_equal(dots.get_array(), arrows.get_array())
-    own = S[3, 1].reshape(-1, 3)
-    own = own / np.linalg.norm(own, axis=1).max()
-    np.testing.assert_allclose(np.stack([arrows.U, arrows.get_array(), arrows.V], axis=-1), own)
-    assert axes.get_title() == f"spins of member 1 at $t$ = {T0 + 0.03:g}: arrows $(S_1, S_3)$"
-    assert axes.child_axes[-1].get_ylabel() == "$S_2$ over the largest $|S|$" and arrows.get_clim() == (-1.0, 1.0)
-    assert axes.get_xlim() == (-0.8, 1.8) and axes.get_ylim() == (-0.8, 4.8)
-    np.testing.assert_array_equal(dots.get_offsets(), arrows.XY)

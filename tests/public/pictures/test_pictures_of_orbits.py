@@ -6,12 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from drawn_runs import BARE, BODY, SPIN, T0, TURN, axes_of, colour, limits_of, made, made_at, spinning
-from matplotlib.figure import Figure
+from drawn_runs import SPIN, T0, TURN, axes_of, colour, made, made_at, spinning
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 import coadjoint as co
-from refusals import refused
 
 level_surface = co.plotting.level_surface
 
@@ -53,74 +51,6 @@ def test_surfaces_in_a_box_with_unequal_edges():
     assert 0.5 * np.linalg.norm(normal, axis=1).sum() == pytest.approx(3.0 * np.hypot(1.0, 0.5), rel=1e-13)
 
 
-HYPERBOLIC = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7]))
-
-
-@pytest.mark.thinned(36)
-@pytest.mark.parametrize("lost", [np.nan, 1e80, -1e80, np.inf])
-@pytest.mark.parametrize("bad", [0, 1, 2])
-@pytest.mark.parametrize("system", [BODY, BARE, HYPERBOLIC], ids=["sphere", "no surface", "surface without bounds"])
-@pytest.mark.filterwarnings("ignore:overflow")
-def test_orbits_are_framed_with_every_point_that_is_left(system, bad, lost):
-    """The states of the member that fails are lost from its fourth point on, all of them or one component."""
-    rng = np.random.default_rng(bad)
-    x = rng.normal(size=(20, 3, 3)) * [1.0, 5.0, 2.0] + [3.0, 0.0, -4.0]
-    x[4:, bad, 1] = lost
-    if np.isnan(lost):
-        x[5:, bad] = lost
-    axes = axes_of(made_at(T0 + 0.1 * np.arange(20), x, system), "coadjoint orbit")
-    left = np.where(np.abs(x) < 1e75, x, np.nan)
-    limits = limits_of(axes)
-    if system is BODY:  # a cube about the whole sphere
-        size = np.sqrt(np.nanmax(np.sum(left**2, axis=-1)))
-        np.testing.assert_allclose(limits, 1.1 * size * np.array([[-1.0, 1.0]] * 3), rtol=1e-12)
-    else:
-        low, high = np.nanmin(left, axis=(0, 1)), np.nanmax(left, axis=(0, 1))
-        np.testing.assert_allclose(limits.mean(axis=1), (low + high) / 2, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(np.diff(limits)[:, 0], 1.4 * (high - low), rtol=1e-12)
-    assert len(axes.collections) == (system is not BARE)
-    for m, line in enumerate(axes.lines[::2]):
-        np.testing.assert_array_equal(np.array(line.get_data_3d()).T, left[:, m])
-
-
-@pytest.mark.parametrize("x", [(0.0, 0.0, 0.0), (2.0, -3.0, 1.0)])
-def test_a_motion_that_stays_in_a_plane_or_at_a_point_has_a_box(x):
-    """A twentieth of the widest extent is left on both sides, or of 1 around a point."""
-    still = np.tile(x, (10, 1))
-    axes = axes_of(made_at(0.1 * np.arange(10), still, BARE), "coadjoint orbit")
-    np.testing.assert_allclose(limits_of(axes), np.transpose([still[0] - 0.05, still[0] + 0.05]), atol=1e-15)
-    flat = still + np.outer(np.linspace(-1.0, 1.0, 10), [4.0, 0.0, -1.0])
-    limits = limits_of(axes_of(made_at(0.1 * np.arange(10), flat, BARE), "coadjoint orbit"))
-    np.testing.assert_allclose(limits, np.add.outer(x, [-1.0, 1.0]) * 1.0 + np.outer([4.6, -0.6, 0.4], [-1, 1]))
-
-
-def _three_dimensional(figure: Figure) -> list:
-    return [axes for axes in figure.axes if axes.name == "3d"]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("system", "x0", "name", "shown_as"),
-    [
-        (
-            co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 0.5, 0.7])),
-            (1.0, 0.3, 0.5),
-            "x1*x3 + x2^2",
-            "$x_{1}\\,x_{3} + x_{2}^2$",
-        ),
-        (co.systems.paper_a37(), (1.0, 1.0, 1.0), "log C", "$\\log C$"),
-    ],
-)
-def test_surfaces_that_are_not_compact(
-    system: co.LiePoissonSystem, x0: tuple[float, ...], name: str, shown_as: str
-) -> None:
-    run = co.integrate(system, x0, (0.0, 10.0), 0.02)
-    orbit = _three_dimensional(run.plot())[0]
-    assert shown_as in orbit.get_title()
-    for i, limits in enumerate((orbit.get_xlim(), orbit.get_ylim(), orbit.get_zlim())):
-        assert limits[0] < run.x[:, i].min() and run.x[:, i].max() < limits[1]
-
-
 def test_the_surface_of_an_angle_goes_through_the_orbit_along_its_cut() -> None:
     """A spiral r = exp(2 angle) beside the axis of A3,7, on which the logarithm with the angle is a constant."""
     angle = np.linspace(0.5 * np.pi, 1.5 * np.pi, 400)
@@ -134,19 +64,6 @@ def test_the_surface_of_an_angle_goes_through_the_orbit_along_its_cut() -> None:
     distances = np.linalg.norm(seen[::20, None] - corners, axis=-1).min(axis=1)
     # A cell of the surface is a 36th of the box.
     assert np.max(distances) < 1.5 / 36 * np.ptp(corners, axis=0).max()
-
-
-def test_long_runs_are_thinned_to_what_can_be_seen() -> None:
-    run = co.integrate(BODY, (0.1, 1.0, 0.1), (0.0, 18000.0), 0.1)
-    _, components, orbit = run.plot().axes
-    (path,) = (line for line in orbit.lines if len(line.get_data_3d()[0]) > 1)
-    assert len(path.get_data_3d()[0]) <= 20_001
-    # 180 001 points and more than 600 turning points of each component: three envelopes that reach as far as they do
-    assert [band.get_label() for band in components.collections] == ["$x_{1}$", "$x_{2}$", "$x_{3}$"]
-    for i, band in enumerate(components.collections):
-        corners = band.get_paths()[0].vertices
-        assert corners[:, 0].max() == run.t[-1]
-        assert (corners[:, 1].min(), corners[:, 1].max()) == (run.x[:, i].min(), run.x[:, i].max())
 
 
 BOX = [(-1.3, 1.2)] * 3
@@ -178,15 +95,6 @@ def test_surface_is_closed() -> None:
     assert np.linalg.norm((normal * outward[:, None]).sum(axis=0)) < 1e-7 * np.abs(normal).sum()
 
 
-def test_level_that_is_not_met_gives_nothing() -> None:
-    assert level_surface(co.algebras.so(3).casimirs_known["|x|^2"], 100.0, BOX, cells=5).shape == (0, 3, 3)
-
-
-def test_wrong_box_is_refused() -> None:
-    with refused(ValueError, "pairs"):
-        level_surface(lambda x: x[0], 0.0, [(0.0, 0.0)] * 3)
-
-
 @pytest.mark.parametrize(
     ("function", "level"),
     [
@@ -202,24 +110,3 @@ def test_surfaces_of_functions_that_are_not_defined_everywhere_are_complete(func
     assert np.max(np.abs(points[:, 0] - 0.7)) <= 0.2**2 / 8 * (2.0 / 0.5**3) / (1.0 / 0.9**2)
     np.testing.assert_allclose(points[:, 1:].min(axis=0), [-0.5, 0.0], rtol=0, atol=1e-15)
     np.testing.assert_allclose(points[:, 1:].max(axis=0), [0.7, 0.6], rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize("turns", [0.0, 3.0])
-@pytest.mark.parametrize("turn", [0.3, np.pi - 0.1, np.pi, -2.0])
-def test_half_planes_of_an_angle_also_along_its_cut(turn: float, turns: float) -> None:
-    """The level of an angle with the period 2 pi is a half plane, of which the box holds a known area."""
-
-    def angle(x: np.ndarray) -> float:
-        return float(np.arctan2(x[1], x[0]))
-
-    direction = np.array([np.cos(turn), np.sin(turn)])
-    middle = 2.0 * direction
-    box = [(middle[0] - 0.5, middle[0] + 0.5), (middle[1] - 0.5, middle[1] + 0.5), (0.0, 0.7)]
-    level, period = turn + 2 * np.pi * turns, 2 * np.pi
-    triangles = level_surface(angle, level, box, cells=10, period=period)
-    points = triangles.reshape(-1, 3)
-    across = points[:, :2] @ (-direction[1], direction[0])
-    # Linear interpolation: an eighth of the square of a diagonal of 0.17 times the second derivative, over the slope.
-    assert np.max(np.abs(across)) < 0.17**2 / 8 / 1.3
-    length = 1.0 / np.max(np.abs(direction))
-    assert _area(triangles) == pytest.approx(0.7 * length, rel=0.01)

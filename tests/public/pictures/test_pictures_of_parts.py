@@ -141,12 +141,6 @@ def test_components_are_those_of_each_part(name, count):
 
 
 @pytest.mark.parametrize("count", COUNTS)
-@pytest.mark.parametrize("name", sorted(MADE))
-def test_all_declared_pictures_are_drawn_or_those_that_are_possible(name, count):
-    assert len(drawn_run(name, count).plot().axes) >= 2
-
-
-@pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("name", ["bodies", "gravitating_bodies", "rigid_molecules"])
 def test_directions_and_orbits_are_those_of_each_body(name, count):
     run = drawn_run(name, count)
@@ -277,69 +271,6 @@ def test_the_pictures_of_a_controlled_body_are_its_errors_rates_torques_and_roto
         np.testing.assert_allclose(shown_angles, np.unwrap(angles, axis=0), atol=1e-14)
         rate = np.diff(shown_angles, axis=0) / 0.05
         np.testing.assert_allclose(shown_values[1:], rate, rtol=1e-9, atol=1e-12)
-
-
-def test_gimbals_that_pass_half_a_turn_are_drawn_without_jumps():
-    system = co.systems.body(INERTIA, gyros=PYRAMID).with_forces(co.forces.ControlMomentGyros(LAW, PERIOD))
-    x0 = system.state(gimbal_angles=(3.1, -3.1, 3.1, -3.1))
-    run = co.integrate(system, x0, (0, 3), 0.05)
-    angles, drawn = system.gimbal_angles(run.x), np.transpose([*lines_of(run.plot(["gimbal angles"]).axes[0]).values()])
-    assert np.abs(np.diff(angles, axis=0)).max() > 6.0
-    np.testing.assert_allclose(drawn, np.unwrap(angles, axis=0), rtol=0, atol=1e-14)
-
-
-def test_quaternions_of_states_that_are_no_rotations_are_missing():
-    """A mirror image, and a state after a damping that shrank the axes: the others of an ensemble have theirs."""
-    system = co.systems.body(INERTIA)
-    x0 = np.tile(system.state(WANTED, (0.1, 0.2, 0.3)), (3, 1))
-    x0[1, 3:6] *= -1.0
-    x0[2, 3:] *= 0.5
-    found = co.integrate(system, x0, (0, 0.1), 0.1).to_xarray()["quaternion"].values
-    np.testing.assert_allclose(abs(found[0, 0] @ WANTED.as_quat()), 1.0, rtol=1e-14)
-    assert np.isfinite(found[:, 0]).all() and np.isnan(found[:, 1:]).all()
-
-
-def test_bodies_without_a_controller_have_none_of_its_pictures():
-    damped = co.systems.body(INERTIA).with_forces(co.forces.Torque((0.1, 0, 0, *[0] * 9)))
-    run = co.integrate(damped, damped.state(), (0, 1), 0.1)
-    assert not {"pointing error", "torque"} & {panel.get_title() for panel in run.plot().axes}
-    for kind in ("pointing error", "torques", "wheel speeds", "gimbal angles"):
-        with pytest.raises(co.plotting.CannotShow):
-            run.plot([kind])
-
-
-POINT, ROD, BODY = (0.0, 0.0, 0.0), (0.0, 0.3, 0.3), (0.3, 0.35, 0.4)
-
-
-@pytest.mark.parametrize(
-    "shapes", [(POINT,), (POINT,) * 2, (POINT,) * 3, (POINT,) * 5, (BODY, POINT, ROD), (POINT, BODY)]
-)
-@pytest.mark.parametrize("name", ["bodies", "gravitating_bodies"])
-def test_points_have_paths_and_no_attitudes_in_pictures(name, shapes):
-    count, turning = len(shapes), [k for k, one in enumerate(shapes, 1) if any(one)]
-    system = S.get(name, inertias=shapes, masses=masses(count))
-    x = np.random.default_rng(count).normal(size=(7, system.dim))
-    run = made(x, system, method=co.Splitting(), step=0.01)
-    lines, r = lines_of(declared(run, "components")), positions_of(x, count)
-    if name == "gravitating_bodies" and turning:
-        assert list(lines) == [f"libration[{k}]" for k in turning if k > 1]
-    elif name == "gravitating_bodies" and count > 1:
-        for (label, values), (wanted, expected) in zip(lines.items(), distances(x, count).items(), strict=True):
-            assert label == wanted
-            np.testing.assert_allclose(values, expected, rtol=1e-12)
-    else:
-        first = x[:, 12 * (turning[0] - 1) :][:, :3] if turning else r[:, 0]
-        np.testing.assert_array_equal(np.array(list(lines.values())).T, first)
-    titles = [panel.get_title() for panel in run.plot().axes]
-    assert any("libration" in label for label in lines) == (name == "gravitating_bodies" and bool(turning))
-    if turning:
-        assert not any("path" in title or "centre of mass" in title for title in titles)
-        return
-    centre = masses(count) @ r / masses(count).sum() if name == "gravitating_bodies" and count > 1 else 0.0 * r[:, 0]
-    paths = [line.get_xydata() for line in declared(run, "phase portrait").lines[::2]]
-    for k, path in enumerate(paths):
-        np.testing.assert_allclose(path, (r[:, k] - centre)[:, :2], rtol=1e-12, atol=1e-12)
-    assert len(paths) == count and not any("relative to the first" in title for title in titles)
 
 
 def test_molecules_are_drawn_by_their_shapes():

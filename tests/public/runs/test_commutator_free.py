@@ -8,7 +8,6 @@ from scipy.linalg import expm
 
 import coadjoint as co
 from moments import moments
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 pytestmark = pytest.mark.thinned(3)
@@ -66,39 +65,3 @@ def test_the_modified_field_begins_at_the_order(algebra, order):
     x = np.array([0.3, 1.0, -0.5])
     off = [np.max(np.abs(modified(x, h) - system.vector_field(x))) for h in (0.2, 0.1)]
     assert off[0] / off[1] == pytest.approx(2**order, rel=1e-6)
-
-
-BODY = co.systems.rigid_body((1, 2, 3))
-PLANE = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), dim=2)
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize(
-    ("call", "error", "named"),
-    [
-        (lambda: co.CommutatorFree(5), ValueError, ("order of CommutatorFree", "5")),
-        (
-            lambda: co.integrate(PLANE, (1, 0), (0, 1), 0.1, co.CommutatorFree()),
-            ValueError,
-            ("CommutatorFree", "no Lie algebra"),
-        ),
-        (
-            lambda: co.integrate(BODY, (1, 2, 3), (0, 1e5), 1e5, co.CommutatorFree()),
-            co.IntegrationError,
-            ("too large for its series",),
-        ),
-        (
-            lambda: co.CommutatorFree().step(BODY, np.array([1.0, 2, 3]), 0.0, 1e5),
-            co.IntegrationError,
-            ("too large for its series",),
-        ),
-        (
-            lambda: co.CommutatorFree().step(BODY, np.array([Fraction(1)] * 3), Fraction(0), Fraction(1, 10)),
-            TypeError,
-            ("floats", "mpmath.mpf"),
-        ),
-    ],
-)
-def test_refusals(call, error, named):
-    with refused(error, *named):
-        call()

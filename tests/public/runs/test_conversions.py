@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import coadjoint as co
-from refusals import refused
 
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 1.0, 0.2)
 TOP = co.systems.heavy_top()
@@ -87,19 +86,3 @@ def test_rotations_turn_vectors_of_the_body_into_space(system, x0):
     assert len(sol.rotation) == len(resting) == sol.x.size // sol.x.shape[-1]
     turned = sol.rotation.apply(resting).reshape(*sol.x.shape[:-1], 3)
     assert np.abs(turned - turned[0]).max() < 1e-13 and np.abs(sol.x - sol.x[0]).max() > 0.5
-
-
-def test_runs_without_a_rotation_are_named():
-    for sol in (
-        co.integrate(BODY, X0, (0, 1), 0.1),
-        co.integrate(BODY, X0, (0, 1), 0.1, attitude="coadjoint"),
-        co.integrate(
-            co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(np.arange(1.0, 7.0))),
-            np.ones(6),
-            (0, 1),
-            0.1,
-            attitude=True,
-        ),
-    ):
-        with refused(TypeError, "attitude", "rotation"):
-            _ = sol.rotation

@@ -1,4 +1,4 @@
-"""Systems with forces: closed forms, what forces keep and change, balances, and refusals."""
+"""Systems with forces: closed forms, what forces keep and change, balances."""
 
 import itertools
 from functools import cache
@@ -246,82 +246,6 @@ def test_what_is_broken_is_labelled():
 
 
 BODY, X0 = co.systems.rigid_body(inertia=(1, 2, 3)), (0.3, 0.4, 0.5)
-DAMPED = BODY.with_forces(co.forces.LinearDamping(0.1))
-HOT = BODY.with_forces(co.forces.HeatBath(0.1, temperature=1, seed=0))
-PLANE = co.PoissonSystem(lambda x: np.array([[0.0, x[0] * x[1]], [-x[0] * x[1], 0.0]]), co.Quadratic([1.0, 2.0]))
-FORCED = "rigid_body with LinearDamping"
-ENSEMBLE = ([X0, X0], (0, 2), 0.125)
-
-
-@pytest.mark.parametrize(
-    ("call", "error", "named"),
-    [
-        (lambda: co.choose(DAMPED, X0, (0, 1), 1e-6), TypeError, (FORCED,)),
-        (lambda: co.integrate(DAMPED, X0, (0, 1), accuracy=1e-6), TypeError, (FORCED,)),
-        (lambda: co.certify(DAMPED, co.Splitting(), X0, step=0.1), TypeError, (FORCED,)),
-        (lambda: co.lyapunov(DAMPED, X0, (0, 1), 0.1), TypeError, (FORCED,)),
-        (lambda: co.Splitting().properties(DAMPED), TypeError, (FORCED,)),
-        (lambda: co.GaussLegendre(2).properties(DAMPED), TypeError, (FORCED,)),
-        (lambda: co.modified_field(DAMPED, co.Splitting(), 4), TypeError, (FORCED,)),
-        (lambda: co.analysis.round_off(co.integrate(DAMPED, *ENSEMBLE)), TypeError, ("forces",)),
-        (
-            lambda: co.analysis.spatial_momentum(co.integrate(DAMPED, *ENSEMBLE, attitude="coadjoint")),
-            TypeError,
-            ("forces",),
-        ),
-        (lambda: DAMPED.exact(X0, 1.0), TypeError, ("closed form", FORCED)),
-        (lambda: co.integrate(DAMPED, X0, (0, 1), 0.125, co.methods.Forced(co.Splitting())), TypeError, ("runs",)),
-        (lambda: co.methods.Forced(co.Splitting()).properties(BODY), TypeError, ("rigid_body", "no forces")),
-        (lambda: co.modified_hamiltonian(DAMPED, co.Splitting()), TypeError, ("has forces",)),
-        (
-            lambda: co.batch([DAMPED, BODY.with_forces(co.forces.Torque((0.0, 0.0, 1.0)))]),
-            ValueError,
-            ("Torque", "LinearDamping"),
-        ),
-        (lambda: co.batch([DAMPED, BODY]), ValueError, ("no forces", "LinearDamping")),
-        (lambda: co.integrate(HOT, X0, (1, 0), 0.125), ValueError, ("HeatBath", "backward")),
-        (lambda: HOT.vector_field(X0), TypeError, ("noise",)),
-        (lambda: PLANE.with_forces(co.forces.DoubleBracketDamping(0.1)), ValueError, ("structure constants",)),
-    ],
-)
-def test_what_forces_exclude_is_refused(call, error, named):
-    with refused(error, *named):
-        call()
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize(
-    ("make", "error", "named"),
-    [
-        (lambda f: f.LinearDamping(np.ones((2, 3))), ValueError, ("LinearDamping", "(2, 3)", "or (3, 3)")),
-        (lambda f: f.LinearDamping(0.1, [1.0]), ValueError, ("toward of LinearDamping", "shape")),
-        (lambda f: f.Torque(lambda x: x[:2]), ValueError, ("torque", "(2,)", "(3,)")),
-        (lambda f: f.Torque(lambda x: x[None]), ValueError, ("torque", "(1, 3)", "(3,)")),
-        (lambda f: f.Torque(lambda t: 1.0), ValueError, ("torque", "()", "(3,)")),
-        # Shapes with as many entries would be broadcast to matrices.
-        *(
-            (lambda f, shape=shape, make=make: make(f, np.full(shape, 0.5)), ValueError, ())
-            for shape in [(1,), (2,), (4,), (3, 1), (1, 3), (3, 3)]
-            for make in (
-                lambda f, N: f.Torque(N),
-                lambda f, N: f.Torque(lambda x, t: N),
-                lambda f, N: f.LinearDamping(0.1, N),
-                lambda f, N: f.OwnForce(lambda x, t, tau: x[0] + 0.0 * N),
-            )
-        ),
-        (lambda f: f.Torque(lambda a, b, c: a), TypeError, ("positional arguments",)),
-        (lambda f: f.DoubleBracketDamping(1, -np.eye(3)), ValueError, ("positive semidefinite",)),
-        (lambda f: f.DoubleBracketDamping(1, np.triu(np.ones((3, 3)))), ValueError, ("not symmetric",)),
-        (lambda f: f.HeatBath(1, temperature=1), TypeError, ("seed",)),
-        (lambda f: f.OwnForce(dict), TypeError, ("(x, t, tau)",)),
-        (lambda f: f.OwnForce(lambda x: x), TypeError, ("(x, t, tau)",)),
-        (lambda f: f.OwnForce(lambda x, t, tau: x + 1), ValueError, ("tau = 0",)),
-        (lambda f: f.OwnForce(lambda x, t, tau: x[:1]), ValueError, ("shape",)),
-    ],
-)
-def test_wrong_forces_are_refused(make, error, named):
-    with refused(error, *named):
-        BODY.with_forces(make(co.forces))
 
 
 @pytest.mark.thinned(1)

@@ -121,20 +121,6 @@ def test_vector_functions_are_called_with_a_copy():
     assert np.array_equal(found.events.t, plain.events.t) and np.array_equal(x0, [0.1, 1.0, 0.2])
 
 
-def test_exceptions_of_matrix_events_propagate():
-    def fails_later(W, t):
-        if t > T0 + 1.0:
-            raise LookupError(f"at t = {t:g}")
-        return float(W[0, 0])
-
-    ready = co.prepare(co.MatrixSystem(GENERAL, transposed), co.IsospectralGauss(2), 0.0625)
-    event, calm = co.Event(fails_later), ready.run(W0, (T0, T0 + 1.0), events=co.Event(first)).events
-    for _ in range(2):
-        with refused(LookupError, "at t = 3"):
-            ready.run(W0, (T0, T0 + 2.0), events=event)
-        assert np.array_equal(ready.run(W0, (T0, T0 + 1.0), events=event).events.t, calm.t) and len(calm)
-
-
 CULPRIT = Failing(T0 + 0.4, "culprit")
 
 
@@ -144,16 +130,6 @@ def bodies_with(culprit):
         co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1.0, 0.5, 0.3 + m]), name=name)
         for m, name in enumerate(names)
     ]
-
-
-@pytest.mark.filterwarnings("ignore:the tangents of .* are computed in Python:RuntimeWarning")
-@pytest.mark.parametrize("culprit", [0, 2])
-def test_exceptions_propagate_from_tangent_runs(culprit):
-    batch = co.batch(bodies_with(culprit))
-    x0 = np.tile((0.1, 1.0, 0.2), (3, 1))
-    with refused(LookupError, "t = 2.5"):
-        co.lyapunov(batch, x0, (T0, T0 + 2.0), 0.125, CULPRIT, exponents=1)
-    assert np.isfinite(co.lyapunov(batch, x0, (T0, T0 + 0.5), 0.125, CULPRIT, exponents=1).exponents).all()
 
 
 @pytest.mark.parametrize("culprit", [0, 1, 2])

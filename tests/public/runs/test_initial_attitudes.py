@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from refusals import refused
 
 EPS = np.finfo(float).eps
 STEP, SPAN, SCHEME = 0.1, (0.0, 1.0), co.Splitting(order=2)
@@ -107,46 +106,3 @@ def test_every_function_reads_them(tmp_path):
     ensemble = co.prepare(body, SCHEME, STEP, attitude=TURNS)
     last = ensemble.run([x0] * MEMBERS, SPAN).attitude[:, -1]
     assert np.array_equal(last, co.integrate(body, x0, SPAN, STEP, SCHEME, attitude=TURNS[-1]).attitude)
-
-
-def test_what_is_no_rotation_is_refused_with_the_forms():
-    body, top, other = (co.systems.get(name) for name in ("rigid_body", "heavy_top", "so_n_body"))
-
-    def run(system, attitude):
-        co.integrate(system, np.ones(system.dim), SPAN, STEP, SCHEME, attitude=attitude)
-
-    for error, words, system, attitude in (
-        (ValueError, ["attitude", "norm 1.41421", "unit"], body, (1.0, 1.0, 0.0, 0.0)),
-        (ValueError, ["attitude", "norm nan"], body, (np.nan, 0.0, 0.0, 0.0)),
-        (ValueError, ["attitude", "(3,)", "(3, 3)", "quaternion", "Rotation"], body, (1.0, 0.0, 0.0)),
-        (ValueError, ["attitude", f"({MEMBERS}, 3, 3)", "Rotation"], body, TURNS),
-        (ValueError, ["attitude", "(2, 4)", "(4, 4)", "Rotation"], top, np.zeros((2, 4))),
-        (ValueError, ["attitude", "(3, 3)", "(4, 4)"], other, TURNS[0]),
-        (ValueError, ["attitude", "(4,)", "(4, 4)"], other, TURNS[0].as_quat()),
-        (TypeError, ["attitude", "'x'"], body, [TURNS[0], "x"]),
-    ):
-        with refused(error, *words):
-            run(system, attitude)
-    with refused(ValueError, "attitude", "(2,)", "quaternion"):
-        body.exact((1, 0, 0), 1.0, attitude=(1.0, 0.0))
-    run(body, (1.0 + 0.9e-6, 0.0, 0.0, 0.0))
-    with refused(ValueError, "norm"):
-        run(body, (1.0 + 1.1e-6, 0.0, 0.0, 0.0))
-
-
-def test_a_refused_attitude_names_the_scheme_of_the_user():
-    """A system with forces is integrated by the scheme of the user, whose name the message has."""
-    body, refusing = co.systems.rigid_body(), set()
-    driven = body.with_forces(co.forces.LinearDamping(0.1))
-    for name in co.methods.names():
-        for method in co.methods.registry.scheme(name).examples():
-            try:
-                co.integrate(body, (1, 0.1, 0.1), SPAN, STEP, method, attitude=True)
-            except ValueError as error:
-                if "group element" in str(error):
-                    refusing.add(name)
-                    with refused(ValueError, str(error)):
-                        co.integrate(driven, (1, 0.1, 0.1), SPAN, STEP, method, attitude=True)
-            except TypeError:
-                continue
-    assert "Kahan" in refusing and len(refusing) > 1

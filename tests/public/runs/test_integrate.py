@@ -34,18 +34,6 @@ def e3_and_start():
     return SYSTEMS["e(3)"], start_of(SYSTEMS["e(3)"])
 
 
-def test_saved_times_and_array_shapes():
-    s, x0 = e3_and_start()
-    sol = co.integrate(s, x0, (0.5, 3.0), 0.1, save_every=10)
-    assert sol.t.tolist() == [0.5, 0.5 + 10 * 0.1, 0.5 + 20 * 0.1, 0.5 + 25 * 0.1]
-    assert sol.x.shape == (4, 6) and sol.energy.shape == (4,) and sol.attitude is None and sol.failed is None
-    assert set(sol.casimirs) == set(s.casimirs) and all(v.shape == (4,) for v in sol.casimirs.values())
-    many = co.integrate(s, np.stack([x0] * 3), (0.5, 3.0), 0.1, save_every=10, attitude=True)
-    assert many.x.shape == (4, 3, 6) and many.energy.shape == (4, 3) and many.attitude.shape == (4, 3, 4, 4)
-    assert many.failed.tolist() == [False] * 3
-    assert sol.stats.steps == 25 and (sol.step, sol.save_every) == (0.1, 10)
-
-
 def test_energy_and_casimirs_of_the_saved_states():
     """The compiled values against the system's own: 16 roundings of n^2 products."""
     for s in SYSTEMS.values():
@@ -54,13 +42,6 @@ def test_energy_and_casimirs_of_the_saved_states():
             assert abs(energy - s.energy(x, t)) <= 16 * U * (1 + 4 * (x @ x))
         for name, casimir in s.casimirs.items():
             assert abs(sol.casimirs[name][0] - casimir(sol.x[0])) <= 16 * U * (1 + sol.x[0] @ sol.x[0])
-
-
-def test_empty_span_returns_the_start():
-    s, x0 = e3_and_start()
-    sol = co.integrate(s, x0, (2.0, 2.0), 0.1, attitude=True)
-    assert sol.t.tolist() == [2.0] and np.array_equal(sol.x, [x0]) and np.array_equal(sol.attitude, [np.eye(4)])
-    assert sol.drift(relative=False)["energy"] == 0.0 and sol.stats.steps == 0
 
 
 def test_arguments_are_not_modified():
@@ -86,14 +67,6 @@ def test_drift_is_over_every_step(name):
             assert drift == deviation.max() and drift.initial == values[0] and drift.members is None
             assert drift.tenths.tolist() == [deviation[tenths == tenth].max() for tenth in range(10)]
             assert drift.growth == drift.tenths[9] / drift.tenths[0]
-
-
-def test_unwatched_drift_is_over_saved_points():
-    s, x0 = e3_and_start()
-    sol = co.integrate(s, x0, (0, 8), 0.0625, save_every=10, watch=False)
-    for key, values in {"energy": sol.energy, **sol.casimirs}.items():
-        assert sol.drift(relative=False)[key] == np.abs(values - values[0]).max()
-    assert sol.drift()["energy"] < co.integrate(s, x0, (0, 8), 0.0625, save_every=10).drift()["energy"]
 
 
 @pytest.mark.parametrize(

@@ -67,25 +67,6 @@ def test_many_dimensions_without_a_matrix_give_the_same():
     assert np.max(np.abs(back - x0)) < 64 * UNIT_ROUNDOFF * 4
 
 
-CUBIC = co.Polynomial({(3, 0, 0): 1.0, (0, 2, 0): 0.5})
-REFUSED = {
-    "not quadratic": co.LiePoissonSystem(co.algebras.so(3), CUBIC),
-    "depends on time": co.LiePoissonSystem(
-        co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * t, lambda x, t: np.array([t, 0.0, 0.0]))
-    ),
-    "not linear in x": co.PoissonSystem(
-        lambda x: x[0] ** 2 * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]), dim=2
-    ),
-}
-
-
-@pytest.mark.parametrize("what", REFUSED)
-def test_what_is_not_quadratic_is_refused(what):
-    system = REFUSED[what]
-    with refused(ValueError, "Kahan", "quadratic", what):
-        co.integrate(system, np.full(system.dim, 0.5), (0, 1), 0.1, co.Kahan())
-
-
 def test_a_singular_matrix_is_named():
     """x2' = x2 on [e1, e2] = e2 with H = x1, backward or forward: 1 - h/2 f' = 0 at |h| = 2."""
     system = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Quadratic([0.0, 0.0], linear=[1.0, 1.0]))

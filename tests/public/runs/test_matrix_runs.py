@@ -13,10 +13,6 @@ import coadjoint as co
 from long import long_where
 from refusals import refused
 
-SPHERE = co.systems.sphere_euler(N=4)
-BODY = co.systems.matrix_body()
-GENERAL = co.MatrixSystem(co.MatrixAlgebra("gl", 3), np.transpose, np.diag([0.3, 0.1, -0.2]), name="general")
-SYSTEMS = {"sphere": SPHERE, "body": BODY, "general": GENERAL}
 pytestmark = pytest.mark.filterwarnings("ignore:the stream .* is called in Python:RuntimeWarning")
 
 
@@ -28,29 +24,6 @@ def state_of(system, seed=1):
 
 def states(system, count):
     return np.array([state_of(system, seed) for seed in range(count)])
-
-
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_stepper_of_matrices(name):
-    system, W, method = SYSTEMS[name], state_of(SYSTEMS[name]), co.IsospectralGauss(2)
-    step = co.stepper(system, method, 0.1)
-    run = co.integrate(system, W, (0.0, 0.1), 0.1, method)
-    assert np.array_equal(step(W), run.x[-1]) and step(np.stack([W, W])).shape == (2, *system.shape)
-    assert np.abs(method.step(system, W, 0.0, 0.1) - step(W)).max() < 1e-15
-    found = co.analysis.poisson_defect(step, W)
-    assert found.defect <= found.bound, found
-    seen = step.tangent(W) @ system.to_vector(state_of(system, 3))
-    d = 2.0**-16
-    ends = [step(W + side * d * state_of(system, 3)) for side in (1, -1)]
-    assert np.abs(system.to_vector(ends[0] - ends[1]) / (2 * d) - seen).max() < 1e-9
-    assert step.tangent_by(W) == "formula"
-    with refused(ValueError, "group element"):
-        step.both(W)
-
-
-def test_default_scheme_of_matrices():
-    assert isinstance(co.integrate(BODY, state_of(BODY), (0, 1), 0.1).method, co.IsospectralGauss)
-    assert isinstance(co.prepare(SPHERE, None, 0.1).method, co.IsospectralGauss)
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -67,22 +40,6 @@ def test_drift_of_a_time_dependent_energy(way):
     # Steps 3, 6 and 8 of 8 are in the tenths 2, 6 and 8.
     assert np.array_equal(drift.tenths[:, [2, 6, 8]], np.abs(off[1:]).T) and np.count_nonzero(drift.tenths) == 6
     assert alone.drift(relative=False)["energy"].tenths.tolist() == drift.tenths[1].tolist()
-
-
-def test_failed_member_leaves_the_others_unchanged():
-    W = np.array([state_of(SPHERE), 1e9 * state_of(SPHERE), 0.5 * state_of(SPHERE)])
-    with refused(co.IntegrationError, "1 of 3 members", "member 1") as failure:
-        co.integrate(SPHERE, W, (0.0, 1.0), 0.125, co.IsospectralGauss(2))
-    partial = failure.value.partial
-    assert partial.failed.tolist() == [False, True, False]
-    assert np.array_equal(partial.x[:, 0], co.integrate(SPHERE, W[0], (0.0, 1.0), 0.125, co.IsospectralGauss(2)).x)
-    assert (
-        np.isnan(partial.x[-1, 1]).all() and np.isnan(partial.energy[-1, 1]) and np.isfinite(partial.energy[:, 2]).all()
-    )
-    assert np.isnan(partial.spectrum()[-1, 1]).all() and np.isfinite(partial.spectrum()[:, 2]).all()
-    with pytest.raises(co.IntegrationError) as alone:
-        co.integrate(SPHERE, W[1], (0.0, 1.0), 0.125, co.IsospectralGauss(2))
-    assert np.array_equal(alone.value.partial.x, W[1][None])
 
 
 class TooLarge(Exception):

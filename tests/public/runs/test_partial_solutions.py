@@ -22,15 +22,6 @@ def cut():
     return partial, f"{len(partial.t)} points from t = 0 to {partial.t[-1]:g} of {2**15}, interrupted"
 
 
-def test_text_summary_and_picture_of_an_interrupted_run(cut):
-    partial, stated = cut
-    assert partial.incomplete == "interrupted" and len(partial.t) > 1
-    assert partial.stats.steps == 2**12 * (len(partial.t) - 1)
-    assert stated in repr(partial) and stated in partial._repr_html_()
-    assert 0.0 < partial.stats.seconds <= partial.stats.elapsed and " 0 s" not in partial._repr_html_()
-    assert stated in " ".join(partial.plot(["components"]).get_suptitle().split())
-
-
 @pytest.mark.parametrize("suffix", ["nc", "zarr"])
 def test_interrupted_runs_are_read_back_as_such(cut, suffix, tmp_path):
     partial, stated = cut
@@ -170,15 +161,6 @@ def test_interrupted_archives_state_how_to_continue(tmp_path):
     expected = co.integrate(BODY, X0, (0, (count - 1) * 16), step, method, save_every=2**14)
     np.testing.assert_array_equal(more.x, expected.x)
     np.testing.assert_array_equal(partial.x, expected.x[: len(partial.t)])
-
-
-def test_complete_runs_are_not_marked(tmp_path):
-    sol = co.integrate(BODY, X0, (0, 1), 0.1, archive=tmp_path / "run.zarr")
-    plain = co.integrate(BODY, X0, (0, 1), 0.1)
-    for run in (sol, plain, co.load(tmp_path / "run.zarr")):
-        assert run.incomplete is None and "interrupted" not in repr(run) + run._repr_html_()
-    assert "11 points from t = 0 to 1, step" in repr(plain)
-    assert "run_incomplete" not in plain.to_xarray().attrs
 
 
 def test_failed_runs(tmp_path):

@@ -68,47 +68,6 @@ def test_attributes_of_solutions_are_lazy_and_cached():
             assert again.drift() == other.drift() and again.stats == other.stats
 
 
-def test_solutions_of_many_members():
-    """So many that what belongs to single members is not kept."""
-    sol, one = co.integrate(BODY, np.tile(X, (2**13, 1)), (0, 1), 0.1), co.integrate(BODY, X, (0, 1), 0.1)
-    assert sol.stats.evaluations == 2**13 * one.stats.evaluations and not sol.failed.any()
-    assert np.array_equal(sol.drift()["energy"].tenths[-1], one.drift()["energy"].tenths)
-
-
-@pytest.mark.parametrize("size", [1e-200, 1.0, 1e200])
-def test_nearly_singular_group_element_is_refused(size):
-    ready = co.prepare(BODY, co.Splitting(order=2), 0.1, attitude=True)
-    random = np.random.default_rng(3).standard_normal((3, 3))
-    nearly = random.copy()
-    nearly[2] = nearly[0] - nearly[1]
-    nearly[2, 2] += 2.0**-53
-    with refused(ValueError, "attitude", "singular"):
-        ready.run(X, (0, 1), attitude=size * nearly)
-    with refused(ValueError, "attitude", "singular"):
-        ready.run(X, (0, 1), attitude=0.0 * random)
-    steep = size * np.diag([1.0, 1.0, 1e-14])
-    with refused(ValueError, "attitude", "rigid_body", "orthogonal"):
-        ready.run(X, (0, 1), attitude=steep)
-    # It is an element of the group of all matrices with positive determinant.
-    every = co.LiePoissonSystem(co.algebras.gl(3), co.Quadratic(np.arange(1.0, 10.0)), casimirs={})
-    whole = co.integrate(every, np.full(9, 0.1), (0, 1), 0.1, attitude=steep)
-    assert np.array_equal(whole.attitude[0], steep)
-
-
-@pytest.mark.parametrize("member", [0, 1, 2])
-@pytest.mark.parametrize("attitude", [True, "coadjoint"])
-def test_wrong_group_element_of_any_member_is_refused(member, attitude):
-    ready, x = co.prepare(BODY, None, 0.1, attitude=attitude), np.array([X, -X, 2 * X])
-    wrong = [(np.zeros((3, 3)), "singular"), (np.diag([1.0, 0.0, 1.0]), "singular"), (2.0 * np.eye(3), "no element")]
-    wrong += [(np.diag([1.0, 1.0, np.nan]), "contains NaN"), (np.diag([1.0, 1.0, -1.0]), "no element")]
-    for element, words in wrong:
-        elements = np.stack([np.eye(3), QUARTER, QUARTER.T])
-        assert ready.run(x, (0, 0.1), attitude=elements).attitude.shape == (2, 3, 3, 3)
-        elements[member] = element
-        with refused(ValueError, words):
-            ready.run(x, (0, 0.1), attitude=elements)
-
-
 def test_group_elements_are_copied():
     for _ in range(2):
         unit = co.integrate(BODY, X, (0, 1), 0.1, attitude=True).attitude0

@@ -242,29 +242,11 @@ def test_a_projection_that_fails_knows_the_time():
             assert (failure.value.time, failure.value.step) == (0.75, 1) and failure.value.residual > 1e-12
 
 
-DRIVEN = co.LiePoissonSystem(
-    co.algebras.so(3), co.Hamiltonian(lambda x, t: x[0] * t, lambda x, t: np.array([t, 0.0, 0.0]))
-)
 SCALING = co.LiePoissonSystem(co.algebras.get("A2,1"), co.Quadratic([0.0, 0.0], linear=[1.0, 1.0]))
 
 
 def run(system, base, end=1.0, step=0.1):
     return co.integrate(system, start_of(system), (0, end), step, co.Projected(base))
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize(
-    ("call", "error", "named"),
-    [
-        (lambda: co.Projected("rk4"), TypeError, ("Projected", "'rk4'")),
-        (lambda: run(E3, co.SphericalMidpoint()), ValueError, ("SphericalMidpoint", "spins")),
-        (lambda: run(DRIVEN, co.GaussLegendre(2)), ValueError, ("Projected", "polynomials")),
-        (lambda: co.Composition(co.Projected(co.Kahan()), (0.5, 0.5)), ValueError, ("Composition", "symmetric")),
-    ],
-)
-def test_refusals(call, error, named):
-    with refused(error, *named):
-        call()
 
 
 def test_a_singular_step_of_the_base_is_a_failure():

@@ -77,25 +77,6 @@ def test_wrong_arguments_are_refused(change, error, named):
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize(
-    ("error", "named", "call"),
-    [
-        (TypeError, ["LiePoissonSystem"], lambda: co.stepper(co.algebras.so(3), co.Splitting(), 0.1)),
-        (ValueError, ["attitude", "False"], lambda: co.stepper(BODY, co.Splitting(), 0.1).group(
-            (0.1, 1.0, 0.2), attitude=False)),
-        (ValueError, ["coordinate 2"], lambda: co.Splitting(parts=((0,), (1,), (2,), (2,)))),
-        (ValueError, ["2e+300"], lambda: co.Composition(co.Splitting(), (1e300, -1e300, 1))),
-        (ValueError, ["stages", "256"], lambda: co.GaussLegendre(10**9)),
-        (ValueError, ["'energy'"], lambda: co.LiePoissonSystem(BODY.algebra, co.Quadratic(1.0), casimirs={
-            "energy": co.Polynomial({(2, 0, 0): 1, (0, 2, 0): 1, (0, 0, 2): 1})})),
-    ],
-)  # fmt: skip
-def test_wrong_schemes_systems_and_steps_are_refused(error, named, call):
-    with refused(error, *named) as refusal:
-        call()
-    assert "\n" not in str(refusal.value)
-
-
 @pytest.mark.parametrize(("span", "step"), [((0.0, 1.0), 0.3), ((5.0, 1.0), 0.7), ((0.0, 1.0), 3.0)])
 def test_two_nearest_steps_are_suggested(span, step):
     with refused(ValueError, step) as refusal:
@@ -225,28 +206,3 @@ def test_bodies_at_one_place_are_named():
     for places in ([(1.0, 0.0, 0.0)] * 2 + [(0.0, 2.0, 0.0)], [(1.0, 0.0, 0.0)] * 3):
         with refused(co.IntegrationError, "bodies 0 and 1", "one place", "t = 2"):
             co.integrate(pair, pair.state(positions=places), (2, 3), 0.125)
-
-
-def test_hints_for_lists_of_forces_short_states_and_long_spins():
-    damping, law = co.forces.LinearDamping(0.1), co.forces.Sampled(co.forces.Torque((0.0, 0.0, 0.1)), 0.5)
-    for listed in ([damping, damping], (damping,)):
-        with refused(TypeError, "list", "with_forces(*forces)"):
-            BODY.with_forces(listed)
-    bare = co.systems.body((1.0, 2.0, 2.5))
-    sat = bare.with_forces(law)
-    for system in (sat, co.batch([sat, sat])):
-        for call in (
-            lambda system=system: co.integrate(system, bare.state(), (0, 1), 0.25),
-            lambda system=system: co.prepare(system, step=0.25).run(bare.state(), (0, 1)),
-        ):
-            with refused(ValueError, "(12,)", "15", "last 3", "system.state", "after with_forces"):
-                call()
-    chain = co.systems.spin_lattice("chain", 3)
-    spins = np.array([[0.0, 0.0, 50.0], [0.0, 30.0, 40.0], [60.0, 0.0, 0.0]])
-    with refused(co.IntegrationError, "unit vectors", "50 to 60", "divide"):
-        co.integrate(chain, spins.ravel(), (0, 1), 0.5, co.SphericalMidpoint())
-    with pytest.raises(co.IntegrationError) as caught:
-        co.integrate(
-            chain, spins.ravel() / np.repeat(np.linalg.norm(spins, axis=1), 3), (0, 50), 50.0, co.SphericalMidpoint()
-        )
-    assert "unit vectors" not in str(caught.value)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -151,21 +150,6 @@ def test_calls_are_those_of_a_fresh_prepared_run(name):
         assert outcome(shared, *calls[k]) == expected[k], calls[k]
 
 
-@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning")
-@pytest.mark.parametrize("name", ["splitting", "Gauss", "Taylor", "two threads", "inputs"])
-def test_calls_of_several_threads_are_those_of_a_fresh_prepared_run(name):
-    case = CASES[name]
-    shared, calls = case.prepared(), list(case.calls(10))
-    expected = [outcome(case.prepared(), *call) for call in calls]
-
-    def work(turn):
-        order = np.random.default_rng(turn).permutation(np.arange(len(calls))).tolist()
-        return [k for k in order if outcome(shared, *calls[k]) != expected[k]]
-
-    with ThreadPoolExecutor(4) as pool:
-        assert list(pool.map(work, range(4))) == [[]] * 4
-
-
 BASES = [co.GaussLegendre(1), co.Splitting(order=2)]
 SCHEMES = [
     *(scheme for name in co.methods.names() for scheme in co.methods.registry.scheme(name).examples()),
@@ -190,16 +174,3 @@ def test_a_check_of_the_step_changes_no_bits_of_the_next_run(rate):
             np.testing.assert_array_equal(first.x, second.x, err_msg=str(scheme))
         tried += 1
     assert tried > 20
-
-
-@pytest.mark.parametrize("members", [1, 4])
-def test_solutions_do_not_see_arrays_changed_afterwards(members):
-    prepared, x0, span = co.prepare(BODY, None, STEP, threads=1), MANY[:members].copy(), [0.0, 0.25]
-    x0 = x0[0] if members == 1 else x0
-    expected, sol = shown(prepared.run(x0.copy(), (0.0, 0.25))), prepared.run(x0, span)
-    first, start = prepared.run(x0, (0.0, 0.25)), x0.copy()
-    x0[...], span[1] = 7.0, 0.5
-    first.x[...] = first.energy[...] = first.x0[...] = 9.0
-    prepared.run(x0, (0.0, 0.25))
-    assert shown(sol) == expected == shown(prepared.run(start, (0.0, 0.25)))
-    assert prepared.run(start, span).t[-1] == 0.5

@@ -1,7 +1,5 @@
 """Representations of objects: one short line, and a small table in notebooks."""
 
-import dataclasses
-import html
 import re
 from operator import methodcaller
 
@@ -19,16 +17,6 @@ BODY = co.systems.rigid_body((1, 2, 3))
 SYSTEMS = [*map(co.systems.get, co.systems.names()), co.systems.spin_lattice("chain", 100)]
 SYSTEMS += [BODY.with_forces(co.forces.LinearDamping(0.1), co.forces.Torque((0, 0, 1)))]
 SYSTEMS += [co.LiePoissonSystem(co.algebras.so(3), H, name="driven")]
-
-
-@pytest.mark.parametrize("system", [one for one in SYSTEMS if hasattr(one, "_repr_html_")], ids=lambda one: one.name)
-def test_tables_of_systems(system):
-    table = table_of(system)
-    assert table.startswith("<table>") and table.endswith("</table>")
-    assert len(re.findall("<tr>", table)) == len(re.findall("</tr>", table)) >= 3
-    for text in (repr(system), table, repr(getattr(system, "casimirs", "")), repr(getattr(system, "hamiltonian", ""))):
-        assert " at 0x" not in text
-    assert len(repr(system)) < 270 and len(table) < 3000
 
 
 LONG_NAME = "x" * 200
@@ -81,31 +69,6 @@ def test_systems_with_forces_and_batches_are_one_line(name):
             check_representation(co.batch([member, member]), 400)
 
 
-def test_systems_of_long_numbers_and_names():
-    rng = np.random.default_rng(5)
-    for algebra in (co.algebras.so(3), co.algebras.so(4), co.algebras.get("A4,9", b=0.5)):
-        n = algebra.dim
-        A = rng.standard_normal((n, n))
-        quadratic = co.Quadratic(A @ A.T, linear=rng.standard_normal(n))
-        cubic = co.Polynomial({tuple(e): 1 / (k + 3) for k, e in enumerate(rng.integers(0, 3, (30, n)))})
-        split = co.SplitHamiltonian([((k,), co.Quadratic(float(A[k, k]))) for k in range(n)])
-        for H in (quadratic, cubic, split, co.Separable({k: (np.cosh, np.sinh) for k in range(n)})):
-            system = co.LiePoissonSystem(algebra, H, name=LONG_NAME)
-            check_representation(system, 550)
-            for one in (system, system.with_forces(co.forces.LinearDamping(A @ A.T))):
-                check_representation(one, 550)
-                check_representation(co.prepare(one, co.GaussLegendre(2), 0.1), 700)
-                check_representation(co.stepper(one, co.GaussLegendre(2), 0.1), 700)
-                check_representation(co.batch([one, one]), 550)
-
-    # Forces of the user, as dataclasses of arrays.
-    @dataclasses.dataclass(frozen=True, eq=False)
-    class Own(co.forces.LinearDamping):
-        pass
-
-    assert repr(Own(np.eye(3) / 3)) == "Own(rate=<tuple of shape (3, 3)>, toward=0.0)"
-
-
 def results():
     """Yield results of the functions of the library that hold arrays."""
     body, x0 = co.systems.rigid_body(inertia=(1, 2, 2.5)), (1.0, 0.2, 0.1)
@@ -127,47 +90,6 @@ def results():
 def test_results_are_one_line():
     for result in results():
         check_representation(result, 700)
-
-
-def rows_of(table):
-    return {name: html.unescape(value) for name, value in re.findall("<tr><th>(.*?)</th><td>(.*?)</td></tr>", table)}
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 6, 7, 8])
-def test_table_names_six_coordinates_and_casimirs(count):
-    system = co.systems.spin_lattice("chain", count, exchange=-0.5, field=(0.0, 0.25, 0.0))
-    rows = rows_of(table_of(system))
-    assert list(rows) == ["coordinates", "algebra", "Hamiltonian", "sign", "Casimirs", "parameters"]
-    names = [f"S{axis}[{site}]" for site in range(1, count + 1) for axis in (1, 2, 3)]
-    assert rows["coordinates"] == f"{3 * count}: {', '.join(names[:6])}" + (", ..." if count > 2 else "")
-    squares = [f"|x|^2 [{k}] = S1[{k}]^2 + S2[{k}]^2 + S3[{k}]^2" for k in range(1, count + 1)]
-    if count == 1:
-        squares = [squares[0].replace("|x|^2 [1]", next(iter(system.casimirs)))]
-    assert rows["Casimirs"] == ", ".join(squares[:6] + ([f"and {count - 6} more"] if count > 6 else []))
-    assert rows["algebra"] == system.algebra.name and rows["sign"] == "+1"
-    H = system.hamiltonian
-    assert rows["Hamiltonian"] == (str(H.to_polynomial().named(names)) if count < 3 else repr(H))
-    for name, value in system.parameters.items():
-        assert f"{name} = {value!r}" in rows["parameters"]
-
-
-def test_tables_of_unnamed_systems():
-    g = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
-    rows = rows_of(table_of(co.LiePoissonSystem(g, co.Quadratic([1.0, 2.0]), sign=-1, name="<own>")))
-    assert rows == {
-        "coordinates": "2: x1, x2",
-        "algebra": "without a name",
-        "Hamiltonian": "0.5*x1^2 + x2^2",
-        "sign": "-1",
-        "Casimirs": "none is known",
-    }
-    curved = co.PoissonSystem(lambda x: x[0] * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 1.0]))
-    rows = rows_of(table_of(curved))
-    assert rows["algebra"] == "none" and rows["coordinates"] == "2: x1, x2" and "parameters" not in rows
-    forced = co.systems.heavy_top().with_forces(co.forces.LinearDamping(0.1))
-    rows = rows_of(table_of(forced))
-    assert rows["coordinates"] == "6: m1, m2, m3, gamma1, gamma2, gamma3" and rows["algebra"] == "e(3)"
-    assert "LinearDamping" in " ".join(rows.values())
 
 
 def test_runs_and_states_at_times():
@@ -196,12 +118,3 @@ def test_functions_show_no_address():
         (co.forces.Torque((0, 0, 1)), "Torque(torque=(0.0, 0.0, 1.0))"),
     ):
         assert repr(value) == text
-
-
-def test_table_of_a_certificate():
-    found = co.certify(co.systems.rigid_body(inertia=(1, 2, 3)), co.Splitting(), (1.0, 0.2, 0.1), 0.1, steps=20)
-    table = table_of(found)
-    assert table.count("<tr>") == len(found.rows) + 1 and "passed: every declared property holds" in table
-    for row in found.rows:
-        assert f"<th>{row.what}</th><td>{row.declared}</td><td>{row.verdict}</td>" in table
-    assert "<td>declared</td><td>verdict</td><td>measured</td>" in table

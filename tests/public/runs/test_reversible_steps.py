@@ -195,36 +195,6 @@ def test_exponential_growth_is_followed_as_far_as_the_steps_reach():
     assert ended and steps == pytest.approx(17.0, abs=0.05)
 
 
-def driven(value, slope):
-    return co.LiePoissonSystem(co.algebras.so(3), co.Separable({0: (value, slope)}), name="driven")
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize(
-    ("make", "named"),
-    [
-        (lambda: co.ReversibleSteps(co.ExplicitRungeKutta("rk4")), ("symmetric base", "ExplicitRungeKutta")),
-        (lambda: co.ReversibleSteps(co.ReversibleSteps(co.Splitting())), ("own steps", "ReversibleSteps")),
-        (lambda: co.ReversibleSteps(co.Splitting(), 0.0), ("stride", "0")),
-        (lambda: co.ReversibleSteps(co.GaussLegendre(2)).properties(CURVED), ("Lie algebra", "curved", "speed=")),
-        (lambda: co.ReversibleSteps(co.Splitting(), speed=POSITIVE).properties(TOP), ("speed", "3", "6")),
-        (
-            lambda: co.ReversibleSteps(co.Splitting()).properties(
-                driven(lambda y, t: y * np.sin(t), lambda y, t: np.sin(t))
-            ),
-            ("driven", "time"),
-        ),
-        (
-            lambda: co.methods.get("ReversibleSteps", base={"name": "Kahan"}, speed=[[1.0, 2, 3]]),
-            ("speed of ReversibleSteps", "(1.0, 2, 3)"),
-        ),
-    ],
-)
-def test_refusals(make, named):
-    with refused(ValueError, *named):
-        make()
-
-
 def test_base_stride_and_speed_are_given_by_name():
     """As in a configuration file."""
     given = {"stride": 0.2, "speed": [[0.5, [0, 0, 0]], [1.0, [2, 0, 0]]], "base": {"name": "Splitting", "order": 4}}

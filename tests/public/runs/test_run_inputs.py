@@ -1,10 +1,9 @@
-"""Inputs of prepared runs: names, shapes, limits, steppers, and refusals."""
+"""Inputs of prepared runs: names and shapes."""
 
 import numpy as np
 import pytest
 
 import coadjoint as co
-from matrix.forces import forces_on
 from own_schemes import Classical, Interpreted
 from refusals import refused
 
@@ -46,53 +45,6 @@ def numbers(name, seed=0, *members):
     """Return a state, a linear term, and another one, or one for each member."""
     n, rng = ALGEBRAS[name][0].dim, np.random.default_rng(seed)
     return rng.uniform(0.3, 0.9, n), rng.uniform(-0.15, 0.15, n), rng.uniform(-0.15, 0.15, (*members, n))
-
-
-@pytest.mark.parametrize(
-    "method", [co.Splitting(order=4), co.Splitting(order=2, parts="coordinates"), co.GaussLegendre(3)], ids=str
-)
-@pytest.mark.parametrize("name", ["so(3)", "so(3), full", "e(3)", "A3,7"])
-def test_zero_input_converges_to_no_input(name, method):
-    """In the limit of small steps, since the parts for the inputs may change the order of the splitting."""
-    x, _, _ = numbers(name)
-    ready = co.prepare(system(name, None), method, STEP / 4, inputs=True)
-    exact = co.integrate(system(name, None), x, SPANS[0], STEP / 4, co.GaussLegendre(6)).x[-1]
-    tolerance = 5 * (STEP / 4) ** method.order + 1e-13
-    assert np.abs(ready.run(x, SPANS[0], linear=np.zeros(len(x))).x[-1] - exact).max() < tolerance
-    assert np.array_equal(ready.run(x, SPANS[0]).x, ready.run(x, SPANS[0], linear=np.zeros(len(x))).x)
-
-
-METHODS = [method for name in co.methods.names() for method in co.methods.registry.scheme(name).examples()[:2]]
-FORCES = co.forces.LinearDamping(0.1), co.forces.Torque(np.zeros(6))
-
-
-@pytest.mark.filterwarnings("ignore::coadjoint.LargeStepWarning", "ignore::coadjoint.RoundingWarning")
-@pytest.mark.parametrize("forced", [False, True], ids=["alone", "forced"])
-@pytest.mark.parametrize("method", [*METHODS, co.Splitting(order=2, parts="coordinates")], ids=str)
-@pytest.mark.parametrize("name", ["e(3)", "e(3), apart"])
-def test_runs_have_the_bits_of_the_system_that_has_the_inputs(name, method, forced):
-    """With squares of coupled coordinates, and without; zeros are numbers as all others."""
-    n, rng = 6, np.random.default_rng(11)
-    M = full_matrix(4, n) if name == "e(3)" else np.diag(np.linspace(0.6, 1.6, n))
-    plain = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(M), -1)
-    given = plain.with_forces(*FORCES) if forced else plain
-    x, linear = rng.uniform(0.3, 0.9, n), rng.uniform(-0.15, 0.15, (3, n))
-    linear[1], torque = 0.0, rng.uniform(-0.1, 0.1, n)
-    try:
-        method.properties(plain)
-    except ValueError:
-        pytest.skip("the scheme refuses the system")
-    ready = co.prepare(given, method, STEP, inputs={"linear": tuple(range(n)), **({"T": "Torque"} if forced else {})})
-    values = {"T": torque} if forced else {}
-    together = ready.run(x, SPANS[0], linear=linear, **values)
-    for m, row in enumerate(linear):
-        sol = ready.run(x, SPANS[0], linear=row, **values)
-        system = co.LiePoissonSystem(co.algebras.e(3), co.Quadratic(M, linear=row), -1)
-        if forced:
-            system = system.with_forces(FORCES[0], co.forces.Torque(torque))
-        alone = co.integrate(system, x, SPANS[0], STEP, ready.method)
-        assert np.array_equal(sol.x, alone.x) and np.array_equal(sol.energy, alone.energy)
-        assert np.array_equal(together.x[:, m], alone.x) and np.array_equal(together.energy[:, m], alone.energy)
 
 
 def test_inputs_of_steps_in_python():
@@ -194,115 +146,6 @@ def test_systems_of_runs_with_inputs_have_a_field_of_their_own(name):
     assert np.array_equal(system.vector_field(x), before)
 
 
-def test_stepper_with_inputs():
-    x, before, linear = numbers("e(3)", 4)
-    s = system("e(3)", before)
-    for method in (co.Splitting(order=2), co.GaussLegendre(2)):
-        step = co.stepper(s, method, 0.125, inputs=(3, 4, 5))
-        for gravity in (linear[3:], np.zeros(3)):
-            after = step(x, linear=gravity)
-            moved, K = step.both(x, attitude="coadjoint", linear=gravity)
-            assert np.array_equal(moved, after)
-            assert np.array_equal(K, step.group(x, attitude="coadjoint", linear=gravity))
-            assert np.abs(K @ after - x).max() < 64 * U
-            near = [(step(x + d, linear=gravity) - step(x - d, linear=gravity)) / 2e-5 for d in 1e-5 * np.eye(6)]
-            assert np.abs(step.tangent(x, linear=gravity) - np.transpose(near)).max() < 1e-8
-        assert step.tangent_by(x, linear=linear[3:]) == "formula"
-    with refused(ValueError, "one state"):
-        step.tangent(x, linear=np.zeros((2, 3)))
-
-
-def test_wrong_inputs_are_refused():
-    body = co.systems.rigid_body((1, 2, 3))
-    x = (0.1, 1.0, 0.2)
-    ready = co.prepare(body, None, 0.1, inputs={"rotors": (0, 1, 2)})
-    cases = [
-        (ValueError, "no input of this run 'rotor'|rotors", {"rotor": np.zeros(3)}),
-        (
-            ValueError,
-            r"rotors has the shape \(2,\).*\(3,\), or \(members, 3\)",
-            {"rotors": (1, 2)},
-        ),
-        (ValueError, "rotors contains NaN", {"rotors": (1, 2, np.nan)}),
-        (TypeError, "rotors is 'fast'", {"rotors": "fast"}),
-    ]
-    for kind, words, given in cases:
-        with pytest.raises(kind, match=words):
-            ready.run(x, (0, 1), **given)
-    steep = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([[1.0, 0.7, 0.0], [0.7, 0.9, 0.3], [0.0, 0.3, 1.0]]))
-    apart = co.Splitting(order=2, parts="coordinates")
-    with refused(ValueError, "linear"):
-        co.prepare(steep, apart, 0.1, inputs=True).run(x, (0, 1), linear=(1.7e308, -1.7e308, 1.7e308))
-    with refused(ValueError, "x0", "3", "inputs", "2"):
-        ready.run(np.tile(x, (3, 1)), (0, 1), rotors=np.zeros((2, 3)))
-    with refused(TypeError, "linear", "inputs"):
-        co.prepare(body, None, 0.1).run(x, (0, 1), linear=np.zeros(3))
-    two = co.prepare(body, None, 0.1, inputs={"a": (0,), "b": (1, 2)})
-    with refused(ValueError, "b has", "(3, 2)"):
-        two.run(x, (0, 1), a=np.zeros((2, 1)), b=np.zeros((3, 2)))
-    given = [
-        (ValueError, "coordinate 1 more than once", {"a": (0, 1), "b": (1,)}),
-        (ValueError, "run from 0 to 2", (0, 3)),
-        (TypeError, "whole numbers from 0 to 2", (0.5,)),
-        (TypeError, "whole numbers from 0 to 2", ()),
-        (ValueError, "inputs is empty", {}),
-        (ValueError, "'attitude', which is reserved", {"attitude": (0,)}),
-        (TypeError, "valid Python identifier", {"two words": (0,)}),
-    ]
-    for kind, words, inputs in given:
-        with pytest.raises(kind, match=words):
-            co.prepare(body, None, 0.1, inputs=inputs)
-    with refused(TypeError, "inputs", "one system"):
-        co.prepare(co.batch([body, body]), None, 0.1, inputs=True)
-    whole = co.Hamiltonian(lambda x: x[0] ** 2, lambda x: np.array([2 * x[0], 0.0, 0.0]))
-    with refused(TypeError, "Hamiltonian", "linear term"):
-        co.prepare(co.LiePoissonSystem(co.algebras.so(3), whole), co.GaussLegendre(2), 0.1, inputs=True)
-    for first, second in ((0, 1), (0, 2), (1, 2)):
-        pieces = [((1 + (k not in (first, second)),), co.Quadratic(2.0)) for k in range(3)]
-        split_up = co.SplitHamiltonian(pieces)
-        with refused(ValueError, f"pieces {first} and {second}", "coordinate 1"):
-            co.prepare(co.LiePoissonSystem(co.algebras.so(3), split_up), None, 0.1, inputs=True)
-
-
-@pytest.mark.parametrize("method", [co.Splitting(order=2), co.GaussLegendre(2)], ids=str)
-@pytest.mark.parametrize("name", ["body", "gyrostat"])
-def test_inputs_beside_every_force(name, method):
-    """A force that reads the angular velocity, to which such an input belongs, is refused by name."""
-    plain = co.systems.get(name)
-    for force in forces_on(plain):
-        forced = plain.with_forces(force)
-        x = np.cos(1.0 + np.arange(forced.dim))
-        if isinstance(force, co.forces.Pointing | co.forces.Sampled):
-            for one in (forced, plain.with_forces(co.forces.LinearDamping(0.1), force)):
-                with refused(TypeError, force.label, "coordinate 0", "inputs"):
-                    co.prepare(one, method, STEP, inputs=True)
-        first = 3 if isinstance(force, co.forces.Pointing | co.forces.Sampled) else 0
-        names = tuple(range(first, plain.dim))
-        if not names:
-            continue
-        run = co.prepare(forced, method, STEP, inputs=names).run(x, SPANS[0], linear=0.1 * x[first : plain.dim])
-        again = co.integrate(run.system, x, SPANS[0], STEP, run.method)
-        assert np.array_equal(run.x, again.x), force
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_states_at_any_time_use_the_inputs_of_the_run(way):
-    """Also if the array of inputs is changed afterwards."""
-    x, before, linear = numbers("e(3)", 6, 3)
-    ready = co.prepare(system("e(3)", before), co.GaussLegendre(2), STEP, inputs=(3, 4, 5))
-    times, given = 0.25 + way * np.array([0.0, 0.1, 0.55, 1.0]), linear[:, 3:].copy()
-    together = ready.run(np.tile(x, (3, 1)), (0.25, 0.25 + way), 4, linear=given)
-    given[:] = 7.0
-    found = together.at(times)
-    for m in range(3):
-        alone = ready.run(x, (0.25, 0.25 + way), 4, linear=linear[m, 3:])
-        own, asked = alone.at(times), ready.run(x, (0.25, 0.25 + way), t_eval=times, linear=linear[m, 3:])
-        assert np.array_equal(found.x[:, m], own.x) and np.array_equal(found.energy[:, m], own.energy)
-        # From a saved point four steps at most, whose iterations begin from another guess: some roundings each.
-        assert np.abs(own.x - asked.x).max() < 16 * 50 * U and np.abs(own.energy - asked.energy).max() < 16 * 50 * U
-        assert abs(own.energy[-1] - own.energy[0]) < 0.1 * STEP**2 < np.abs(own.energy[0] - found.energy[0, m - 1])
-
-
 def test_a_quotient_by_a_tensor_is_no_ensemble():
     """One value for three coordinates and values for three members have the same shape with x0 for each member only."""
     tensor, k, x = np.array([[1.0, 0.1, 0.2], [0.1, 1.8, 0.3], [0.2, 0.3, 2.4]]), np.array([0.1, 0.2, 0.3]), np.ones(3)
@@ -330,25 +173,6 @@ def test_a_quotient_by_a_tensor_is_no_ensemble():
     assert members.x.shape == (11, 3, 3)
     one = co.prepare(body, None, 0.1, inputs={"bias": (1,)})
     assert one.run(x, (0, 1), bias=np.ones((1, 1))).x.shape == (11, 1, 3)
-
-
-def test_names_in_place_of_coordinates_are_refused_with_the_coordinates():
-    for given in (("linear",), {"field": "linear"}, {"field": ["x1", "x2"]}):
-        with refused((TypeError, ValueError), "inputs", "rigid_body" if given == {"field": "linear"} else "0 to 2"):
-            co.prepare(co.systems.rigid_body(), None, 0.1, inputs=given)
-
-
-def test_names_of_parameters_are_no_names_of_the_linear_term():
-    satellite = co.systems.gyrostat(inertia=(1, 2, 3), rotors=(0, 0, 0.5))
-    with refused(ValueError, "'rotors'", "gyrostat", "linear term"):
-        co.prepare(satellite, None, 0.1, inputs={"rotors": (0, 1, 2)})
-    with refused(ValueError, "'field'", "spin_lattice"):
-        co.prepare(co.systems.spin_lattice(shape=2), co.Splitting(order=2), 0.1, inputs={"field": (0, 1, 2)})
-    own = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 2, 3], linear=[0, 0, 1]), sign=-1)
-    assert co.prepare(own, None, 0.1, inputs={"linear": (0, 2), "field": (1,)}).takes_inputs
-    pushed = satellite.with_forces(co.forces.Torque((0, 0, 0)))
-    ready = co.prepare(pushed, co.Splitting(order=2), 0.1, inputs={"rotors": "Torque"})  # a torque is no coefficient
-    assert ready.run((1, 0, 0), (0, 0.1), rotors=(0, 0, 1)).x.shape == (2, 3)
 
 
 def of_inputs(name):

@@ -1,4 +1,4 @@
-"""Steps of the Runge-Kutta schemes in exact and multiprecision numbers: invariants, tangents, refusals."""
+"""Steps of the Runge-Kutta schemes in exact and multiprecision numbers: invariants, tangents."""
 
 from fractions import Fraction
 
@@ -20,19 +20,6 @@ FULL = np.diag([1.0, 0.5, 1.25, 0.75, 1.5, 0.25]) + 0.125 * (np.ones((6, 6)) - n
 BODY4 = co.LiePoissonSystem(co.algebras.so(4), co.Quadratic(FULL))
 X4 = np.array([1.0, 0.5, -0.25, 0.75, -1.0, 0.375])
 SL2 = co.LiePoissonSystem(co.algebras.sl(2), co.Quadratic([1.0, 2.0, 3.0]))
-CUBIC = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(1, 1, 1): 1.0, (2, 0, 0): 0.5}))
-DRIVEN = co.LiePoissonSystem(
-    co.algebras.sl(2),
-    co.Hamiltonian(
-        lambda x, t: x[0] * x[0] * (1 + t) / 2 + x[2] * x[2], lambda x, t: np.array([x[0] * (1 + t), 0 * t, 2 * x[2]])
-    ),
-    name="driven",
-)
-FUNCTION = co.PoissonSystem(
-    lambda x: np.array([[0.0, -(x[2] ** 2), x[1]], [x[2] ** 2, 0.0, -x[0]], [-x[1], x[0], 0.0]]),
-    co.Quadratic([1.0, 0.5, 0.25]),
-    name="function J",
-)
 THIRDS, TENTH = np.array([Fraction(1), Fraction(1, 2), Fraction(-1, 3)], dtype=object), Fraction(1, 10)
 
 
@@ -63,28 +50,6 @@ def test_each_stage_takes_the_derivative_at_its_own_place(method):
     assert np.max(np.abs(P @ direction - slope)) < 6e4 * UNIT_ROUNDOFF * np.max(np.abs(P))
     assert np.max(np.abs(new - method.step(BODY4, X4, t, 0.125))) <= 64 * UNIT_ROUNDOFF
     assert np.max(np.abs(P - np.eye(6))) > 1e-2
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize(
-    ("call", "error", "named"),
-    [
-        (lambda: ITERATED(2).step(SL2, THIRDS, 0, TENTH), TypeError, ("irrational",)),
-        (lambda: GAUSS(1).step(SL2, THIRDS, 0, TENTH), TypeError, ("floats",)),
-        (lambda: GAUSS(2).tangent(DRIVEN, [1.0, 0.5, 0.25], 0.0, 0.1), TypeError, ("second derivatives",)),
-        *(
-            (lambda call=call, system=system: call(system), ValueError, ("quadratic Hamiltonian",))
-            for system in (CUBIC, DRIVEN)
-            for call in (MODIFIED(1).properties, lambda s: MODIFIED(1).step(s, [1.0, 0.5, 0.25], 0.0, 0.1))
-        ),
-        (lambda: MODIFIED(1, freeze="gradient").properties(FUNCTION), ValueError, ("Lie algebra",)),
-        (lambda: co.RadauEnergy(2).properties(DRIVEN), ValueError, ("time",)),
-        (lambda: co.RadauEnergy(2).step(DRIVEN, [1.0, 0.5, 0.25], 0.0, 0.1), ValueError, ("time",)),
-    ],
-)
-def test_refusals(call, error, named):
-    with refused(error, *named):
-        call()
 
 
 def test_stages_that_do_not_converge_are_a_failure():

@@ -1,4 +1,4 @@
-"""Schemes for matrices: steps against their equations, references to 40 digits, the spectrum, and refusals."""
+"""Schemes for matrices: steps against their equations, references to 40 digits, the spectrum."""
 
 from itertools import pairwise
 
@@ -274,36 +274,3 @@ def test_rounding_of_lines_has_no_preferred_sign():
     spectrum = system.spectrum(sol.x)
     assert np.abs(spectrum - spectrum[0]).max() < 32 * U * np.abs(spectrum[0]).max()
     assert np.array_equal(sol.x[-1], -np.conj(sol.x[-1].T))
-
-
-@pytest.mark.thinned(1)
-@pytest.mark.parametrize(
-    ("call", "error", "named"),
-    [
-        (
-            lambda: co.integrate(SPHERE(N=6), 1e6 * start(SPHERE(N=6)), (0.0, 1.0), 1.0, co.CommutatorFree()),
-            co.IntegrationError,
-            ("too large for its series",),
-        ),
-        (
-            lambda: co.integrate(body(5), np.zeros((5, 5)), (0, 1), 0.1, co.CommutatorFree(), attitude=np.eye(5)),
-            ValueError,
-            ("attitude",),
-        ),
-        *(
-            (lambda system=system: co.LineSplitting().properties(system), ValueError, ("LineSplitting", system.name))
-            for system in (SPHERE(N=5), co.systems.rigid_body((1, 2, 3)), body(5))
-        ),
-        *(
-            (lambda N=N: co.LineSplitting().properties(TORUS(N=N)), ValueError, ("N of torus_euler", N))
-            for N in (9, 15, 49)
-        ),
-        *(
-            (lambda order=order: co.LineSplitting(order), (ValueError, TypeError), ("order", order))
-            for order in (1, 3, 5, 12, "two", 2.5)
-        ),
-    ],
-)
-def test_refusals(call, error, named):
-    with refused(error, *named):
-        call()

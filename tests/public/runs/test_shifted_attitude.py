@@ -24,12 +24,6 @@ SHIFTED = {
 }
 
 
-def bodies():
-    """Return bodies with different shifts, and one without."""
-    systems = [co.systems.rigid_body(inertia) for inertia in ((1, 2, 2.5), (1.5, 2, 2.75), (1.25, 1.75, 3))]
-    return [*systems, co.LiePoissonSystem(co.algebras.so(3), co.Quadratic((0.0, 0.0, 0.5)), sign=-1)]
-
-
 def same_bits(one, other):
     """Compare bits, also the signs of zeros."""
     return one.shape == other.shape and one.tobytes() == other.tobytes()
@@ -62,18 +56,6 @@ def test_elements_do_not_depend_on_saving_or_start_time(name):
     rebuilt = co.integrate(system, x0, (5.0, 2.0), 0.1, attitude=attitude, save_every=3)
     assert same_bits(co.results.rebuild(rebuilt.to_xarray()).attitude, rebuilt.attitude)
     assert same_bits(co.stepper(system, co.Splitting(), 0.1).group(x0[0], 7.0, attitude), every[1, 0])
-
-
-def test_batch_with_shifted_and_unshifted_members():
-    systems = bodies()
-    x0 = np.array([[0.3, 1.0, -0.5], [1.0, -0.2, 0.4], [0.1, 0.2, 0.3], [0.5, -0.5, 0.2]])
-    attitude, expected = initial_elements(systems[0], True, 4)
-    for span in ((0, 1), (3, 2)):
-        sol = co.integrate(co.batch(systems), x0, span, 0.1, attitude=attitude)
-        assert same_bits(sol.attitude[0], np.ascontiguousarray(expected))
-        for m, system in enumerate(systems):
-            alone = co.integrate(system, x0[m], span, 0.1, attitude=attitude[m])
-            assert same_bits(np.ascontiguousarray(sol.attitude[:, m]), np.ascontiguousarray(alone.attitude))
 
 
 @pytest.mark.parametrize("x0", [np.zeros(6), [0, 0, 0, 0, 0, 1.0], [1.0, 0, 0, 0, 0, 0]], ids=str)

@@ -1,4 +1,4 @@
-"""The spherical midpoint: its equation, a Poisson map on spins of every arrangement, and what is refused."""
+"""The spherical midpoint: its equation, a Poisson map on spins of every arrangement."""
 
 import math
 
@@ -146,22 +146,3 @@ def test_many_spins():
     middle, old = (x + new).reshape(-1, 3), x.reshape(-1, 3)
     y = middle * (np.linalg.norm(old, axis=1) / np.linalg.norm(middle, axis=1))[:, None]
     assert np.max(np.abs(new - x - 0.1 * system.vector_field(y.ravel()))) < 64 * UNIT_ROUNDOFF
-
-
-ELLIPSOID = co.LieAlgebra([(0, 1, 2, 1.0), (1, 2, 0, 2.0), (0, 2, 1, -1.0)], dim=3)
-REFUSED = [co.algebras.so(4), co.algebras.e(3), co.algebras.sl(2), co.algebras.get("A3,7", a=1.0), ELLIPSOID]
-
-
-@pytest.mark.parametrize("algebra", REFUSED, ids=str)
-def test_other_algebras_are_refused(algebra):
-    system = co.LiePoissonSystem(algebra, co.Quadratic(np.ones(algebra.dim)))
-    with refused(ValueError, "SphericalMidpoint", "spins", system.name):
-        co.integrate(system, np.ones(algebra.dim), (0, 1), 0.1, co.SphericalMidpoint())
-
-
-def test_a_structure_that_is_a_function_is_refused():
-    def J(x):
-        return np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
-
-    with refused(ValueError, "SphericalMidpoint", "spins"):
-        co.integrate(co.PoissonSystem(J, co.Quadratic([1.0, 2, 3])), (1, 0, 0), (0, 1), 0.1, co.SphericalMidpoint())

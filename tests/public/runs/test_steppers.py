@@ -1,4 +1,4 @@
-"""Single steps as functions: group elements, derivatives, threads and refusals."""
+"""Single steps as functions: group elements, derivatives and threads."""
 
 import dataclasses
 import math
@@ -12,7 +12,6 @@ from digests.schemes_under_test import COMPOSED, EXAMPLES, serves
 from drawn_matrices import wide
 from energies import pulsed
 from own_schemes import OwnKahan
-from refusals import refused
 from rounding import UNIT_ROUNDOFF as U
 
 pytestmark = pytest.mark.thinned(3)
@@ -55,13 +54,6 @@ def test_group_element_of_a_step(name):
         assert np.abs(g @ moved - rho @ g).max() <= 256 * U * np.linalg.norm(K) * np.linalg.norm(g)
 
 
-def test_default_group_element_is_the_coadjoint_matrix():
-    bare = co.LieAlgebra.from_brackets(3, {(0, 2): {0: 2.0, 1: -1.0}, (1, 2): {0: 1.0, 1: 2.0}})
-    step = co.stepper(co.LiePoissonSystem(bare, co.Quadratic([1.0, 2.0, 0.5])), co.Splitting(), 0.1)
-    x = np.array([1.0, 0.5, 0.25])
-    assert np.abs(step.group(x) @ step(x) - x).max() <= 64 * U
-
-
 def test_blow_up_is_an_error():
     s = co.LiePoissonSystem(
         co.algebras.get("A3,7", a=2.0), co.Quadratic([[1.0, 0.3, 0], [0.3, -2.0, 0.1], [0, 0.1, 0.5]])
@@ -69,27 +61,6 @@ def test_blow_up_is_an_error():
     with pytest.raises(co.IntegrationError) as failure:
         co.stepper(s, co.Splitting(), 1e3)(np.array([1.0, 2.0, 3.0]))
     assert failure.value.step == 1
-
-
-def test_wrong_arguments_of_steppers_are_refused():
-    s, x = setup("e(3)")
-    for h in (0.0, math.nan, math.inf):
-        with refused(ValueError, "h", h):
-            co.stepper(s, co.Splitting(), h)
-    with refused(ValueError, "method", "'strang'"):
-        co.stepper(s, "strang", 0.1)
-    step = co.stepper(s, co.Splitting(), 0.1)
-    with refused(ValueError, "x0", "(5,)"):
-        step(x[:5])
-    with refused(ValueError, "one state"):
-        step.tangent(np.stack([x, x]))
-    H = co.Separable({0: (lambda y: 0.5 * y * y, lambda y: y)})
-    blunt = co.stepper(co.LiePoissonSystem(co.algebras.sl(2), H), co.Splitting(), 0.1)
-    with refused(TypeError, "hessian"):
-        blunt.tangent(np.ones(3))
-    plane = co.PoissonSystem(lambda x: np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]))
-    with refused(ValueError, "Splitting", "Lie algebra"):
-        co.stepper(plane, co.Splitting(), 0.1)
 
 
 STEERED = co.systems.rigid_body(inertia=(1, 2, 2.5)), {"rotors": (2, 0)}

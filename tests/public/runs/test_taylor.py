@@ -203,16 +203,6 @@ def test_a_step_that_is_too_long_says_so():
         co.Taylor(12).step(system, start_of(system), 0.0, 40.0)
 
 
-def test_what_is_not_a_polynomial_is_refused():
-    so3 = co.algebras.so(3)
-    function = co.Hamiltonian(lambda x: x[0] ** 4, lambda x: np.array([4 * x[0] ** 3, 0.0, 0.0]))
-    with refused(ValueError, "function", "polynomial"):
-        co.Taylor(4).properties(co.LiePoissonSystem(so3, function))
-    J = co.PoissonSystem(lambda x: x[0] * np.array([[0.0, 1.0], [-1.0, 0.0]]), co.Quadratic([1.0, 2.0]))
-    with refused(ValueError, "polynomial structure matrix", J.name):
-        co.Taylor(4).properties(J)
-
-
 def test_short_calls_of_many_systems_do_not_meet():
     """A thread remembers the steps that it made last, by the number of their tables: more systems than it remembers."""
     bodies = [co.systems.rigid_body(inertia=(1.0, 2.0, 2.25 + k / 64)) for k in range(40)]

@@ -1,9 +1,7 @@
 """Every ready-made system: derivatives, invariants, parameters, closed forms, and its description by the command."""
 
-import inspect
 import json
 import pickle
-import re
 
 import numpy as np
 import pytest
@@ -11,7 +9,6 @@ from brackets import U, bracket, rational_points
 from scipy.spatial.transform import Rotation
 
 import coadjoint as co
-from command import command
 from refusals import refused
 
 S = co.systems
@@ -326,63 +323,3 @@ def test_group_elements_of_closed_forms(name):
     np.testing.assert_allclose(system.exact(x[1], 2.3, attitude=g[1])[1], g[4], rtol=0, atol=1e-12 * (1 + size**2))
     with refused(ValueError, "attitude", (d + 1, d + 1)):
         system.exact(x0, 1.0, attitude=np.eye(d + 1))
-
-
-@pytest.mark.thinned(2)
-@pytest.mark.parametrize("name", NAMES)
-def test_the_description_is_that_of_the_system(name, capsys, tmp_path):
-    """By `coadjoint systems --json`: numbers, formulas of invariants in the names of the coordinates, and its words."""
-    file, system, made = tmp_path / "system.json", S.get(name), getattr(S, name)
-    shown = command(capsys, "systems", name, "--json", file)
-    found = json.loads(file.read_text())
-    assert shown.status == 0 and max(map(len, shown.out.splitlines())) <= 100
-    for word in ("algebra", "rank", "casimirs", "begin with", *found["parameters"]):
-        assert word in shown.out
-    assert found["scheme"].partition("(")[0] == type(co.prepare(system, step=0.01).method).__name__
-    names = found["coordinates"]
-    assert found["name"] == name and found["sign"] == system.sign
-    assert len(names) == len(set(names)) == system.dim == found["dimension"]
-    x = np.cos(1.0 + np.arange(system.dim))
-    for kind in ("casimirs", "integrals"):
-        known = getattr(system, kind, {})
-        assert list(found[kind]) == list(known)
-        for key, formula in found[kind].items():
-            F = known[key]
-            polynomial = isinstance(F, co.Polynomial) or (isinstance(F, co.Quadratic) and F.dim <= 64)
-            assert (formula is not None) == polynomial, key
-            if formula is None:
-                continue
-            if formula.endswith("..."):  # cut between two terms or signs, as late as possible: 120 characters
-                text = str(F.to_polynomial() if hasattr(F, "to_polynomial") else F)
-                whole = re.sub(r"\bx(\d+)", lambda found, names=names: names[int(found[1]) - 1], text)
-                cut = formula[:-3]
-                assert whole.startswith(cut + " ") and len(cut) <= 120
-                assert len(cut) + len(whole[len(cut) :].split()[0]) >= 119
-            else:  # sums of at most some hundred products of numbers below one, with coefficients of six digits
-                wanted = float(getattr(F, "value", F)(x))
-                assert co.formula(formula, basis=names)(x) == pytest.approx(wanted, rel=1e-4, abs=1e-4), (key, formula)
-    signature = inspect.signature(made).parameters
-    assert list(found["parameters"]) == list(signature)
-    for key, told in found["parameters"].items():
-        assert told["kind"] and told["meaning"], key
-        default = json.loads(json.dumps(signature[key].default))
-        assert told["default"] == default
-    words = inspect.getdoc(made).replace("`", "").split()
-    for text in (found["summary"], *found["equations"], found["source"]):
-        said = text.split()
-        assert any(words[k : k + len(said)] == said for k in range(len(words))), text
-    assert found["summary"].endswith(".") and found["gallery"]["t_span"][0] < found["gallery"]["t_span"][1]
-    assert 0 < found["gallery"]["step"] and found["gallery"]["caption"]
-    if system.algebra is None:
-        assert found["algebra"] is None and found["attitude"] == "none"
-    elif len(system.shape) > 1:
-        assert found["attitude"] == "matrices"
-    else:
-        assert found["attitude"] == ("coadjoint" if system.representation is None else "representation")
-        drawn = np.random.default_rng(2).standard_normal(system.dim)
-        assert found["rank"] == np.linalg.matrix_rank(system.structure_matrix(drawn), tol=1e-9)
-        if found["exact"]:
-            system.exact(start_of(system), 0.5)
-        else:
-            with refused(TypeError, "closed form", name):
-                system.exact(start_of(system), 0.5)

@@ -153,6 +153,14 @@ def test_a_damping_that_does_not_converge_names_the_time(t):
     assert failure.value.time == t and failure.value.step == 1
 
 
+def test_a_flow_over_an_endless_rotation_is_an_error_at_once():
+    """In substeps of norm one it would take days."""
+    body = co.systems.rigid_body()
+    for force in (co.forces.DoubleBracketDamping(0.5), co.forces.HeatBath(0.5, temperature=1.0, seed=1)):
+        with pytest.raises(OverflowError, match="more than 4096 substeps"):
+            force.flow(body, np.array([1e12, 2e12, 0.5e12]), 0.0, 1.0)
+
+
 def test_what_a_force_is_made_of_stays_as_it_is():
     rate, torque = np.array([0.1, 0.2, 0.3]), np.array([1.0, 2.0, 3.0])
     damping, push = co.forces.LinearDamping(rate, torque), co.forces.Torque(torque)

@@ -245,29 +245,6 @@ def test_a_field_is_read_by_its_coordinates(name, tmp_path):
     np.testing.assert_allclose(read, wanted, rtol=0, atol=atol)
 
 
-OTHERS = {
-    "a region": (lambda: on_sphere()[3:9], ("latitudes", "grid")),
-    "a sector": (lambda: on_sphere()[:, :20], ("longitudes", "2 pi")),
-    "an end point": (lambda: xarray.DataArray(
-        np.zeros((9, 19)), {"lat": np.linspace(-90, 90, 9), "lon": np.linspace(0, 360, 19)}), ("end point",)),
-    "the range": (lambda: bare(on_sphere())[3:9], ("latitudes", "no units", "degrees")),
-    "no coordinates": (lambda: xarray.DataArray(np.zeros((9, 18)), dims=("lat", "lon")), ("lat", "to_numpy")),
-    "unknown names": (lambda: bare(named(on_sphere(), latitude="a", longitude="b")), ("'a'", "lat", "to_numpy")),
-    "one axis": (lambda: xarray.DataArray(
-        np.zeros((9, 9)), {"lat": ("k", np.zeros(9)), "lon": ("k", np.zeros(9))}, ("k", "n")), ("'k'",)),
-    "units": (lambda: on_sphere().assign_coords(latitude=("latitude", on_sphere().latitude.values, {"units": "km"})),
-        ("units", "km")),
-    "not finite": (lambda: on_sphere().where(on_sphere() > 0), ("nan",)),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("case", OTHERS)
-def test_other_fields_are_refused(case):
-    make, named_by = OTHERS[case]
-    with refused(ValueError, *named_by):
-        SPHERE.from_grid(make(), absolute=False)
-
-
 def test_coordinates_and_arguments_are_not_mixed():
     for given in ({"points": "fejer"}, {"longitude": 0.5}):
         with refused(ValueError, "coordinates", "omit"):

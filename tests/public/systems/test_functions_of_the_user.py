@@ -180,37 +180,6 @@ def path(t):
     return np.array([1.0 + 0.1 * t, 0.0, 0.3 * t])
 
 
-EYE = "np.eye(3)"
-SPINS = co.systems.spin_lattice
-SWAPPED = {
-    "(t, x)": (lambda f: F.Torque(f), "t, x", "(x, t)"),
-    "(time, x)": (lambda f: co.Hamiltonian(f), "time, x", "(x, t)"),
-    "(x, y)": (lambda f: co.Hamiltonian(f), "x, y", "(x, t)"),
-    "H(t)": (lambda f: co.Hamiltonian(f), "t", "(x)"),
-    "event": (lambda f: co.Event(f), "t", "(x)"),
-    "event of both": (lambda f: co.Event(f), "t, x", "(x, t)"),
-    "observed": (lambda f: co.integrate(BODY, (0, 0, 1), (0, 1), 0.5, observe={"a": f}), "t, x", "(x, t)"),
-    "B(r, t)": (lambda f: F.MagneticDipole((1, 0, 0), f, path), "r, t", "(t, r)"),
-    "B(x)": (lambda f: F.MagneticDipole((1, 0, 0), f), "x", "(t)"),
-    "rate(x)": (lambda f: F.Pointing(1.0, 1.0, rate=f), "x", "(t)"),
-    "attitude(A)": (lambda f: F.Pointing(1.0, 1.0, attitude=f), "A", "(t)"),
-    "position(r)": (lambda f: F.GravityGradient(1.0, f), "r", "(t)"),
-    "sun(x)": (lambda f: F.SolarPressure(1.0, f, [1.0], [(1, 0, 0)], [(0, 0, 1)]), "x", "(t)"),
-    "flow(x, tau, t)": (lambda f: F.OwnForce(f), "x, tau, t", "(x, t, tau)"),
-    "flow(t, x, dt)": (lambda f: F.OwnForce(f), "t, x, dt", "(x, t, tau)"),
-    "potential(A, r)": (lambda f: co.systems.bodies([(1, 2, 2.5)], (1.0,), potential=f), "A, r", "(r, A)"),
-    "field(S)": (lambda f: SPINS("chain", 3, field=f), "S", "(t)"),
-    "exact(t, x0)": (lambda f: co.LiePoissonSystem(BODY.algebra, BODY.hamiltonian, exact=f), "t, x0", "(x0, t"),
-}
-
-
-@pytest.mark.parametrize("name", SWAPPED)
-def test_arguments_at_the_places_of_others_are_refused(name):
-    call, arguments, expected = SWAPPED[name]
-    with refused(TypeError, f"({arguments})", expected):
-        call(named(arguments))
-
-
 def test_values_of_functions_are_checked_as_constants_are():
     turning = "np.array([[np.cos(t), -np.sin(t), 0], [np.sin(t), np.cos(t), 0], [0, 0, 1.0]])"
     assert callable(F.Pointing(1.0, 1.0, attitude=named("t", turning)).attitude)

@@ -1,4 +1,4 @@
-"""Separable, split, polynomial and general Hamiltonians, and formulas: values, derivatives, time, and refusals."""
+"""Separable, split, polynomial and general Hamiltonians, and formulas: values, derivatives, time."""
 
 import copy
 import math
@@ -205,37 +205,6 @@ def test_sums_of_split_ones_have_the_dimension_that_is_known():
     assert (one(0) + one(2)).dim is None
     with refused(ValueError, "4", "5", "coordinates"):
         one(0).bind(4) + one(2).bind(5)
-
-
-FUNCTIONS_THAT_ARE_REFUSED = [
-    (lambda: co.Hamiltonian(lambda x, t: 0.0, lambda x: np.zeros(2)), TypeError, ("value", "gradient", "(x, t)")),
-    (lambda: co.Hamiltonian(lambda x: x[0] ** 2, lambda x: 2 * x[:1]).bind(2), ValueError, ("gradient", "(1,)")),
-    (lambda: co.Hamiltonian(lambda x: x**2, lambda x: 2 * x).bind(2), ValueError, ("value", "(2,)")),
-    (lambda: co.Hamiltonian(lambda x: None, lambda x: x).bind(2), ValueError, ("value", "None")),
-    (lambda: co.Hamiltonian(lambda x: x[7], lambda x: x).bind(2), ValueError, ("value", "index 7")),
-    (lambda: co.Separable({0: (np.sin, np.cos, np.sin)}).bind(3), ValueError, ("d2H_0", "dH_0")),
-    (lambda: co.Separable({0: (lambda a, b, c: a, np.cos)}), TypeError, ("takes 3",)),
-    (lambda: co.Hamiltonian(lambda x, *, m: x, lambda x: x), TypeError, ("positional",)),
-    (lambda: co.SplitHamiltonian([((0, 1), co.Quadratic([1.0]))]), ValueError, ("piece 0", "2 coordinates")),
-    (lambda: co.SplitHamiltonian([((2,), co.Quadratic(1.0))]).bind(2), ValueError, ("piece 0", "0 to 1")),
-    (lambda: bound(3.0, 2), TypeError, ("float",)),
-    (lambda: bound(co.Quadratic, 2), TypeError, ("class Quadratic",)),
-    (lambda: bound(CUBIC, 3), ValueError, ("2 variables", "dimension 3")),
-    (lambda: general().bind(4).bind(5), ValueError, ("dimension 4",)),
-    (lambda: co.Hamiltonian(lambda x: 0.0, lambda x: 0 * x).hessian([1.0]), TypeError, ("hessian=",)),
-    (lambda: co.Separable({0: (np.sin, np.cos)}).hessian([1.0]), TypeError, ("coordinate 0",)),
-    (lambda: co.Separable({3: (np.cosh, np.sinh)}).value([1.0] * 3), ValueError, ("coordinate 3", "3 entries")),
-    (lambda: co.formula("x1/(1 - 1) + cos(x1)", 3), ValueError, ()),
-    (lambda: co.formula("cos(x1) + y", 3), ValueError, ("y",)),
-    (lambda: co.formula("+".join(f"cos({k}*x1)" for k in range(1100)), 1), ValueError, ("2000",)),
-]
-
-
-@pytest.mark.parametrize(("make", "error", "named"), FUNCTIONS_THAT_ARE_REFUSED)
-def test_functions_that_are_refused(make, error, named):
-    with refused(error, *named) as refusal:
-        make()
-    assert "\n" not in str(refusal.value)
 
 
 TEXT = "a*x1^2/2 + cos(x2)*b - sqrt(1 + x3^2)/(3*a) + tanh(x1) - exp(-x2) + log(2 + x3) + atan(x1)"

@@ -134,26 +134,3 @@ def test_unequal_moments_about_a_rod_are_refused(place):
         S.bodies([(1, 2, 2.5), moments])
     with refused(ValueError, f"inertias[0][{place}]", "1.5 and 1.75"):
         S.gravitating_bodies([moments, (1, 2, 2.5)], (1.0, 2.0))
-
-
-@pytest.mark.parametrize(
-    ("make", "given", "named"),
-    [
-        (S.gyrostat, {"rotors": (1e200, 0, 0)}, ("rotors", "1e+200")),
-        (S.gyrostat, {"inertia": turned((1, 2, 2.5)), "rotors": (1e200, 1e200, 0)}, ("rotors", "1e+200")),
-        (S.manakov_top, {"a": (1, 1 + 2**-52, 3), "b": (1e300, -1e300, 0)}, ("overflows",)),
-        (S.manakov_top, {"a": (1e200, 2, 3, 4), "b": (1, 2, 3, 4)}, ("power 2", "overflows")),
-        (S.manakov_top, {"a": (1, 2, 3, 1e120, 5), "b": (1, 2, 3, 4, 5)}, ("power 3", "overflows")),
-        (S.manakov_top, {"a": (1, 2, 3, 1e200, 5), "b": (1, 2, 3, 4, 5)}, ("power 2", "overflows")),
-        (S.fluid_triad, {"first": (1e-160, 0.0), "second": (0.0, 1e-160)}, ("range of float64",)),
-        (S.fluid_triad, {"first": (1e170, 0.0), "second": (0.0, 1e-10)}, ("range of float64",)),
-        (S.lorenz_1960, {"k": 9.6e153, "l": 9.6e153}, ("9.6e+153", "range of float64")),
-        (S.sklyanin, {"anisotropy": (1e308, -1e308, 0.0)}, ("range of float64",)),
-        (S.sklyanin, {"anisotropy": (1e308, 0.0, 0.0), "masses": (1e10, 1.0, 1.0, 1.0)}, ("range of float64",)),
-        (S.toda, {"sites": 10**13}, ("GB",)),
-        (S.matrix_body, {"inertia": (1e-320, 1e-320)}, ("float64",)),
-    ],
-)
-def test_parameters_that_are_refused(make, given, named):
-    with refused(ValueError, *named):
-        make(**given)

@@ -1,7 +1,6 @@
 """Inputs of other kinds, orders, signs and sizes: the same numbers give the same system, in every way to write them."""
 
 import itertools
-from fractions import Fraction
 from functools import cache
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import coadjoint as co
-from long import long_where
 
 NAMES = co.systems.names()
 # A diameter without depth has no effect.
@@ -62,80 +60,6 @@ def made(name, changed):
         return co.systems.get(name, **{**base(name), **changed})
     except (ValueError, TypeError):
         return None
-
-
-def fields(system):
-    """Field, energy, Casimirs and integrals at a state, to the last bit."""
-    x = np.cos(1.0 + np.arange(system.dim))
-    if hasattr(system, "from_vector"):  # a state of matrices
-        x = system.algebra.projected(system.from_vector(x))
-    known = {**system.casimirs, **getattr(system, "integrals", {})}
-    return {
-        "parameters": system.parameters,
-        "field": np.asarray(system.vector_field(x)).tobytes(),
-        **{key: float(getattr(F, "value", F)(x)) for key, F in known.items()},
-    }
-
-
-KINDS = {
-    "int": int,
-    "int64": np.int64,
-    "Fraction": Fraction,
-    "float32": np.float32,
-    "array of int8": np.int8,
-    "array of uint8": np.uint8,
-    "view": float,
-}
-
-
-def written(value, kind):
-    """A parameter in another type; arrays of small integers would overflow in products."""
-    if isinstance(value, dict):
-        return {key: written(entry, kind) for key, entry in value.items()}
-    if not isinstance(value, tuple | list):
-        return KINDS[kind](value)
-    if kind.startswith("array"):
-        return np.array(value).astype(KINDS[kind])
-    if kind == "view":
-        return np.repeat(value, 2, axis=-1)[..., ::2]
-    return mapped(list(value), KINDS[kind])
-
-
-@pytest.mark.thinned(9)
-@pytest.mark.filterwarnings("ignore:.*no body has")
-@pytest.mark.parametrize("name", long_where(["double_spherical_pendulum", "sphere_euler"], NAMES))
-def test_whole_numbers_are_the_same_in_every_type(name):
-    """Up to 100, whose products leave eight bits; whether they are accepted is the same as well."""
-    for largest in (3, 100):
-        for key, value in real_parameters(name).items():
-            rng = np.random.default_rng(len(name) + largest)
-            whole = mapped(
-                value, lambda n, rng=rng, most=largest: float(rng.integers(1, most, endpoint=True)) if n else 0.0
-            )
-            expected = made(name, {key: whole})
-            for kind in KINDS:
-                found = made(name, {key: written(whole, kind)})
-                assert (found is None) == (expected is None), (key, whole, kind)
-                if found is not None:
-                    assert fields(found) == fields(expected), (key, kind)
-
-
-@pytest.mark.thinned(3)
-@pytest.mark.filterwarnings("ignore:.*no body has")
-@pytest.mark.parametrize("name", NAMES)
-def test_every_number_is_kept_and_matters(name):
-    """Each in turn, where that is accepted: in the parameters, and in the field or the energy."""
-    x = np.cos(1.0 + np.arange(co.systems.get(name).dim)) / 2
-
-    def looks(system):
-        state = system.algebra.projected(system.from_vector(x)) if hasattr(system, "from_vector") else x
-        return np.append(np.asarray(system.vector_field(state)).ravel(), system.energy(state))
-
-    first = looks(co.systems.get(name, **base(name)))
-    for key, changed, system in with_one_changed(name, lambda n: 1.25 * n or 0.375):
-        if system is not None:
-            assert system.parameters == {**base(name), key: changed}
-            assert np.abs(looks(system) - first).max() > 1e-6, (key, changed)
 
 
 def followed(system, x, T):

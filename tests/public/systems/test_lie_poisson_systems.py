@@ -1,4 +1,4 @@
-"""Systems on several algebras: field, derivative, copies, names, and what is refused."""
+"""Systems on several algebras: field, derivative, copies, names."""
 
 from fractions import Fraction
 
@@ -173,33 +173,6 @@ def test_what_is_given_and_returned_is_copied():
     np.testing.assert_array_equal(system.vector_field(x), np.cross([1.0, 2.0, 6.0], x))
 
 
-@pytest.mark.parametrize(
-    ("given", "error", "named"),
-    [
-        ({"C": co.Invariant(lambda x: 0.0, lambda x: x[:2])}, ValueError, ("'C'", "shape")),
-        ({"C": co.Quadratic([1.0, 1.0, 1.0 + 1e-10])}, ValueError, ("'C'", "Casimir")),
-        ({"C": co.Invariant(lambda x: x[0] * x[1], lambda x: np.array([x[1], x[0], 0.0]))}, ValueError, ("'C'",)),
-        ({"energy": co.Quadratic([2.0] * 3)}, ValueError, ("'energy'",)),
-    ],
-)
-def test_wrong_casimirs_are_refused_by_name(given, error, named):
-    with refused(error, *named):
-        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0), casimirs=given)
-
-
-@pytest.mark.parametrize(
-    ("layout", "named"),
-    [
-        ({"lattice": "square", "size": 3}, ("layout", "size")),
-        ({"shape": 3}, ("lattice of layout", "None")),
-        ({"lattice": "square", "shape": (3, 0)}, ("shape of layout", "0")),
-    ],
-)
-def test_a_layout_that_is_none_is_refused(layout, named):
-    with refused((TypeError, ValueError), *named):
-        co.LiePoissonSystem(co.algebras.so(3), co.Quadratic(1.0), layout=layout)
-
-
 def _driven():
     def slope(x, t):
         return np.array([np.sinh(x[0]), 0.0, np.cos(t)])
@@ -255,11 +228,3 @@ def test_one_time_serves_all_and_exact_numbers_stay_exact():
     form = co.LiePoissonSystem(co.algebras.so(3), co.Quadratic([1, 0.5, 0.25]), sign=-1)
     exact = form.vector_field(np.array([[Fraction(1), Fraction(2), Fraction(4)]] * 2))
     assert exact.dtype == object and exact.tolist() == [[Fraction(-2), Fraction(3), Fraction(-1)]] * 2
-
-
-def test_states_and_times_that_do_not_fit():
-    body = co.systems.rigid_body((1, 2, 3))
-    with refused(ValueError, "x has shape (4, 2)", "(3,)", "(k, 3)"):
-        body.vector_field(np.ones((4, 2)))
-    with refused(ValueError, "t has shape (3,)", "4 states"):
-        body.energy(np.ones((4, 3)), np.zeros(3))

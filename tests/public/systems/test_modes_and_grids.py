@@ -1,7 +1,5 @@
 """Modes and grids of sphere and torus: sums of harmonics and waves, there and back, and what is no field."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 import scipy.special
@@ -107,21 +105,6 @@ def test_coarse_grids_and_small_sizes_keep_what_they_resolve():
     assert set(small.modes(small.from_grid(TORUS.to_grid(W)))) == {(1, 2), (-1, -2), (2, -1), (-2, 1), (0, 2), (0, -2)}
 
 
-def test_wave_numbers_beyond_the_range_are_refused():
-    """Otherwise they would be taken for others mod N."""
-    for size in (3, 5, 9):
-        s, half = co.systems.torus_euler(N=size), size // 2
-        x, y = s.grid()
-        for n1, n2 in {*product(range(-half - 2, half + 3), repeat=2), (-(10**30), 0), (1, -size)} - {(0, 0)}:
-            modes = {(n1, n2): 0.5 + 0.25j}
-            if max(n1, n2, -n1, -n2) > half:
-                with refused(ValueError, f"-{half} to {half}"):
-                    s.from_modes(modes)
-            else:
-                wave = 2.0 * summed_waves(modes, x[:, None], y[None, :])
-                assert np.abs(s.to_grid(s.from_modes(modes)) - wave).max() < ROUNDED
-
-
 def rounded(N):
     """Sums of N products with eigenvectors that miss orthogonality by some N round-offs."""
     return 32 * N * UNIT_ROUNDOFF
@@ -181,61 +164,6 @@ def test_modes_of_a_mapping():
     assert np.abs(s.from_modes(found) - s.from_modes(given)).max() < 1e-13
     with refused(ValueError, "one matrix"):
         s.modes(np.zeros((2, 5, 5)))
-
-
-SMALL = co.systems.sphere_euler(N=5)
-NO_MODES = ((1.7, 0), (0, -0.5), "10", (True, 0.5), (1, 0, 0), 1)
-
-
-@pytest.mark.parametrize(
-    ("s", "modes", "kind", "named"),
-    [
-        (SMALL, {(5, 0): 1.0}, ValueError, ("(5, 0)", "1 to 4")),
-        (SMALL, {(0, 0): 1.0}, ValueError, ("(0, 0)",)),
-        (SMALL, {(2, 3): 1.0}, ValueError, ("(2, 3)", "order m")),
-        (SMALL, {(2, 0): 1j}, ValueError, ("(2, 0)", "real")),
-        (SMALL, {(2, 1): 1.0, (2, -1): 1.0}, ValueError, ("(2, 1)", "real")),
-        (SMALL, np.ones((5, 5)), ValueError, ("zero",)),
-        (SMALL, {(10**400, 0): 1.0}, ValueError, ("degree l",)),
-        (SMALL, {(2, 10**5000): 1.0}, ValueError, ("order m",)),
-        (TORUS, {(1, 2): 1j, (-1, -2): 1j}, ValueError, ("(1, 2)", "(-1, -2)", "conjugate")),
-        (TORUS, {(0, 2): 0.5, (0, -2): 0.25}, ValueError, ("conjugate",)),
-        (TORUS, {(0, 0): 1.0}, ValueError, ("not both 0",)),
-        *(
-            (s, modes, kind, named)
-            for s, size in ((SMALL, 5), (TORUS, N))
-            for modes, kind, named in (
-                ({(1, 1): np.inf}, ValueError, ("(1, 1)", "finite")),
-                ({(1, 0): 10**400}, ValueError, ("float64",)),
-                ([[10**400] * size] * size, ValueError, ("float64",)),
-                (np.full((size, size), np.nan), ValueError, ("finite",)),
-                (np.ones((4, 4)), ValueError, ("(4, 4)",)),
-                *((wrong, TypeError, ("modes",)) for wrong in ("(1, 0)", *({mode: 0.5} for mode in NO_MODES))),
-            )
-        ),
-    ],
-)
-def test_what_is_no_field_is_refused(s, modes, kind, named):
-    with refused(kind, *named):
-        s.from_modes(modes)
-
-
-@pytest.mark.parametrize(
-    ("call", "kind", "named"),
-    [
-        (lambda: SPHERE.to_grid(SPHERE.random(1), (1, 4)), ValueError, ("shape[0]",)),
-        (lambda: SPHERE.to_grid(SPHERE.random(1), 12), TypeError, ("12",)),
-        (lambda: SPHERE.to_grid(SPHERE.random(1), points="gauss"), ValueError, ("gauss", "gauss-legendre")),
-        (lambda: SPHERE.grid(points="gauss"), ValueError, ("gauss", "gauss-legendre")),
-        (lambda: SPHERE.from_grid(np.zeros((2, 8))), ValueError, ("at least 3",)),
-        (lambda: SPHERE.from_grid(np.zeros(8)), ValueError, ("rows, columns",)),
-        (lambda: SPHERE.from_grid(np.full((9, 8), np.nan)), ValueError, ("finite",)),
-        (lambda: SPHERE.from_grid(np.zeros((9, 8), dtype=complex)), TypeError, ("real",)),
-    ],
-)
-def test_grids_that_are_refused(call, kind, named):
-    with refused(kind, *named):
-        call()
 
 
 def test_without_ducc0(monkeypatch):

@@ -243,17 +243,3 @@ def test_states_of_pairs():
     ):
         with refused((TypeError, ValueError), *named):
             canonical_state(*given)
-
-
-@pytest.mark.parametrize(
-    ("make", "given", "named"),
-    [
-        (vlasov_moments, {"degree": 10, "potential": "x22"}, ("x22", "x20, x40, x60, x80, x100")),
-        (vlasov_moments, {"degree": 12, "potential": "x22"}, ("x22", "x20, x40, ..., x120")),
-        (vlasov_moments, {"degree": 12, "potential": "x140"}, ("x140", "x120")),
-        (vlasov_moments, {"potential": "0*x20+" * 2000 + "x20"}, ("potential", "12003", "10000")),
-    ],
-)
-def test_refused_values(make, given, named):
-    with refused((ValueError, TypeError), *named):
-        make(**given)

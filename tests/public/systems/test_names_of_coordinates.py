@@ -52,12 +52,6 @@ def test_polynomial_energies_are_printed_with_the_names_of_the_basis():
     assert "h^4" in text and "e*f" in text and "x1" not in text
 
 
-def test_symbols_count_the_coordinates():
-    """m1 is the symbol of the coefficient of x1^2/2, and would be a coordinate of a top."""
-    H = co.modified_hamiltonian(co.systems.heavy_top(), co.Splitting(), symbols=["m1"])
-    assert "x1" in str(H) and "gamma" not in str(H)
-
-
 def test_polynomials_carry_names_through_arithmetic_and_are_equal_without():
     p = co.Polynomial("q^2 - p", basis=("q", "p"))
     plain = co.Polynomial("x1^2 - x2", dim=2)
@@ -66,26 +60,6 @@ def test_polynomials_carry_names_through_arithmetic_and_are_equal_without():
     for result in results:
         assert result.names == ("q", "p")
     assert p.named(("a", "b")) is p.named(["a", "b"]) and p.named(("q", "p")) is p
-
-
-@pytest.mark.parametrize(("name", "formula"), [("heavy_top", "m1^2 - 0.25*gamma3"), ("sklyanin", "x1^2 - 0.25*x3")])
-def test_events_of_polynomials_are_stored_with_their_names(name, formula):
-    """In the names of the system; x1 is the second coordinate of `sklyanin`."""
-    system = co.systems.get(name)
-    g = co.Polynomial(formula, basis=TOP if name == "heavy_top" else ("x0", "x1", "x2", "x3"))
-    plain = co.Polynomial(g.monomials, dim=system.dim)
-    events = [co.Event(g, name="named"), co.Event(plain, name="plain")]
-    x0 = X0 if name == "heavy_top" else (0.9, 0.7, -1.1, 0.4)
-    sol = co.integrate(system, x0, (0, 1), 0.1, co.GaussLegendre(2), events=events)
-    stored = co.results.solution_inputs(sol.to_xarray())["events"]
-    assert [event.g for event in stored] == [g, plain] == [g, g]
-
-
-def test_polynomials_of_names_that_are_not_those_of_the_system_are_refused():
-    with refused(ValueError, "m1, m2"):
-        co.Polynomial("m1 + y", basis=TOP)
-    with refused(ValueError, "names"):
-        co.Polynomial("q", basis=("q", "p")).named(("q",))
 
 
 BASES = [("e0", "e1", "e2"), ("e2", "e1", "e3"), ("x3", "h", "x1"), ("e1", "x1", "e2")]
@@ -156,35 +130,6 @@ SUM_OF_SQUARES = co.Polynomial("x1^2 + x2^2 + x3^2", dim=3)
 PERMUTED = co.Polynomial("x1^2/2", basis=("x2", "x1", "x3"))
 
 
-@pytest.mark.parametrize(
-    ("basis", "written", "texts"),
-    [
-        (BASES[0], SUM_OF_SQUARES, ("x1", "x2", "x3")),
-        (BASES[1], SUM_OF_SQUARES / 2, ("x1", "x2", "x3")),
-        (("e1", "e2", "e3"), PERMUTED, ("x2", "x1", "x3")),
-    ],
-)
-def test_functions_written_in_other_names_are_refused(basis, written, texts):
-    """By position, x1 of the text would be another coordinate; exponents have no names."""
-    system, x0 = so3(basis), (1.0, 2.0, 3.0)
-    function = co.formula("cos(x1)", basis=texts)
-    for refusal in (
-        lambda: so3(basis, written),
-        lambda: so3(basis, written**2),
-        lambda: so3(basis, function),
-        lambda: so3(basis, function / 2 + co.Quadratic(1.0)),
-        lambda: so3(basis, casimirs={"C": written}),
-        lambda: co.LieAlgebra.from_brackets(3, {(0, 1): {2: 1}}, basis=basis, casimirs={"C": written}),
-        lambda: so3(basis, integrals={"C": written}),
-        lambda: co.integrate(system, x0, (0, 1), 0.1, observe={"C": written}),
-        lambda: co.integrate(system, x0, (0, 1), 0.1, events=co.Event(written)),
-    ):
-        with refused(ValueError, "x1", "basis"):
-            refusal()
-    for given in (co.Polynomial(written.monomials), written.named(names_of(system))):
-        np.testing.assert_array_equal(so3(basis, given).hamiltonian.gradient(x0), written.gradient(x0))
-
-
 def test_names_of_texts_in_sums_and_of_systems_without_an_algebra():
     with refused(ValueError, "x2, x1, x3", "x1, x2, x3"):
         PERMUTED + SUM_OF_SQUARES
@@ -194,36 +139,6 @@ def test_names_of_texts_in_sums_and_of_systems_without_an_algebra():
     np.testing.assert_array_equal(system.hamiltonian.gradient(np.ones(4)), [1.0, 1.0, 0.0, 0.0])
     with refused(ValueError, "x1", "basis"):
         co.PoissonSystem(J, co.Polynomial("x1^2", dim=4), name="sklyanin")
-
-
-def test_sums_multiples_and_forms_keep_the_names_they_are_written_in(tmp_path):
-    """A polynomial of degree two is a quadratic form within a sum; x1 is the third coordinate of the basis."""
-    basis, H = BASES[2], co.Hamiltonian(lambda x: np.cos(x[1]))
-    square = co.Polynomial("x1^2", dim=3)
-    form, wave = co.Quadratic.from_polynomial(square), co.formula("sin(x1)", dim=3)
-    written = {
-        "sums": (square + H, H - square, (square + H) / 2, -(H + square), square + H + co.Quadratic(1.0)),
-        "forms": (form, -form, form / 3, form + co.Quadratic(1.0), form.to_polynomial(), form.with_linear([1.0, 0, 0])),
-        "others": (square**2 + H, wave + square, pickle.loads(pickle.dumps(square + wave)), (H + square).bind(3)),
-    }
-    for functions in written.values():
-        for function in functions:
-            with refused(ValueError, "x1, x2, x3", "x3, h, x1"):
-                so3(basis, function)
-    system = so3(basis)
-    for refusal in (
-        lambda: so3(basis, integrals={"C": wave}),
-        lambda: so3(basis, casimirs={"C": form}),
-        lambda: so3(basis, casimirs={"C": co.Invariant(wave)}),
-        lambda: co.integrate(system, (1, 2, 3), (0, 1), 0.1, events=co.Event(wave)),
-        lambda: co.integrate(system, (1, 2, 3), (0, 1), 0.1, observe={"C": square + wave}),
-    ):
-        with refused(ValueError, "x1, x2, x3", "x3, h, x1"):
-            refusal()
-    with refused(ValueError, "x2, x1, x3", "x1, x2, x3"):
-        PERMUTED + co.formula("sin(x2)", dim=3)
-    right = co.Polynomial("x1^2", basis=basis) + H
-    np.testing.assert_array_equal(so3(basis, right).hamiltonian.gradient([1.0, 0.0, 3.0]), [0.0, 0.0, 6.0])
 
 
 @pytest.mark.parametrize("basis", [BASES[0], ("e1", "e2", "e3"), ("h", "e7", "f")])

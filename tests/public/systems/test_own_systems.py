@@ -88,26 +88,6 @@ def test_a_structure_matrix_in_python_suffices_for_steps_in_python():
         co.integrate(OwnMatrix(), **run, method=co.GaussLegendre(2))
 
 
-def test_an_incomplete_system_is_refused_by_what_it_lacks():
-    class Nameless(co.System):
-        sign, dim = 1, 3
-
-    class AsMethod(OwnMatrix):
-        def structure_function(self, x):
-            return squared_length(x)
-
-    for error, wrong, words in (
-        (TypeError, Nameless(), ("Nameless", "name", "hamiltonian")),
-        (TypeError, AsMethod(), ("own bracket", "structure_function", "staticmethod")),
-        (ValueError, OwnBracket(lambda x: np.eye(3)), ("skew", "J[0, 0]")),
-        (ValueError, OwnBracket(lambda x: np.zeros((2, 2))), ("(2, 2)", "(3, 3)")),
-    ):
-        with refused(error, *words):
-            co.integrate(wrong, (0.1, 1.0, 0.1), (0, 1), 0.1, co.GaussLegendre(2))
-    with refused(TypeError, "own bracket", "derivative"):
-        co.stepper(OwnBracket(squared_length), co.GaussLegendre(2), 0.1).tangent((0.1, 1.0, 0.1))
-
-
 class SkewMatrices:
     """so(N) as matrices: a bracket, and no structure constants."""
 
@@ -248,16 +228,6 @@ def test_matrices_with_forces():
     assert fine.balance(relative=False)["|X|^2"] < 1e-12 < 1e-2 < abs(fine.work["LinearDamping"]["|X|^2"][-1])
     with refused(ValueError, "structure constants", "a body of 4 x 4"):
         system.with_forces(co.forces.DoubleBracketDamping(0.1))
-
-
-def test_the_compiled_loops_refuse_it_by_name():
-    for method in (co.GaussLegendre(2), co.ExplicitRungeKutta("rk4")):
-        with refused(TypeError, "a body of 4 x 4", "structure constants", "StepMethod"):
-            co.integrate(body(4), skew(4), (0, 1), 0.1, method)
-    with refused(ValueError, "x0", "(4, 3)", "(4, 4)"):
-        co.integrate(body(4), np.ones((4, 3)), (0, 1), 0.1, Isospectral())
-    with refused(TypeError, "system is"):
-        co.integrate(object(), skew(4), (0, 1), 0.1, Isospectral())
 
 
 def test_the_dataset_of_a_class_of_ones_own_names_it():

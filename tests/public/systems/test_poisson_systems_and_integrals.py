@@ -60,13 +60,6 @@ def test_field_and_jacobian_of_random_brackets(seed, sign):
         np.testing.assert_allclose(jacobian[:, i], column, rtol=1e-13, atol=1e-13)
 
 
-def test_missing_dimension_and_time_are_refused():
-    with refused(TypeError, "dim="):
-        co.PoissonSystem(lotka_volterra, co.Quadratic(1.0))
-    with refused(TypeError, "structure_matrix", "(x, t)"):
-        co.PoissonSystem(lambda x, t: A, co.Quadratic(1.0), dim=3)
-
-
 SO3 = co.algebras.so(3)
 
 THIRD = co.Polynomial({(0, 0, 1): 1})
@@ -98,23 +91,6 @@ def test_a_dataset_keeps_those_that_are_polynomials():
     again = co.results.rebuild(dataset).system
     assert list(again.integrals) == list(forms) and again.integrals["cube"] == cube
     assert again.integrals["x3^2"].value([0, 0, 2.0]) == 4.0
-
-
-@pytest.mark.parametrize(
-    ("given", "kind", "named"),
-    [
-        ({"x2": co.Polynomial({(0, 1, 0): 1})}, ValueError, ("'x2'", "integral", "rate")),
-        ({"q": co.Quadratic([1, 2, 0])}, ValueError, ("'q'", "integral")),
-        ({"H": lambda x, t: x[2] + t}, TypeError, ("'H'", "integral", "(x, t)", "observe")),
-        ({"H": co.Invariant(lambda x, t: x[2] + t)}, TypeError, ("'H'", "integral", "(x, t)")),
-        ({"H": lambda x, t, s: x[2]}, TypeError, ("'H'", "integral", "3")),
-        ({"v": co.Invariant(lambda x: x[1], lambda x: np.array([0.0, 1.0, 0.0]))}, ValueError, ("'v'", "integral")),
-        ({"energy": THIRD}, ValueError, ("'energy'",)),
-    ],
-)
-def test_what_is_no_integral_is_refused(given, kind, named):
-    with refused(kind, *named):
-        body(integrals=given)
 
 
 def test_energies_that_are_functions():

@@ -1,4 +1,4 @@
-"""Spins on graphs: every coupling by hand, 40 digits, integrals, shapes, and what is refused."""
+"""Spins on graphs: every coupling by hand, 40 digits, integrals, shapes."""
 
 import functools
 import itertools
@@ -13,7 +13,6 @@ from scipy.integrate import solve_ivp
 
 import coadjoint as co
 import refusals
-from refusals import refused
 from rounding import UNIT_ROUNDOFF
 
 spin_lattice = co.systems.spin_lattice
@@ -187,31 +186,6 @@ def test_parameters_count_together():
         S = spins_of(8, sites)
         assert (ring.parameters is not None) == kept
         assert ring.casimirs["sum of |x|^2"](S) == pytest.approx(S @ S, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("given", "named"),
-    [
-        ({"lattice": "ring"}, ("ring", "shape 2", "0 and 1")),
-        ({"lattice": "chain", "shape": 1, "periodic": True}, ("site 0", "itself")),
-        ({"lattice": "square", "shape": (4, 3), "periodic": (True, 1)}, ("periodic[1] is 1",)),
-        ({"lattice": "square", "shape": (3, 2), "periodic": (False, True)}, ("0 and 1", "twice")),
-        ({"lattice": [(0, 1), (4, 3), (1, 2), (3, 4)], "shape": 5}, ("3 and 4", "twice")),
-        ({"lattice": [(0, 1), (4, 3), (1, 7)], "shape": 5}, ("edge 2", "site 7", "0 to 4")),
-        ({"field": lambda t: (1.0, 2.0)}, ("field(t)", "(2,)")),
-        ({"field": lambda x, t: (1.0, 2.0, 3.0)}, ("field", "(t)")),
-        ({"field": lambda t: [1.0 / t] * 3}, ("field(0.0)", "ZeroDivisionError")),
-        ({"field": lambda t: np.array([np.inf, 0.0, 0.0])}, ("field(0.0)", "finite")),
-        ({"field": lambda t: np.array([[0.0] * 3, [0.0, np.nan, 0.0]])}, ("field(0.0)", "finite")),
-        ({"lattice": "square", "shape": (3, 3), "periodic": (True, False), "dipolar": 0.1}, ("dipolar", "periodic")),
-        ({"lattice": "complete", "shape": 4, "dipolar": 0.1}, ("dipolar", "positions", "chain")),
-        ({"lattice": [(0, 1)], "shape": 2, "dipolar": 0.1}, ("dipolar", "positions")),
-        ({"lattice": "cubic", "shape": (10**4, 10**4, 10**2), "dipolar": 0.1}, ("GB",)),
-    ],
-)  # fmt: skip
-def test_refused_values(given, named):
-    with refused((ValueError, TypeError), *named):
-        spin_lattice(**given)
 
 
 LATTICES = {

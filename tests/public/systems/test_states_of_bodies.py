@@ -1,4 +1,4 @@
-"""States and solutions of bodies in space: attitudes, velocities, members, archives, events, derivatives, refusals."""
+"""States and solutions of bodies in space: attitudes, velocities, members, archives, events, derivatives."""
 
 import numpy as np
 import pytest
@@ -64,59 +64,6 @@ def test_states_from_matrices_rotations_and_quaternions():
     # Rounded matrices become rotations to the last digits.
     A = body.attitudes(body.state(matrices[0].round(8)))
     assert np.abs(A @ A.T - np.eye(3)).max() < 1e-15 and np.abs(A - matrices[0]).max() < 2e-8
-
-
-def test_wrong_states_are_refused():
-    body, pair = S.body(), S.gravitating_bodies()
-    reflection, rod = np.diag([1.0, 1.0, -1.0]), S.body((2, 2, 0))
-    for error, words, call in (
-        (ValueError, ("attitude", "no rotation"), lambda: body.state(reflection)),
-        (ValueError, ("attitude", "no rotation"), lambda: body.state(2 * np.eye(3))),
-        (ValueError, ("attitude", "norm 2"), lambda: body.state([0, 0, 0, 2.0])),
-        (ValueError, ("attitude", "(3,)"), lambda: body.state([0, 0, 1.0])),
-        (ValueError, ("attitude", "nan"), lambda: body.state(np.full((3, 3), np.nan))),
-        (TypeError, ("attitude", "attitude=True"), lambda: S.body(attitude=False).state(np.eye(3))),
-        (ValueError, ("frame", "attitude"), lambda: S.body(attitude=False).state(frame="space")),
-        (ValueError, ("angular_velocity", "(2,)"), lambda: body.state(angular_velocity=(1, 0))),
-        (ValueError, ("angular_velocity", "inf"), lambda: body.state(angular_velocity=(1, 0, np.inf))),
-        (ValueError, ("frame", "inertial"), lambda: body.state(frame="inertial")),
-        (TypeError, ("degrees",), lambda: body.state(degrees="yes")),
-        (ValueError, ("angular_velocity", "rod"), lambda: rod.state(angular_velocity=(1, 0, 1e-3))),
-        (ValueError, ("angular_velocity", "rod"), lambda: rod.momentum((0, 0, 1))),
-        (ValueError, ("positions", "(3,)"), lambda: pair.state([0, 0, 0])),
-        (ValueError, ("velocities", "(3, 3)"), lambda: pair.state(PLACES, np.eye(3))),
-        (ValueError, ("attitudes", "(3, 3)"), lambda: pair.state(PLACES, attitudes=np.eye(3))),
-        (ValueError, ("2 and 3 members",), lambda: pair.state(np.zeros((2, 2, 3)), np.zeros((3, 2, 3)))),
-        (ValueError, ("x", "(3,)", "37"), lambda: pair.positions([1.0, 2.0, 3.0])),
-        (TypeError, ("body", "attitude"), lambda: S.body(attitude=False).attitudes(np.ones(3))),
-        (ValueError, ("inertia", "point"), lambda: S.body((0, 0, 0))),
-        (ValueError, ("inertia[2]", "rod", "1 and 2"), lambda: S.body((1, 2, 0))),
-        (ValueError, ("inertias[1]", "(2,)"), lambda: S.bodies([(1, 1, 1), (1, 2)])),
-        (ValueError, ("masses", "(3,)", "2"), lambda: S.bodies(masses=(1, 2, 3))),
-        (ValueError, ("order", "3"), lambda: S.gravitating_bodies(order=3)),
-    ):  # fmt: skip
-        with refused(error, *words):
-            call()
-
-
-@pytest.mark.parametrize("k", range(2))
-def test_the_body_with_a_wrong_value_is_refused_by_its_number(k):
-    def at(wrong, other):
-        return [wrong, other] if k == 0 else [other, wrong]
-
-    rod = at((2.0, 2.0, 0.0), (1.0, 2.0, 2.5))
-    pair = S.bodies(rod)
-    for words, call in (
-        ((f"masses[{k}]", "1e-310"), lambda: S.bodies(masses=at(1e-310, 1.0))),
-        ((f"attitudes[{k}]", "no rotation"), lambda: pair.state(PLACES, attitudes=at(2.0 * np.eye(3), TURNED[0]))),
-        (
-            (f"angular_velocities of body {k}", "0.5"),
-            lambda: pair.state(PLACES, angular_velocities=at((0.0, 0.0, 0.5), (0.1, 0.2, 0.3))),
-        ),
-        ((f"body {k} ", f"inertias[{k}]"), lambda: S.bodies(rod, potential=lambda r, A: A[0, 0, 0] + A[1, 0, 0])),
-    ):
-        with refused(ValueError, *words):
-            call()
 
 
 def test_impossible_bodies_warn_by_number():

@@ -6,7 +6,6 @@ import pytest
 from brackets import bracket, exact, rational_points
 
 import coadjoint as co
-from refusals import refused
 
 LENGTHS = [2, 3, 5]
 MADE = {"open": co.systems.toda, "ring": co.systems.toda_ring}
@@ -127,13 +126,3 @@ def test_rings_with_a_of_either_sign(n):
     name = next(name for name, one in system.casimirs.items() if one is casimir)
     # Ten steps with n products each.
     assert np.abs(run.casimirs[name] - value).max() < 20 * n * 2.0**-53 * max(1.0, abs(value))
-
-
-def test_closed_forms_that_are_refused():
-    system, x = co.systems.toda(3), state(3, "open")
-    np.testing.assert_array_equal(system.exact(x, 0.0), x)
-    np.testing.assert_array_equal(system.exact(np.zeros(5), 1.0), np.zeros(5))
-    with refused(ValueError, "t is 1e+09"):
-        system.exact(x, 1e9)
-    with refused(TypeError, "closed form", "toda_ring"):
-        co.systems.toda_ring(3).exact(state(3, "ring"), 1.0)

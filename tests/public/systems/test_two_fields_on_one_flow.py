@@ -153,15 +153,3 @@ def test_the_inverse_of_a_multiple_of_a_stream():
     moved = co.stepper(s, co.IsospectralGauss(2), 2.0**-10)(X) - X
     middle = 2.0**-10 * s.vector_field(X + moved / 2)
     np.testing.assert_allclose(moved, middle, rtol=0, atol=1e-6 * np.abs(moved).max())
-
-
-def test_refused_states_and_streams():
-    s = MHD[0]
-    for wrong, named in ((np.eye(6) * np.ones((2, 1, 1)), "su"), (np.full(s.shape, np.nan), "NaN")):
-        with refused(ValueError, named):
-            co.integrate(s, wrong, (0, 1), 0.125, co.IsospectralGauss())
-    for system in MHD:
-        with refused(ValueError, "IsospectralGauss"):
-            co.integrate(system, random_state(system), (0, 1), 0.125, co.LineSplitting())
-    with refused((TypeError, ValueError), "stream"):
-        TwoLayerSystem(co.MatrixAlgebra("su", 4), Weights(np.ones((4, 4))), "none")

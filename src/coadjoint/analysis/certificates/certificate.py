@@ -214,7 +214,7 @@ class Certificate:
         matplotlib.figure.Figure
             The figure, neither shown nor saved.
         """
-        return shortcut("draw_certificate")(self)
+        return shortcut("draw_result")("certificate", self)
 
 
 def _cells(row: Row) -> tuple[str, str, str, str]:

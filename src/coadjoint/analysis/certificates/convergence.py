@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from coadjoint.analysis.certificates.certificate import Row, checked
 from coadjoint.analysis.certificates.reference import Motion, motion
 from coadjoint.analysis.certificates.subject import Subject
-from coadjoint.analysis.powers import FLOOR_FACTOR, OrderFit, error_by_comparison, fit_order
+from coadjoint.analysis.powers import FLOOR_FACTOR, OrderFit, fit_order
 from coadjoint.errors import IntegrationError
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.measured_steps import error_by_comparison
 
 Floats = NDArray[np.float64]
 

@@ -31,7 +31,8 @@ from coadjoint.experiments.reich1993.statements import (
     precession_lead,
 )
 from coadjoint.methods.protocol.method import Method
-from coadjoint.pictures.analysis_figures import draw_deviations, with_error
+from coadjoint.pictures.analysis_figures import with_error
+from coadjoint.pictures.kinds.quantities import draw_deviations
 from coadjoint.pictures.style import INK, colour, legend, plain_axes
 from coadjoint.runs.integrate import integrate
 from coadjoint.runs.results.solution import Solution

@@ -30,13 +30,13 @@ from coadjoint.files.archives.folder import ArchiveError, ArchiveUnreadable, Loc
 from coadjoint.files.archives.root import identity_of, read_root
 from coadjoint.files.archives.run_checks import check_archive, check_reported
 from coadjoint.files.archives.store import ArchiveStore
-from coadjoint.files.datasets.export import stored_inputs
 from coadjoint.files.datasets.named_axes import coordinate_variables, label_of, stored_axes, unstacked
-from coadjoint.files.datasets.stored_solution import StoredSolution
+from coadjoint.files.datasets.stored_solution import StoredSolution, stored_inputs
 from coadjoint.files.datasets.variables import with_vorticity
-from coadjoint.keyword_hints import NamedValues, suggest_keywords
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.optional_packages import require_packages
 from coadjoint.runs.piecewise_run import STATE_PREFIX, larger_deviations
+from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 

@@ -33,6 +33,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import progress_bar, read_progress
 from coadjoint.methods.protocol.method import Method
 from coadjoint.optional_packages import require_packages
+from coadjoint.runs.error_estimates import warn_of_blocks, warn_of_large_step
 from coadjoint.runs.piecewise_run import PiecewiseRun
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
@@ -265,7 +266,7 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
     with closing(store, prepared.system):
         if is_new:
             # A copy, since loops of half a step are not sent to workers.
-            warned = prepared.in_one_thread().warn_of_large_step(open_archive(path, prepared.system))
+            warned = warn_of_large_step(open_archive(path, prepared.system), prepared.in_one_thread())
             remaining = store.blocks
         else:
             check_archive(store)
@@ -285,8 +286,9 @@ def _run_unfinished(planned: PlannedRun, path: Path, pool: WorkerPool, size: int
         except OSError as reason:
             raise _unwritten(store, reason) from reason
     solution = raise_if_failed(open_archive(path, prepared.system))
-    if remaining and not warned:
-        prepared.warn_of_blocks(solution, [head["lost"] for head in heads if "lost" in head])
+    lost = [head["lost"] for head in heads if "lost" in head]
+    if remaining and lost and not warned:
+        warn_of_blocks(solution, prepared, lost)
     return solution
 
 

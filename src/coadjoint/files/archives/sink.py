@@ -14,8 +14,8 @@ from coadjoint.files.archives.folder import ArchiveError
 from coadjoint.files.archives.store import ArchiveStore, unwritten_archive
 from coadjoint.files.datasets.export import failure_attributes
 from coadjoint.files.datasets.variables import summary_variables, time_coordinate, time_variables
+from coadjoint.runs.error_estimates import lost_invariant
 from coadjoint.runs.piecewise_run import PiecewiseRun
-from coadjoint.runs.preparation import lost_invariant
 from coadjoint.runs.results.solution import Solution
 
 LOST = 1e300

@@ -1,384 +1,209 @@
-"""Parsing of configuration files: TOML with line and column in errors, messages about keys, the valid part of files."""
+"""Reading of configuration files: TOML, validation by the models, systems, and errors with key and reason."""
 
 from __future__ import annotations
 
-import inspect
 import math
 import re
 import tomllib
-import types
-import typing
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from coadjoint import systems
 from coadjoint.algebra.exact.numbers import parse_decimal
+from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.errors import ConfigurationError, in_one_line, nearest
-from coadjoint.files.configuration.models import MAX_SHOWN_LENGTH, File
-from coadjoint.keyword_hints import KEYWORDS
-from coadjoint.methods import registry
+from coadjoint.files.configuration.models import File
+from coadjoint.files.configuration.tables import MAX_SHOWN_LENGTH, wrong_keys
+from coadjoint.files.records.reconstruction import polynomial_of
+from coadjoint.keyword_hints import vocabulary
 from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import declared_names
+from coadjoint.systems.forces import registry as described
+from coadjoint.systems.lie_poisson import LiePoissonSystem
 from coadjoint.systems.registry import ready_made_systems
+from coadjoint.systems.system import System
+from coadjoint.validation import from_description, read_choice
 
-MAX_BYTES = 2**28  # of a file; longer ensembles are given in Python
-MAX_NESTING = 64
-_STRING = r"""\"{3}(?:[^\\]|\\.)*?\"{3}|'{3}.*?'{3}|"(?:[^"\\\n]|\\.)*"|'[^'\n]*'"""
-_NESTING = re.compile(rf"{_STRING}|\#[^\n]*|[\[{{\]}}]", re.DOTALL)
+MAX_LENGTH = 2**28  # characters of a file; longer ensembles are given in Python
+MAX_PARTS = 64
 # tomllib needs cubic time in the number of parts of a dotted key.
-_LONG_KEY = re.compile(rf"(?<![\w.])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{MAX_NESTING}}}")
-_LONG_NUMBER = re.compile(r"\d[\d_]{3999,}")
+_LONG_KEY = re.compile(rf"(?<![\w.])(?:(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*\.[ \t]*){{{MAX_PARTS}}}")
+MAX_REASON = 300  # characters of a reason, some lines of a terminal
+MAX_LINES = 20  # lines of errors that the command prints: one screen
+SYSTEM_KEYS = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "casimirs", "forces"})
 
 
 def read_utf8(path: str | Path) -> str:
-    """Read a file as UTF-8 with normalized line ends, without a byte-order mark.
-
-    Raise ConfigurationError if it is unreadable, too long, or no UTF-8.
-    """
-    try:
-        with open(path, "rb") as file:
+    """Read a file as UTF-8 with normalized line ends, without a byte-order mark."""
+    with section(path, ""):
+        with open(path, encoding="utf-8-sig") as file:
             # Devices may be endless, and a dataset given by mistake may be huge.
-            content = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as reason:
-        raise ConfigurationError(f"{path}: cannot be read ({getattr(reason, 'strerror', None) or reason})") from None
-    if len(content) > MAX_BYTES:
-        raise ConfigurationError(f"{path}: is longer than {MAX_BYTES} bytes; give long ensembles in Python")
-    try:
-        return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as reason:
-        raise ConfigurationError(f"{path}: is not text in UTF-8 (byte {reason.start}); save it as such") from None
+            text = file.read(MAX_LENGTH + 1)
+        if len(text) > MAX_LENGTH:
+            raise ValueError(f"is longer than {MAX_LENGTH} characters; give long ensembles in Python")
+        return text
 
 
 def parse_toml(name: str, text: str) -> dict[str, Any]:
-    """Parse TOML; ConfigurationError with line and column. `name` is that of the file."""
-    match = _LONG_KEY.search(text)
-    if match is not None:
-        raise _syntax_error(name, text, match.start(), f"a key has more than {MAX_NESTING} parts")
+    """Parse TOML, the file of this name, with decimal numbers that float64 can represent."""
 
     def number(literal: str) -> float:
-        value = float(literal)
-        try:
-            return parse_decimal(literal) if math.isfinite(value) else value  # others are refused by their keys
-        except ValueError as reason:
-            raise _syntax_error(name, text, text.find(literal), str(reason)) from None
+        # Numbers that are not finite are refused by their keys.
+        return parse_decimal(literal) if math.isfinite(float(literal)) else float(literal)
 
-    try:
+    with section(name, ""):
+        if (long_key := _LONG_KEY.search(text)) is not None:
+            raise ValueError(f"the key {short(long_key[0], MAX_SHOWN_LENGTH)} has more than {MAX_PARTS} parts")
         return tomllib.loads(text, parse_float=number)
-    except tomllib.TOMLDecodeError as reason:
-        problem = str(reason)
+
+
+@contextmanager
+def section(name: str | Path, key: str) -> Iterator[None]:
+    """Convert errors inside the context to `ConfigurationError` with the file `name` and the dotted `key`."""
+    cause: Exception
+    try:
+        yield
+        return
     except ConfigurationError:
         raise
-    except RecursionError:
-        raise _syntax_error(
-            name, text, _nesting_position(text), f"lists and tables are nested deeper than {MAX_NESTING}; nest less"
-        ) from None
-    except ValueError as reason:
-        # Python limits the digits of integers.
-        digits = _LONG_NUMBER.search(text)
-        position = len(text) if digits is None else digits.start()
-        raise _syntax_error(
-            name, text, position, "a whole number has too many digits" if digits else str(reason)
-        ) from None
-    location = re.search(r" \(at line (\d+), column (\d+)\)$", problem)
-    line, column = (int(location[1]), int(location[2])) if location else _line_and_column(text, len(text))
-    problem = re.sub(r" \(at [^()]*\)$", "", problem)
-    raise ConfigurationError(
-        f"{name}: line {line}, column {column}: {problem[:1].lower()}{in_one_line(problem[1:], 300)}"
-    )
+    except (ValueError, TypeError) as reason:
+        problem, cause = str(reason), reason
+    except OSError as reason:
+        problem, cause = f"cannot be read ({reason.strerror or reason}: {reason.filename})", reason
+    except (ArithmeticError, RecursionError, MemoryError) as reason:
+        problem, cause = f"is too large, or nested too deeply: {type(reason).__name__}, {reason}", reason
+    raise ConfigurationError(f"{name}: {_line(key, problem)}") from cause
 
 
-def _syntax_error(name: str, text: str, position: int, problem: str) -> ConfigurationError:
-    line, column = _line_and_column(text, position)
-    key = re.match(r"\s*([\w.-]{1,60})\s*=", text[: position + 1].rpartition("\n")[2])
-    return ConfigurationError(f"{name}: line {line}, column {column}: {key[1] + ': ' if key else ''}{problem}")
+def _line(key: str, reason: str) -> str:
+    return (f"{in_one_line(key, 80)}: " if key else "") + in_one_line(reason, MAX_REASON)
 
 
-def _line_and_column(text: str, position: int) -> tuple[int, int]:
-    return text.count("\n", 0, position) + 1, position - text.rfind("\n", 0, position)
+class Problems:
+    """Errors of a file, collected so that they are reported together."""
 
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.lines: list[str] = []
 
-def _nesting_position(text: str) -> int:
-    """Return the position of the first bracket that is nested too deeply."""
-    depth = 0
-    for match in _NESTING.finditer(text):
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match[0], 0)
-        if depth > MAX_NESTING:
-            return match.start()
-    return len(text)
+    def add(self, key: str, reason: str) -> None:
+        """Add an error: key and reason."""
+        self.lines.append(f"{self.name}: {_line(key, reason)}")
 
-
-CLOSE = 0.75
-"""Smallest similarity of an unknown key and the key of another table that is suggested."""
-
-
-def keys_by_table() -> dict[str, Iterable[str]]:
-    """Return the keys of each table of a file; names and parameters, which several have, are omitted."""
-    tables: dict[str, Iterable[str]] = {"the top of the file": ["sign"], "[[forces]]": []}
-    tables |= {f"[{key}]": [] for key in File.model_fields if key not in ("name", "sign", "forces")}
-    for key in ("algebra", "hamiltonian", "initial", "run", "output"):
-        tables[f"[{key}]"] = [name for name in known_keys((key,)) if name not in ("name", "parameters")]
-    return tables
-
-
-def places_of(key: str, elsewhere: Mapping[str, Iterable[str]]) -> tuple[str | None, list[str]]:
-    """Return the table of this name, and the tables that have a key of this name."""
-    own_table = next((table for table in elsewhere if table.strip("[]") == key), None)
-    return own_table, [table for table, keys in elsewhere.items() if key in keys]
-
-
-PLACES: Mapping[str, str] = types.MappingProxyType(
-    {
-        "x0": "[initial] x",
-        "system": "[system] name",
-        "method": "[method] name",
-        "t_span": "[run] t_span",
-        "step": "[run] step",
-        "accuracy": "[run] accuracy",
-        "t_eval": "[run] t_eval",
-        "save_every": "[run] save_every",
-        "threads": "[run] threads",
-        "events": "[events.NAME] g",
-        "observe": "[observe] NAME",
-        "archive": "[output] archive",
-        "inertia": "[system.parameters] inertia",
-        "parameters": "[system.parameters]",
-        "file": "[output] file",
-        "figure": "[output] figure",
-        "movie": "[output] movie",
-        "polynomial": "[hamiltonian] polynomial",
-        "samples": "[sweep] samples",
-    }
-)
-"""Argument of `integrate`, or key of a file -> its place in a file."""
-OTHER_NAMES: Mapping[str, str] = types.MappingProxyType(
-    {
-        **dict.fromkeys(("params", "args", "p"), "parameters"),
-        **dict.fromkeys(("out", "output_file", "filename", "netcdf", "results"), "file"),
-        **dict.fromkeys(("plot", "picture", "image"), "figure"),
-        **dict.fromkeys(("animation", "video"), "movie"),
-        **dict.fromkeys(("H", "energy", "formula"), "polynomial"),
-        **dict.fromkeys(("observables", "outputs"), "observe"),
-        **dict.fromkeys(("members", "ensemble", "count"), "samples"),
-        **dict.fromkeys(("duration", "end"), "t_span"),
-        **dict.fromkeys(("rtol", "atol"), "accuracy"),
-    }
-)
-"""Usual name of a key -> the argument or key of `PLACES`, beside the names of `keyword_hints.KEYWORDS`."""
-
-
-def place_meant(key: str) -> str | None:
-    """Return the place in a file of what an argument or a usual name means, or None."""
-    argument = OTHER_NAMES.get(key) or KEYWORDS.get(key, key).partition("=")[0]
-    return PLACES.get(argument)
-
-
-def unknown_key(key: str, known: Iterable[str], elsewhere: Mapping[str, Iterable[str]]) -> str:
-    """Describe an unknown key, with its place, the nearest known one, or all known ones if none is near."""
-    own_table, tables = places_of(key, elsewhere)
-    if own_table is not None:
-        return f"unknown key; {key!r} is a table of its own, {own_table}"
-    if tables:
-        return f"unknown key; {key!r} belongs to {' or '.join(tables)}"
-    if (place := place_meant(key)) is not None:
-        return f"unknown key; give {place}"
-    names = sorted(known)
-    near = nearest(key, names)
-    if near is not None:
-        return f"unknown key; did you mean {near!r}?"
-    for table, keys in elsewhere.items():
-        near = nearest(key, keys, CLOSE)
-        if near is not None:
-            return f"unknown key; did you mean {near!r}, which belongs to {table}?"
-    return f"unknown key; known here: {', '.join(names)}" if names else "unknown key; there are none here"
-
-
-def known_keys(table_path: Sequence[str | int], value: Any = None) -> list[str]:
-    """Return the keys that a table of a file may have; in the file itself those of tables, if the value is one."""
-    is_table = not table_path and isinstance(value, Mapping)
-    return [key for key in _table_at(table_path).model_fields if not is_table or key not in ("name", "sign")]
-
-
-def all_errors(error: ValidationError, elsewhere: Mapping[str, Iterable[str]], table: Sequence[str] = ()) -> list[str]:
-    """Return the errors in a file, or in its `table`, dotted key and reason: unknown keys first."""
-    # A missing key is omitted if an unknown one is its misspelling.
-    rank = {"extra_forbidden": 0, "missing": 2}
-    entries = sorted(error.errors(), key=lambda entry: rank.get(entry["type"], 1))
-    messages: dict[str, str] = {}
-    for entry in entries:
-        # pydantic appends "[key]" for an invalid key of a table.
-        key_path = [*table, *(key for key in entry["loc"] if key != "[key]")]
-        path = "".join(
-            f"[{key}]" if isinstance(key, int) else f".{in_one_line(key, MAX_SHOWN_LENGTH)}" for key in key_path
-        )
-        path = path.lstrip(".")
-        reason = _reason(entry["type"], entry["msg"], entry["input"], entry.get("ctx", {}), key_path, elsewhere)
-        misspelled = entry["type"] == "missing" and _is_named(key_path, messages.values())
-        # For a union, pydantic lists one error per alternative; report the first.
-        if not misspelled:
-            messages.setdefault(".".join(map(str, key_path[:2])), f"{path}: {reason}" if path else f": {reason}")
-    return list(messages.values())
-
-
-def _is_named(key_path: Sequence[int | str], messages: Iterable[str]) -> bool:
-    """Return whether messages about unknown keys name a missing key or table as the one that is meant."""
-    path = ".".join(map(str, key_path))
-    table, _, key = path.rpartition(".")
-    names = (f"did you mean {key!r}?", f"give [{table}] {key}", f"give [{path}] ")
-    return any(name in message for name in names for message in messages)
-
-
-def _reason(
-    kind: str,
-    message: str,
-    value: Any,
-    context: Mapping[str, Any],
-    key_path: list[int | str],
-    elsewhere: Mapping[str, Iterable[str]],
-) -> str:
-    if kind == "extra_forbidden":
-        return unknown_key(str(key_path[-1]), known_keys(key_path[:-1], value), elsewhere)
-    if kind == "missing":
-        return "is missing; give it"
-    if kind == "value_error":
-        return str(context["error"])
-    expected = {
-        "string_type": "text in quotes",
-        "int_type": "a whole number",
-        "int_from_float": "a whole number",
-        "float_type": "a number",
-        "bool_type": "true or false",
-        "list_type": "a list",
-        "dict_type": "a table",
-        "model_type": "a table",
-        "model_attributes_type": "a table",
-        "greater_than": f"greater than {context.get('gt')}",
-        "greater_than_equal": f"{context.get('ge')} or more",
-        "finite_number": "finite",
-    }.get(kind)
-    # A name in place of a table.
-    place = PLACES.get(str(key_path[-1])) if expected == "a table" and isinstance(value, str) and key_path else None
-    return (
-        f"must be {expected}, not {short(value, MAX_SHOWN_LENGTH)}" + (f"; give {place}" if place else "")
-        if expected
-        else f"{message[:1].lower()}{message[1:]}, not {short(value, MAX_SHOWN_LENGTH)}"
-    )
-
-
-def _table_at(table_path: Sequence[int | str]) -> type[BaseModel]:
-    table: type[BaseModel] = File
-    keys = iter(table_path)
-    for key in keys:
-        annotation: Any = table.model_fields[str(key)].annotation
-        if typing.get_origin(annotation) is dict:  # tables by name
-            next(keys)
-            annotation = typing.get_args(annotation)[1]
-        options = typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
-        table = next(option for option in options if isinstance(option, type) and issubclass(option, BaseModel))
-    return table
-
-
-PLACEHOLDERS: Mapping[str, Any] = {"run": {"t_span": [0.0, 1.0], "step": 1.0}, "initial": {"x": "unread.npy"}}
-"""Placeholders for required tables that are invalid; they are not validated."""
-SYSTEM_TABLES = frozenset({"name", "sign", "system", "algebra", "hamiltonian", "casimirs", "forces"})
-
-
-def valid_tables(raw: Mapping[str, Any], report: Callable[[str], None]) -> tuple[File | None, set[str]]:
-    """Return the valid part of a file, under corrected keys, and the invalid top-level keys; report their errors."""
-    messages: list[str] = []
-    invalid: set[str] = set()
-    parameters = _parameters(raw)
-    elsewhere = {**keys_by_table(), **{f"[{'.'.join(path)}]": names for path, names in parameters.items()}}
-    tables = _correct_parameter_names(raw, parameters, elsewhere, messages)
-    file = None
-    # First as written, then with unknown keys corrected, then without invalid tables.
-    for _ in range(3):
+    @contextmanager
+    def at(self, key: str) -> Iterator[None]:
+        """Collect an error that is raised inside, and continue."""
         try:
-            file = File.model_validate(tables)
-            break
-        except ValidationError as error:
-            messages += all_errors(error, elsewhere)
-            tables, invalid_names = _repair(tables, error, elsewhere)
-            invalid |= invalid_names
-    for message in dict.fromkeys(messages):
-        report(message)
-    return file, invalid
+            with section(self.name, key):
+                yield
+        except ConfigurationError as error:
+            self.lines += error.error_lines or (str(error),)
+
+    def check(self) -> None:
+        """Raise the collected errors as one, with a line for each."""
+        if not self.lines:
+            return
+        lines = list(dict.fromkeys(self.lines))
+        error = ConfigurationError("; ".join([lines[0], *(line.removeprefix(f"{self.name}: ") for line in lines[1:])]))
+        omitted = [f"{self.name}: {len(lines) - MAX_LINES} more"] if len(lines) > MAX_LINES else []
+        error.error_lines = (*lines[:MAX_LINES], *omitted)
+        raise error
 
 
-def _parameters(raw: Mapping[str, Any]) -> dict[tuple[str, ...], list[str]]:
-    """Return the parameter names of the system and of the scheme, by the tables to which they belong."""
-    names: dict[tuple[str, ...], list[str]] = {}
-    if (name := named_in(raw, "system")) in ready_made_systems():
-        names["system", "parameters"] = list(inspect.signature(ready_made_systems()[name]).parameters)
-    if (name := named_in(raw, "method")) in registry.names():
-        names["method",] = list(registry.parameters_of(name))
-    return names
+def parse_tables(raw: Mapping[str, Any], problems: Problems, only: Sequence[str] = ()) -> File:
+    """Validate the tables of a file one by one, or `only` some; `model_fields_set` of the result has the valid ones."""
+    file = File.model_construct()
+    for key in () if only else wrong_keys(File, raw.keys()):
+        problems.add(key, wrong_key(key, File))
+    for key in only or File.model_fields:
+        if key in raw:
+            try:
+                setattr(file, key, raw[key])
+            except ValidationError as error:
+                for path, reason in _errors_in(error):
+                    problems.add(path, reason)
+    return file
 
 
-def named_in(raw: Mapping[str, Any], table: str) -> str:
-    """Return the name in a table of a file, or '' if there is no text."""
-    name = _value_at(raw, (table, "name"))
-    return name if isinstance(name, str) else ""
+def _errors_in(error: ValidationError) -> Iterator[tuple[str, str]]:
+    """Yield dotted key and reason of each error of a table."""
+    for entry in error.errors(include_url=False):
+        # Variants of tables have tags in brackets, and pydantic appends "[key]" for an invalid key of a table.
+        parts = [part for part in entry["loc"] if isinstance(part, int) or part[:1] not in ("<", "[")]
+        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
+        context: Any = entry.get("ctx", {})
+        if entry["type"] == "wrong_keys":
+            yield from ((f"{path}.{key}".lstrip("."), wrong_key(key, context["table"])) for key in context["keys"])
+        elif entry["type"] == "value_error":
+            yield path, str(context["error"])
+        else:
+            rule = "must be a table" if entry["type"] in ("model_type", "dict_type") else entry["msg"]
+            rule = rule.replace("Input should", "must").replace("must be a valid", "must be a")
+            yield path, f"{rule[:1].lower()}{rule[1:]}; it is {short(entry['input'], MAX_SHOWN_LENGTH)}"
 
 
-def _correct_parameter_names(
-    raw: Mapping[str, Any],
-    parameters: Mapping[tuple[str, ...], list[str]],
-    elsewhere: Mapping[str, Iterable[str]],
-    messages: list[str],
-) -> Mapping[str, Any]:
-    """Correct unknown parameter names of the system and of the scheme; append the errors to `messages`."""
-    for table_path, names in parameters.items():
-        table = _value_at(raw, table_path)
-        if not isinstance(table, Mapping):
-            continue
-        known = {*names, "name", "parameters"} if table_path == ("method",) else {*names}
-        for key in [key for key in table if key not in known]:
-            messages.append(f"{'.'.join(table_path)}.{key}: {unknown_key(key, names, elsewhere)}")
-            raw = _rename_key(raw, (*table_path, key), _correction((*table_path, key), known, elsewhere))
-    return raw
+def wrong_key(key: str, table: type[BaseModel]) -> str:
+    """Describe a missing key, or an unknown one with its table, the key that is meant, or all known ones."""
+    if key in table.model_fields:
+        return f"is missing; give it: {table.model_fields[key].description}"
+    tables = {name: list(_tables_in(field.annotation)) for name, field in File.model_fields.items()}
+    near, known = nearest(key, table.model_fields), ", ".join(sorted(table.model_fields))
+    if any(table in variants and any(key in one.model_fields for one in variants) for variants in tables.values()):
+        return f"unknown key beside the others; known with them: {known}"
+    usual = (vocabulary(kind).get(key, "") for kind in ("keys of files", "arguments"))
+    for meant in (key, *(text.partition("=")[0] for text in usual)):
+        meant = "x" if meant == "x0" else meant
+        if meant in table.model_fields:
+            return f"unknown key; did you mean {meant!r}?"
+        for name, variants in tables.items():
+            if meant == name or any(meant in one.model_fields for one in variants):
+                return f"unknown key; give [{name}]{'' if meant == name else f' {meant}'}"
+    return f"unknown key; did you mean {near!r}?" if near else f"unknown key; known here: {known}"
 
 
-def _correction(key_path: tuple[str, ...], known: Iterable[str], elsewhere: Mapping[str, Iterable[str]]) -> str | None:
-    """Return the known key to which an unknown one is corrected; None if there is none, or it belongs elsewhere."""
-    *table_path, key = key_path
-    if any(places_of(key, elsewhere)):
-        return None
-    if (place := place_meant(key)) is not None:
-        table, _, name = place.partition(" ")
-        # An accuracy excludes a step, which the table may have.
-        is_here = table == f"[{'.'.join(table_path)}]" and name != "accuracy"
-        return name if is_here and name in known else None
-    return nearest(key, known)
+def _tables_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models in an annotation."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for argument in get_args(annotation):
+        yield from _tables_in(argument)
 
 
-def _repair(
-    raw: Mapping[str, Any], error: ValidationError, elsewhere: Mapping[str, Iterable[str]]
-) -> tuple[Mapping[str, Any], set[str]]:
-    """Correct unknown keys and replace invalid tables; return also the names of the latter."""
-    invalid: set[str] = set()
-    for entry in error.errors():
-        key_path = tuple(str(key) for key in entry["loc"])
-        if entry["type"] == "extra_forbidden":
-            known = known_keys(key_path[:-1], entry["input"])
-            raw = _rename_key(raw, key_path, _correction(key_path, known, elsewhere))
-        elif key_path:
-            invalid.add(key_path[0])
-    valid = {key: value for key, value in raw.items() if key not in invalid}
-    return {**valid, **{key: PLACEHOLDERS[key] for key in invalid if key in PLACEHOLDERS}}, invalid
+def system_of_file(name: str, file: File) -> System:
+    """Return the system of the tables of a file, with its forces."""
+    system, forces = _system_without_forces(name, file), []
+    for k, description in enumerate(file.forces):
+        with section(name, f"forces[{k}]"):
+            forces.append(from_description("force", described.kinds(), description))
+    with section(name, "forces"):
+        return system.with_forces(*forces) if forces else system
 
 
-def _value_at(raw: Any, table_path: Iterable[str]) -> Any:
-    for key in table_path:
-        raw = raw.get(key) if isinstance(raw, Mapping) else None
-    return raw
-
-
-def _rename_key(raw: Mapping[str, Any], key_path: tuple[str, ...], correct: str | None) -> Mapping[str, Any]:
-    """Rename an unknown key, or drop it if there is no correct name or it is taken."""
-    key = key_path[0]
-    if len(key_path) > 1:
-        return {**raw, key: _rename_key(raw[key], key_path[1:], correct)}
-    if correct is None or correct in raw:
-        return {name: value for name, value in raw.items() if name != key}
-    return {correct if name == key else name: value for name, value in raw.items()}
+def _system_without_forces(name: str, file: File) -> System:
+    if file.system is not None:
+        others = [key for key in SYSTEM_KEYS - {"system", "forces"} if getattr(file, key) is not None]
+        with section(name, min(others, default="system")):
+            if others:
+                raise ValueError(f"belongs to [algebra]; the system {file.system.name!r} has its own")
+            return systems.get(read_choice(file.system.name, "system", ready_made_systems()), **file.system.parameters)
+    if file.algebra is None or file.hamiltonian is None:
+        raise ConfigurationError(f"{name}: give either [system], a ready-made one, or [algebra] with [hamiltonian]")
+    with section(name, "algebra"):
+        algebra = file.algebra.algebra()
+    names = declared_names(file.name, algebra, algebra.dim)
+    with section(name, "hamiltonian"):
+        hamiltonian = file.hamiltonian.energy(algebra, names)
+    casimirs: dict[str, Polynomial] | None = None if file.casimirs is None else {}
+    for key, polynomial in (file.casimirs or {}).items():
+        assert casimirs is not None
+        with section(name, f"casimirs.{key}"):
+            casimirs[key] = polynomial_of(polynomial, algebra.dim, names)
+    with section(name, "casimirs"):
+        LiePoissonSystem(algebra, 0 * Polynomial.variable(0, algebra.dim), casimirs=casimirs)
+    with section(name, "hamiltonian"):
+        sign = 1 if file.sign is None else file.sign
+        return LiePoissonSystem(algebra, hamiltonian, sign=sign, casimirs=casimirs, name=file.name)

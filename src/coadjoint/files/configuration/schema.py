@@ -5,21 +5,24 @@ from __future__ import annotations
 import ast
 import inspect
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from inspect import formatannotation
 from typing import Any
 
-from coadjoint.algebra.catalogue import entries, families, parameters_of
+from pydantic.json_schema import GenerateJsonSchema
+
+from coadjoint.algebra import catalogue
+from coadjoint.files.configuration.models import File
 from coadjoint.methods import registry
 from coadjoint.optional_packages import require_packages
 from coadjoint.systems.description import documented_parameters, summary_of
-from coadjoint.systems.forces import registry as described
+from coadjoint.systems.forces.registry import kinds
 from coadjoint.systems.registry import ready_made_systems
 
-DIALECT = "https://json-schema.org/draft/2020-12/schema"
-EMPTY_TABLE = {"type": "object", "description": "None: there are none here.", "maxProperties": 0}
-NESTED_NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"$ref": "#/$defs/Numbers"}}]}
-JSON_TYPES: dict[str, dict[str, Any]] = {
+Schema = dict[str, Any]
+
+NUMBERS = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"$ref": "#/$defs/Numbers"}}]}
+JSON_TYPES: dict[str, Schema] = {
     "bool": {"type": "boolean"},
     "float": {"type": "number"},
     "int": {"type": "integer"},
@@ -28,7 +31,23 @@ JSON_TYPES: dict[str, dict[str, Any]] = {
     "npt.ArrayLike": {"$ref": "#/$defs/Numbers"},
     "tuple[float, ...]": {"type": "array", "items": {"type": "number"}},
 }
-Schema = dict[str, Any]
+
+
+class TomlSchema(GenerateJsonSchema):
+    """Schemas without what does not apply to TOML: null, and titles derived from keys."""
+
+    def nullable_schema(self, schema: Any) -> Schema:
+        """Return the schema of the value, if there is one."""
+        return self.generate_inner(schema["schema"])
+
+    def default_schema(self, schema: Any) -> Schema:
+        """Return the schema, with its default if that is a number or a truth value."""
+        is_shown = isinstance(schema.get("default"), int)
+        return super().default_schema(schema) if is_shown else self.generate_inner(schema["schema"])
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        """Return False: keys have no titles."""
+        return False
 
 
 def schema() -> Schema:
@@ -55,212 +74,98 @@ def schema() -> Schema:
     ([1, -1], 0)
     """
     require_packages("the schema of configuration files", "pydantic")
-    from coadjoint.files.configuration.models import File
-
-    document = _strip_schema(File.model_json_schema())
-    definitions = document["$defs"]
-    definitions["SystemTable"] = _one_of(definitions["SystemTable"], _systems())
-    definitions["AlgebraTable"] = _one_of(
-        definitions["AlgebraTable"], _algebras(definitions["AlgebraTable"]["properties"])
-    )
-    definitions["InitialTable"] = _one_of(
-        definitions["InitialTable"], _states(definitions["InitialTable"]["properties"])
-    )
-    definitions["Numbers"] = NESTED_NUMBERS
-    value_list = {"type": "array", "description": "The values themselves.", "minItems": 1}
-    definitions["SettingsTable"] = {"anyOf": [value_list, definitions["SettingsTable"]]}
-    definitions["MethodTable"] = {"type": "object", "anyOf": list(_schemes())}
-    definitions["ForceTable"] = {"type": "object", "anyOf": list(_forces())}
+    document = File.model_json_schema(schema_generator=TomlSchema)
+    tables = document["$defs"]
+    attitude = {"attitude": tables["NamedStateTable"]["properties"]["attitude"]}
+    options = {
+        "SystemTable": [_option("name", name, one, inline=False) for name, one in sorted(ready_made_systems().items())],
+        "CatalogueAlgebra": list(_algebras()),
+        "NamedStateTable": [_option("kind", name, one, attitude, subtable=False) for name, one in _states()],
+        "MethodTable": [_option("name", name, registry.scheme(name)) for name in registry.names()],
+        "ForceTable": [_option("name", name, one) for name, one in sorted(kinds().items()) if name != "OwnForce"],
+    }
+    values = {"type": "array", "description": "The values themselves.", "minItems": 1}
+    for name, option in options.items():
+        description = tables.get(name, {"description": ""})["description"]
+        tables[name] = {"type": "object", "description": description, "anyOf": option}
+    tables |= {"Numbers": NUMBERS, "SettingsTable": {"anyOf": [values, tables["SettingsTable"]]}}
     document["properties"]["method"] |= {"$ref": "#/$defs/MethodTable"}
     document["properties"]["forces"]["items"] = {"$ref": "#/$defs/ForceTable"}
-    algebra_keys = ("algebra", "hamiltonian", "casimirs", "name", "sign")
-    ready_made = {"required": ["system"], "properties": dict.fromkeys(algebra_keys, False)}
+    ready_made = dict.fromkeys(("algebra", "hamiltonian", "casimirs", "name", "sign"), False)
+    own = {"required": ["algebra", "hamiltonian"], "properties": {"system": False}}
     return {
-        "$schema": DIALECT,
-        "title": "A run of coadjoint",
+        "$schema": GenerateJsonSchema.schema_dialect,
         **document,
-        "oneOf": [ready_made, {"required": ["algebra", "hamiltonian"], "properties": {"system": False}}],
+        "title": "A run of coadjoint",
+        "oneOf": [{"required": ["system"], "properties": ready_made}, own],
     }
 
 
-def _strip_schema(value: Any, *, names: bool = False) -> Any:
-    """Remove parts of a schema that do not apply to TOML: titles derived from keys, and null."""
-    if isinstance(value, list):
-        return [_strip_schema(entry) for entry in value]
-    if not isinstance(value, dict):
-        return value
-    if names:  # keys are names
-        return {key: _strip_schema(entry) for key, entry in value.items()}
-    stripped = {
-        key: _strip_schema(entry, names=key in ("properties", "$defs"))
-        for key, entry in value.items()
-        if key != "title" and not (key == "default" and entry in (None, {}, []))
-    }
-    options = [option for option in stripped.get("anyOf", ()) if option != {"type": "null"}]
-    if len(options) == 1:
-        return {**options[0], **{key: entry for key, entry in stripped.items() if key != "anyOf"}}
-    return {**stripped, "anyOf": options} if options else stripped
+def _table(properties: Mapping[str, Schema], required: Iterable[str], description: str) -> Schema:
+    """Return the schema of a table with no other keys."""
+    table = {"type": "object", "properties": dict(properties), "required": [*required], "additionalProperties": False}
+    return {**table, "description": description}
 
 
-def _one_of(table: Schema, options: Iterator[Schema]) -> Schema:
-    return {"type": "object", "description": table["description"], "anyOf": list(options)}
-
-
-def _named_table(
-    name: Schema, description: str, properties: Mapping[str, Schema], required: tuple[str, ...] = ()
+def _option(
+    key: str,
+    name: str,
+    function: Callable[..., Any],
+    more: Mapping[str, Schema] | None = None,
+    inline: bool = True,
+    subtable: bool = True,
 ) -> Schema:
-    """Return the schema of a table with a name and no other keys than these."""
-    return {
-        "type": "object",
-        "description": description,
-        "properties": {"name": {**name, "description": description}, **properties},
-        "required": ["name", *required],
-        "additionalProperties": False,
-    }
-
-
-def _parameters(function: Callable[..., Any]) -> tuple[dict[str, Schema], list[str]]:
-    """Return the schemas of the parameters of a callable, and the names of those without default."""
-    documented = documented_parameters(function)
-    named = inspect.signature(function).parameters.items()
-    parameters = {key: parameter for key, parameter in named if key not in ("self", "system")}
-    schemas = {}
-    for key, parameter in parameters.items():
-        kind, meaning = (documented.get(key, {}).get(part, "") for part in ("kind", "meaning"))
-        annotation = (
-            parameter.annotation if isinstance(parameter.annotation, str) else formatannotation(parameter.annotation)
-        )
-        of_type = _type(annotation, kind)
-        shape = "" if kind.partition(",")[0] in ("", *JSON_TYPES) or kind.startswith("{") else f"{kind}: "
-        schemas[key] = {**of_type, "description": shape + meaning}
-        if isinstance(parameter.default, bool | int | float | str):
-            schemas[key]["default"] = parameter.default
-    return schemas, [key for key, parameter in parameters.items() if parameter.default is inspect.Parameter.empty]
-
-
-def _summary(function: Callable[..., Any]) -> str:
+    """Return the schema of a table that names a function, with parameters as further keys or in a subtable."""
+    documented, schemas = documented_parameters(function), {}
+    named = {key: one for key, one in inspect.signature(function).parameters.items() if key not in ("self", "system")}
+    for parameter, one in named.items():
+        kind, meaning = (documented.get(parameter, {}).get(part, "") for part in ("kind", "meaning"))
+        annotation = one.annotation if isinstance(one.annotation, str) else formatannotation(one.annotation)
+        found = dict(JSON_TYPES.get(annotation.removesuffix(" | None"), {}))
+        if kind.startswith("{"):
+            found = {"enum": list(ast.literal_eval(f"[{kind[1 : kind.index('}')]}]"))}
+        elif kind and kind.partition(",")[0] not in JSON_TYPES:
+            meaning = f"{kind}: {meaning}"
+        default = {"default": one.default} if isinstance(one.default, int | float | str) else {}
+        schemas[parameter] = {**found, "description": meaning, **default}
     summary = summary_of(function).removeprefix("Return ")
-    return summary[:1].upper() + summary[1:]
-
-
-def _type(annotation: str, kind: str) -> Schema:
-    """Return the schema implied by an annotation and the kind in the docstring; often empty."""
-    if kind.startswith("{"):
-        return {"enum": list(ast.literal_eval(f"[{kind[1 : kind.index('}')]}]"))}
-    return dict(JSON_TYPES.get(annotation.removesuffix(" | None"), {}))
-
-
-def _systems() -> Iterator[Schema]:
-    for name, builder in sorted(ready_made_systems().items()):
-        properties, required = _parameters(builder)
-        yield _named_table({"const": name}, _summary(builder), {"parameters": _table(properties, required)})
-
-
-def _table(properties: Mapping[str, Schema], required: list[str]) -> Schema:
-    missing = {"required": required} if required else {}
-    return {
-        "type": "object",
-        "description": "The parameters; those that are left out have their defaults.",
-        "properties": dict(properties),
-        "additionalProperties": False,
-        **missing,
-    }
-
-
-def _table_of_callable(name: str, function: Callable[..., Any]) -> Schema:
-    """Return the schema of a table with a name and parameters, which may also be in a subtable."""
-    properties, required = _parameters(function)
-    subtable = _table(properties, [])
-    inline = {key: value for key, value in properties.items() if key != "name"}
-    schema_of_table = _named_table({"const": name}, _summary(function), {**inline, "parameters": subtable})
+    required = [parameter for parameter, one in named.items() if one.default is inspect.Parameter.empty]
+    properties = {**(schemas if inline else {}), **(more or {}), key: {"const": name, "description": summary}}
+    if subtable:
+        properties["parameters"] = _table(schemas, (), "The parameters; omitted ones have their defaults.")
+    table = _table(properties, [key, *([] if subtable else required)], summary)
     return (
-        {**schema_of_table, "anyOf": [{"required": required}, {"required": ["parameters"]}]}
-        if required
-        else schema_of_table
+        {**table, "anyOf": [{"required": required}, {"required": ["parameters"]}]} if subtable and required else table
     )
 
 
-def _schemes() -> Iterator[Schema]:
-    for name in registry.names():
-        yield _table_of_callable(name, registry.scheme(name))
+def _states() -> list[tuple[str, Any]]:
+    """Return the names and functions of the states that systems provide."""
+    families = [typing.get_type_hints(builder)["return"] for _, builder in sorted(ready_made_systems().items())]
+    named = [(name, getattr(family, name)) for family in families for name in getattr(family, "states_by_name", ())]
+    return list(dict.fromkeys(named))
 
 
-def _forces() -> Iterator[Schema]:
-    for name in described.names():
-        parameters = inspect.signature(described.kinds()[name]).parameters.values()
-        if not any(str(parameter.annotation).startswith("Callable") for parameter in parameters):
-            yield _table_of_callable(name, described.kinds()[name])
-
-
-def _states(keys: Mapping[str, Schema]) -> Iterator[Schema]:
-    yield {
-        "type": "object",
-        "description": "The initial state, or states, as numbers.",
-        "properties": {key: keys[key] for key in ("x", "attitude")} | {"parameters": EMPTY_TABLE},
-        "required": ["x"],
-        "additionalProperties": False,
-    }
-    seen = set()
-    for _, builder in sorted(ready_made_systems().items()):
-        family = typing.get_type_hints(builder)["return"]
-        for kind in getattr(family, "states_by_name", ()):
-            function = getattr(family, kind)
-            if function in seen:
-                continue
-            seen.add(function)
-            properties, required = _parameters(function)
-            table = _table(
-                {"kind": {"const": kind, "description": _summary(function)}, **properties}, ["kind", *required]
-            )
-            yield {**table, "description": _summary(function), "properties": table["properties"] | _attitude(keys)}
-
-
-def _attitude(keys: Mapping[str, Schema]) -> dict[str, Schema]:
-    return {"attitude": keys["attitude"]}
-
-
-def _algebras(keys: Mapping[str, Schema]) -> Iterator[Schema]:
-    keys_of_brackets = ("dim", "basis", "brackets")
-    yield {
-        "type": "object",
-        "description": "An algebra of your own, by its brackets.",
-        "properties": {**{key: keys[key] for key in keys_of_brackets}, "parameters": EMPTY_TABLE},
-        "required": ["brackets"],
-        "anyOf": [{"required": ["dim"]}, {"required": ["basis"]}],
-        "additionalProperties": False,
-    }
-    yield {
-        "type": "object",
-        "description": "An algebra of your own, by matrices.",
-        "properties": {**{key: keys[key] for key in ("dim", "basis", "matrices")}, "parameters": EMPTY_TABLE},
-        "required": ["matrices"],
-        "additionalProperties": False,
-    }
-    by_parameters: dict[tuple[str, ...], list[str]] = {}
-    for name in entries():
-        by_parameters.setdefault(parameters_of(name), []).extend((name, name.replace("_", ",")))
+def _algebras() -> Iterator[Schema]:
+    """Yield the tables of the algebras of the catalogue with equal parameters, then of those named by their numbers."""
+    by_parameters: dict[tuple[str, ...], list[str]] = {(): ["heisenberg"]}
+    known = {name: catalogue.parameters_of(name) for name in catalogue.entries()} | catalogue.families()
+    for name, parameters in known.items():
+        by_parameters.setdefault(parameters, []).extend(dict.fromkeys([name, name.replace("_", ",")]))
     for parameters, names in by_parameters.items():
         yield _algebra(
-            {"enum": names}, f"A real algebra of dimension 2 to 5 {_extend_parameters(parameters)}.", parameters
+            {"enum": names}, parameters, f"An algebra with the parameters {', '.join(parameters) or 'none'}."
         )
-    for pattern, numbers in families().items():
-        yield _algebra({"const": pattern}, f"The family {pattern} {_extend_parameters(numbers)}.", numbers, "integer")
-    yield _algebra({"const": "heisenberg"}, "The Heisenberg algebra of n = 1.", ())
-    letters = "|".join(sorted({pattern.partition("(")[0] for pattern in families()}))
-    pattern_text = rf"^({letters})\([0-9]{{1,4000}}(,[0-9]{{1,4000}})?\)$"
-    yield _algebra(
-        {"type": "string", "pattern": pattern_text}, 'A member of a family, such as "so(4)" or "so(3,1)".', ()
-    )
-    description = "Any of these names with spaces, which are ignored."
-    yield _named_table({"type": "string", "pattern": r"\s"}, description, {"parameters": keys["parameters"]})
+    letters = "|".join(sorted({pattern.partition("(")[0] for pattern in catalogue.families()}))
+    spaced: Schema = {
+        "pattern": rf"^({letters})\([0-9]+(,[0-9]+)?\)$|\s",
+        "description": "With numbers, or with spaces.",
+    }
+    free = {"description": "As of the name without spaces."}
+    yield _table({"name": spaced, "parameters": free}, ["name"], 'Such as "so(4)" or "A3, 7".')
 
 
-def _algebra(name: Schema, description: str, parameters: tuple[str, ...], kind: str = "number") -> Schema:
-    parameter_table = _table(
-        {key: {"type": kind, "description": "A number without unit."} for key in parameters}, [*parameters]
-    )
-    return _named_table(name, description, {"parameters": parameter_table}, ("parameters",) if parameters else ())
-
-
-def _extend_parameters(parameters: tuple[str, ...]) -> str:
-    return f"with the parameters {', '.join(parameters)}" if parameters else "without parameters"
+def _algebra(name: Schema, parameters: tuple[str, ...], description: str) -> Schema:
+    numbers = {key: {"type": "number", "description": "A number without unit."} for key in parameters}
+    table = {"name": {**name, "description": description}, "parameters": _table(numbers, parameters, description)}
+    return _table(table, ["name", *(["parameters"] if parameters else [])], description)

@@ -4,26 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import ConfigurationError, in_one_line
-from coadjoint.files.configuration.construction import (
-    ErrorCollector,
-    array_of_file,
-    initial_state,
-    section,
-    state_by_name,
-    system_of_file,
-)
+from coadjoint.errors import ConfigurationError
+from coadjoint.files.configuration.models import DISTRIBUTIONS, File, SettingsTable, SweepTable
+from coadjoint.files.configuration.parsing import Problems, parse_tables, section, system_of_file
+from coadjoint.files.configuration.tables import array_of_file
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.start import momenta_of
 from coadjoint.short_repr import short
@@ -31,252 +25,186 @@ from coadjoint.systems.batch import Batch
 from coadjoint.systems.forces.base import normal_deviates, random_words
 from coadjoint.validation import is_integer, is_real, read_finite, read_number
 
-if TYPE_CHECKING:
-    from coadjoint.files.configuration.models import File, SettingsTable, SweepTable
-
 KeyPath = tuple[str | int, ...]
 
-BYTES_PER_MEMBER = 200  # settings and state of a member; measured, with a margin
-STATE_KEY: KeyPath = ("initial", "x")
-_PART = re.compile(r"([A-Za-z_][\w-]*)((?:\[\d{1,9}\])*)")
+STATE_KEY = "initial.x"
+_KEY = re.compile(r"[A-Za-z_][\w-]*(\[\d{1,9}\])*(\.[A-Za-z_][\w-]*(\[\d{1,9}\])*)*")
 SWEPT_TABLES = ("system.parameters", "algebra.parameters", "hamiltonian", "forces", "initial")
-
+BYTES_PER_MEMBER = 200  # settings and state of a member, for each key; measured, with a margin
 BYTES_PER_SETTING = 64  # a number as a Python object in lists; measured, with a margin
-SAMPLES = "samples"
+BYTES_PER_SYSTEM = 4000  # a system of its own for a member; measured, with a margin
 MAX_TERMS = 400
 """Limit on the terms of the series of a group element; each factor converges long before."""
 
 
 @dataclass(frozen=True)
 class SettingsSweep:
-    """Members of a configuration file: all combinations of the settings of its axes, the last axis the fastest.
+    """Members of a configuration file: the tables of the file with other values at some keys.
 
-    An axis has keys that are set together: key -> settings, all of one length.
+    `values` has the value of each key for each member. Those of `orbits` are elements of the algebra that move the
+    state in the file.
     """
 
     name: str
     raw: Mapping[str, Any]
-    axes: tuple[Mapping[str, Any], ...]
-    orbits: frozenset[str] = frozenset()
-
-    @property
-    def lengths(self) -> tuple[int, ...]:
-        """Number of settings of each axis."""
-        return tuple(len(next(iter(axis.values()))) for axis in self.axes)
+    values: Mapping[str, Sequence[Any]]
+    orbits: Sequence[str] = ()
 
     @property
     def members(self) -> int:
         """Number of members."""
-        return math.prod(self.lengths)
+        return len(next(iter(self.values.values())))
 
-    @cached_property
-    def numbers(self) -> NDArray[np.int64]:
-        """Setting of each axis for each member, (members, axes)."""
-        indices = np.unravel_index(np.arange(self.members), self.lengths)
-        return np.stack(indices, axis=1).astype(np.int64)
+    def tables(self, member: int, *names: str) -> dict[str, Any]:
+        """Return the tables of one member, or those with these names; a state on an orbit stays as written."""
+        tables = {key: deepcopy(table) for key, table in self.raw.items() if not names or key in names}
+        for key, values in self.values.items():
+            path = parse_key(key)
+            if key not in self.orbits and (not names or path[0] in names):
+                with section(self.name, f"sweep.over.{key}"):
+                    _replace(tables, path, values[member])
+        return tables
 
-    @cached_property
-    def values(self) -> dict[str, list[Any]]:
-        """Key -> its value for each member."""
-        values: dict[str, list[Any]] = {}
-        for axis, numbers in zip(self.axes, self.numbers.T.tolist(), strict=True):
-            for key, settings in axis.items():
-                settings_list = settings.tolist() if isinstance(settings, np.ndarray) else settings
-                values[key] = [settings_list[k] for k in numbers]
-        return values
+    def file(self, member: int, *names: str) -> File:
+        """Return the validated tables of one member, or those with these names."""
+        problems = Problems(self.name)
+        file = parse_tables(self.tables(member, *names), problems, names)
+        problems.check()
+        return file
 
-    def member_tables(self, member: int) -> dict[str, Any]:
-        """Return the tables of one member; a state swept over an orbit stays as written."""
-        changed = {key: values[member] for key, values in self.values.items() if key not in self.orbits}
-        return replace_values(self.raw, changed, self.name)
-
-    def each(self, axes: list[int], function: Callable[[int], Any]) -> list[Any]:
-        """Return `function(member)` for every member, evaluated once for equal settings of the given axes."""
-        results: dict[tuple[int, ...], Any] = {}
-        values = []
-        for member, numbers in enumerate(self.numbers[:, axes].tolist()):
-            key = tuple(numbers)
-            if key not in results:
+    def each(self, keys: Iterable[str], function: Callable[[int], Any]) -> list[Any]:
+        """Return `function(member)` for every member, evaluated once for equal values of these keys."""
+        results: dict[str, Any] = {}
+        members = [repr([self.values[key][member] for key in keys]) for member in range(self.members)]
+        for member, values in enumerate(members):
+            if values not in results:
                 try:
-                    results[key] = function(member)
+                    results[values] = function(member)
                 except ConfigurationError as reason:
                     raise ConfigurationError(f"{reason} (member {member} of the sweep)") from reason
-            values.append(results[key])
-        return values
+        return [results[values] for values in members]
+
+    def system(self, file: File) -> Any:
+        """Return the common system of all members, or a `Batch` if the sweep changes it; `file` is the first one."""
+        keys = [key for key in self.values if not key.startswith("initial")]
+        if not keys:
+            return system_of_file(self.name, file)
+        systems = self.each(keys, lambda member: system_of_file(self.name, self.file(member)))
+        with section(self.name, "sweep.over"):
+            return Batch(systems)
+
+    def states(self, system: Any) -> Any:
+        """Return the initial states of the members, (members, ...), as `integrate` takes them."""
+        folder = Path(self.name).parent
+
+        def state_of(member: int) -> Any:
+            initial, own = self.file(member, "initial").initial, system.of_member(member)
+            with section(self.name, "initial"):
+                state = np.asarray(initial.state(own, folder))
+                if not momenta_of(own, state)[1]:
+                    raise ValueError(f"x0 has the shape {state.shape}, already an ensemble; sweep over one state")
+                for key in self.orbits:
+                    if not own.has_structure_constants:
+                        raise ValueError(f"{own.name} has no structure constants, and no orbits; sweep over values")
+                    state = move_on_orbit(own.algebra, state.astype(np.float64), np.array(self.values[key][member]))
+            return state
+
+        # Named states and orbits depend on the system.
+        of_system = self.orbits or "kind" in self.raw.get("initial", ())
+        states = self.each([key for key in self.values if of_system or key.startswith("initial")], state_of)
+        with section(self.name, "initial"):
+            return np.stack(states)
+
+
+def parse_key(text: str) -> KeyPath:
+    """Return the names and indices of a key, such as 'initial.x[0]'."""
+    if not _KEY.fullmatch(text):
+        raise ValueError(
+            f"{short(text)} is no key of a file; give one such as 'initial.x[0]' or 'system.parameters.inertia[2]'"
+        )
+    return tuple(int(part) if part.isdecimal() else part for part in re.findall(r"[\w-]+", text))
+
+
+def _replace(tables: Any, path: KeyPath, value: Any) -> None:
+    """Set the value at a key; tables within tables are created, and entries of lists must exist."""
+    try:
+        for key in path[:-1]:
+            tables = tables[key] if isinstance(key, int) else tables.setdefault(key, {})
+        if isinstance(path[-1], int):
+            tables[path[-1]]
+        tables[path[-1]] = value
+    except (LookupError, TypeError, AttributeError):
+        raise ValueError(f"the file has no entry {path[-1]} here; write all entries, and sweep over some") from None
 
 
 def read_sweep(name: str, raw: Mapping[str, Any], sweep: SweepTable) -> SettingsSweep:
     """Return the sweep of a file from its validated table, with random settings drawn and files read."""
-    axes: dict[str, dict[str, Any]] = {}
-    errors = ErrorCollector(name)
-    _check_keys(name, sweep.over, errors)
-    errors.raise_collected()
+    problems, folder = Problems(name), Path(name).parent
+    lengths: dict[str, int] = {}
+    groups: dict[str, str] = {}
     for key, table in sweep.over.items():
-        with errors.collect(), section(name, f"sweep.over.{key}"):
-            value = _file_value(raw, parse_key(key))
-            is_random = settings_group(key, table) == SAMPLES
-            if isinstance(value, str):
-                state = parse_key(key) == STATE_KEY and is_random
-                value = array_of_file(Path(name).parent / value, value) if state else None
-            if value is None and parse_key(key) == STATE_KEY and is_random:
-                raise ValueError("initial.x is missing; give a state, which has the length of the random ones")
-            if table.kind == "orbit" and parse_key(key) != STATE_KEY:
-                raise ValueError("orbit applies to states only; give it for 'initial.x'")
-            settings = settings_of(key, table, sweep, value, Path(name).parent)
-            axes.setdefault(settings_group(key, table), {})[key] = settings
-    errors.raise_collected()
-    orbits = frozenset(key for key, table in sweep.over.items() if table.kind == "orbit")
-    found = SettingsSweep(name, raw, tuple(axes.values()), orbits)
+        with problems.at(f"sweep.over.{key}"):
+            _check_key(key, table, sweep.over)
+            # Random keys are set together, and so are the columns of a file.
+            groups[key] = "samples" if table.kind in DISTRIBUTIONS else f"file {table.file}" if table.file else key
+            listed = table.values or (() if table.file is None else _read_rows(table.file, table.column, folder))
+            lengths[groups[key]] = len(listed) or table.count or sweep.samples or 0
+    problems.check()
     with section(name, "sweep.over"):
-        needed = BYTES_PER_MEMBER * len(sweep.over) * found.members
-        check_available_memory(needed, f"a sweep of {short(found.members)} members")
-    return found
+        members, changes_system = math.prod(lengths.values()), any(not key.startswith("initial") for key in groups)
+        needed = BYTES_PER_SYSTEM if changes_system else BYTES_PER_MEMBER
+        check_available_memory(needed * len(groups) * members, f"a sweep of {short(members)} members")
+    numbers = dict(zip(lengths, np.unravel_index(np.arange(members), tuple(lengths.values())), strict=True))
+    values: dict[str, list[Any]] = {}
+    for key, group in groups.items():
+        with problems.at(f"sweep.over.{key}"):
+            settings = _settings_of(key, sweep, raw, folder)
+            settings = settings.tolist() if isinstance(settings, np.ndarray) else settings
+            values[key] = [settings[k] for k in numbers[group].tolist()]
+    problems.check()
+    return SettingsSweep(name, raw, values, [key for key in groups if sweep.over[key].kind == "orbit"])
 
 
-def parse_key(text: str) -> KeyPath:
-    """Parse a key into names and indices."""
-    parts: list[str | int] = []
-    for part in text.split("."):
-        match = _PART.fullmatch(part)
-        if match is None:
-            raise ValueError(
-                f"{short(text)} is no key of a file; give one such as 'initial.x[0]' or 'system.parameters.inertia[2]'"
-            )
-        parts += [match[1], *(int(number) for number in re.findall(r"\d+", match[2]))]
-    return tuple(parts)
-
-
-def _check_keys(name: str, over: Iterable[str], errors: ErrorCollector) -> None:
-    paths: dict[str, KeyPath] = {}
-    for key in over:
-        with errors.collect(), section(name, f"sweep.over.{in_one_line(key, 60)}"):
-            path = parse_key(key)
-            if not any(key.startswith((f"{root}.", f"{root}[")) for root in SWEPT_TABLES):
-                raise ValueError(f"only keys within {', '.join(SWEPT_TABLES)} can be swept")
-            if path[:2] == ("initial", "attitude") or path == ("initial", "kind"):
-                raise ValueError(f"initial.{path[1]} is the same for all members")
-            for other, other_path in paths.items():
-                if other_path[: len(path)] == path[: len(other_path)]:
-                    raise ValueError(f"{other} is swept too, and one contains the other")
-            paths[key] = path
-
-
-def _file_value(raw: Any, path: KeyPath) -> Any:
-    """Return the value of the file at a key, or None."""
-    value: Any = raw
-    for key in path:
-        try:
-            value = value[key]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return value
-
-
-def replace_values(raw: Mapping[str, Any], values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a copy of the tables of a file with other values at some keys; list entries must exist."""
-    tables = {key: deepcopy(table) if key != "sweep" else table for key, table in raw.items()}
-    for key_text, value in values.items():
-        *outer, last = parse_key(key_text)
-        with section(name, f"sweep.over.{key_text}"):
-            table: Any = tables
-            for key in outer:
-                _check_key_exists(table, key)
-                table = table.setdefault(key, {}) if isinstance(key, str) else table[key]
-            _check_key_exists(table, last)
-            table[last] = value
-    return tables
-
-
-def _check_key_exists(table: Any, key: str | int) -> None:
-    if isinstance(key, str):
-        if not isinstance(table, dict):
-            raise ValueError(f"{key} is in no table of the file; write the table, and sweep over its keys")
-    elif not isinstance(table, list) or key >= len(table):
-        raise ValueError(f"the list in the file has no entry {key}; write all entries, and sweep over some")
-
-
-def swept_system(sweep: SettingsSweep, file: File, check_tables: Callable[[dict[str, Any]], File]) -> Any:
-    """Return the common system of all members, or a `Batch` if the sweep changes it; `file` is the first one."""
-    axes = [k for k, axis in enumerate(sweep.axes) if any(parse_key(key)[0] != "initial" for key in axis)]
-    if not axes:
-        return system_of_file(sweep.name, file)
-    systems = sweep.each(axes, lambda member: system_of_file(sweep.name, check_tables(sweep.member_tables(member))))
-    with section(sweep.name, "sweep.over"):
-        return Batch(systems)
-
-
-def swept_states(sweep: SettingsSweep, file: File, system: Any, check_tables: Callable[[dict[str, Any]], File]) -> Any:
-    """Return the initial states of the members, (members, ...), as `integrate` takes them."""
-    name = sweep.name
-    systems = [system.of_member(m) for m in range(sweep.members)]
-    if file.initial.kind is not None:
-        return np.stack(
-            sweep.each(
-                list(range(len(sweep.axes))),
-                lambda member: state_by_name(name, check_tables(sweep.member_tables(member)).initial, systems[member]),
-            )
-        )
-    with section(name, "initial.x"):
-        base = np.asarray(initial_state(systems[0], file.initial.x, Path(name).parent))
-        if not momenta_of(systems[0], base)[1]:
-            raise ValueError(
-                f"x0 has the shape {base.shape}, already an ensemble; give one state, and sweep over 'initial.x'"
-            )
-    states = np.repeat(base[None] if base.dtype.kind == "c" else base[None].astype(np.float64), sweep.members, axis=0)
-    for axis, numbers in zip(sweep.axes, sweep.numbers.T, strict=True):
-        for key, settings in axis.items():
-            if parse_key(key)[:2] != STATE_KEY:
-                continue
-            with section(name, f"sweep.over.{key}"):
-                _set_states(states, key, settings, numbers, systems, key in sweep.orbits)
-    return states
-
-
-def _set_states(states: Any, key: str, settings: Any, numbers: Any, systems: list[Any], orbit: bool) -> None:
-    """Set a key of the states of all members."""
+def _check_key(key: str, table: SettingsTable, others: Iterable[str]) -> None:
     path = parse_key(key)
-    if orbit:
-        for member, system in enumerate(systems):
-            if not system.has_structure_constants:
-                raise ValueError(f"{system.name} has no algebra with structure constants; sweep over values instead")
-            states[member] = move_on_orbit(system.algebra, states[member], settings[numbers[member]])
-        return
-    values = initial_state(systems[0], settings, Path()) if path == STATE_KEY else settings
-    array = np.asarray(values)
-    if array.dtype.kind not in "iufc" or array.shape[1:] != states[(0, *path[2:])].shape:
-        raise ValueError(f"each setting must be of shape {states[(0, *path[2:])].shape}, of numbers")
-    states[(slice(None), *path[2:])] = array[numbers]
+    if not key.startswith(tuple(f"{root}{mark}" for root in SWEPT_TABLES for mark in ".[")):
+        raise ValueError(f"only keys within {', '.join(SWEPT_TABLES)} can be swept")
+    if path[:2] in (("initial", "attitude"), ("initial", "kind")):
+        raise ValueError(f"{key} is the same for all members")
+    if table.kind == "orbit" and key != STATE_KEY:
+        raise ValueError("orbit applies to states only; give it for 'initial.x'")
+    for other in others:
+        if key.startswith((f"{other}.", f"{other}[")):
+            raise ValueError(f"{other} is swept too, and contains it")
 
 
-def settings_group(key: str, settings: SettingsTable) -> str:
-    """Return the group of a key: all random keys, all columns of a file, or the key alone."""
-    if settings.file is not None:
-        return f"file {settings.file}"
-    return SAMPLES if settings.kind in ("uniform", "normal", "sphere", "orbit") else f"key {key}"
-
-
-def settings_of(key: str, settings: SettingsTable, sweep: SweepTable, value: Any, folder: Path) -> Any:
-    """Return the settings of a key, as a list or along the first axis; `value`, in the file, has the shape."""
-    kind = settings.kind
-    if settings.values is not None:
-        return settings.values
-    if settings.file is not None:
-        return _read_rows(settings.file, settings.column, folder)
-    is_grid = kind in ("linear", "logarithmic")
-    shape = () if is_grid or value is None else np.shape(read_finite(value, "what the file has here"))
-    count = (settings.count if is_grid else sweep.samples) or 0
-    check_available_memory(BYTES_PER_SETTING * count * math.prod(shape), f"a sweep of {short(count)} values")
-    if is_grid:
-        assert settings.count is not None
-        return _grid(kind, getattr(settings, kind), settings.count)
+def _settings_of(key: str, sweep: SweepTable, raw: Mapping[str, Any], folder: Path) -> Any:
+    """Return the settings of a key, as a list or along the first axis; its value in the file has their shape."""
+    table = sweep.over[key]
+    if table.values is not None:
+        return table.values
+    if table.file is not None:
+        return _read_rows(table.file, table.column, folder)
+    if table.count is not None:
+        return _grid(table.kind, getattr(table, table.kind), table.count)
     assert sweep.samples is not None and sweep.seed is not None
-    return random_settings(kind, getattr(settings, kind), key, sweep.seed, sweep.samples, shape)
+    value: Any = raw
+    try:
+        for part in parse_key(key):
+            value = value[part]
+    except (LookupError, TypeError):
+        value = None
+    if key == STATE_KEY and value is None:
+        raise ValueError("initial.x is missing; give a state, which has the length of the random ones")
+    if key == STATE_KEY and isinstance(value, str):
+        value = array_of_file(folder / value, value)
+    shape = () if value is None else np.shape(read_finite(value, "what the file has here"))
+    check_available_memory(BYTES_PER_SETTING * sweep.samples * math.prod(shape), f"{short(sweep.samples)} samples")
+    return random_settings(table.kind, getattr(table, table.kind), key, sweep.seed, sweep.samples, shape)
 
 
 def _grid(kind: str, ends: list[Any], count: int) -> list[float] | list[int]:
     first, last = (read_number(end, kind) for end in ends)
-    if count == 1:
-        raise ValueError(f"count is 1, and a grid has the two ends {ends}; give a list of one value")
     if all(map(is_integer, ends)) and kind == "linear" and (ends[1] - ends[0]) % (count - 1) == 0:
         return [ends[0] + k * ((ends[1] - ends[0]) // (count - 1)) for k in range(count)]
     fractions = [k / (count - 1) for k in range(count)]

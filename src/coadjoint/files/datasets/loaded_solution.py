@@ -1,4 +1,4 @@
-"""Solutions read from files: `load`."""
+"""Solutions read from files, and runs repeated from datasets."""
 
 from __future__ import annotations
 
@@ -19,25 +19,28 @@ from coadjoint.files.archives.folder import remote_folder
 from coadjoint.files.archives.root import HIDDEN_FOLDER
 from coadjoint.files.archives.run_checks import ARRAY_TYPES, FLOAT_ARRAYS, SERIES_PREFIXES, check_arrays
 from coadjoint.files.archives.stored_arrays import TYPES, StoredArray
-from coadjoint.files.datasets.export import (
-    ENDED_ATTRIBUTE,
+from coadjoint.files.datasets.export import ENDED_ATTRIBUTE, TAKEN_ATTRIBUTE
+from coadjoint.files.datasets.named_axes import in_order, stacked
+from coadjoint.files.datasets.stored_solution import (
     REQUIRED_ATTRIBUTES,
-    TAKEN_ATTRIBUTE,
+    StoredSolution,
     events_of_dataset,
     stored_inputs,
 )
-from coadjoint.files.datasets.named_axes import in_order, stacked
-from coadjoint.files.datasets.stored_solution import StoredSolution
-from coadjoint.files.datasets.variables import with_vorticity
+from coadjoint.files.datasets.variables import state_of, with_vorticity
 from coadjoint.files.datasets.writers import CHECKSUM, checksum_of
 from coadjoint.files.output.file_validation import check_hdf5, check_zarr
-from coadjoint.files.records.entries import parsed
+from coadjoint.files.records.entries import Entry, as_value_errors, parsed
 from coadjoint.files.records.records import system_of
-from coadjoint.keyword_hints import NamedValues, suggest_keywords
+from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.labels import STATE_DIMENSIONS
 from coadjoint.memory import check_available_memory
 from coadjoint.optional_packages import require_packages
 from coadjoint.regular_files import open_regular
 from coadjoint.runs.events import RecordedEvents, TerminalEvent
+from coadjoint.runs.integrate import integrate
+from coadjoint.runs.prepared_run import PreparedRun
+from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.times import output_times_of, times_of
@@ -296,3 +299,84 @@ def _reader(path: Path) -> tuple[str, tuple[str, ...]]:
         if signature.startswith(known_signature):
             return engine
     raise OneLineError(f"{shown}: is no NetCDF file; give what to_xarray() or the command wrote")
+
+
+@suggest_keywords
+def solution_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
+    """Return the arguments of `integrate` that repeat the run of a dataset.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `dataset_of`, or read from a file.
+    system, events : optional
+        Those of the run, if they contain Python functions, which are not stored.
+
+    Returns
+    -------
+    dict
+        ``integrate(**solution_inputs(dataset))``
+
+    Raises
+    ------
+    TypeError
+        The argument is not a dataset.
+    ValueError
+        Data that determine the motion were not stored, or the dataset is damaged; the message names the entry.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> solution_inputs(sol.to_xarray())["t_span"]
+    (0.0, 1.0)
+    """
+    inputs = stored_inputs(dataset, system, events)
+    if _coadjoint_start(stacked(dataset)) is not None:
+        raise ValueError("the run began with its own coadjoint matrix, which `integrate` does not take; use `rebuild`")
+    return inputs
+
+
+@suggest_keywords
+def rebuild(dataset: xarray.Dataset) -> Solution:
+    """Repeat the run of a dataset, bitwise, with any number of threads.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        From `dataset_of`, or read from a file.
+
+    Returns
+    -------
+    Solution
+        The solution, without observed quantities, Casimirs and events that are functions.
+
+    Raises
+    ------
+    ValueError
+        Data that determine the motion were not stored, or the dataset is damaged; the message names the entry.
+    IntegrationError
+        The run fails, as it did before.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 1), step=0.1)
+    >>> bool((rebuild(sol.to_xarray()).x == sol.x).all())
+    True
+    """
+    inputs = stored_inputs(dataset)
+    element = _coadjoint_start(stacked(dataset))
+    with as_value_errors(Entry(None, "the run of this dataset")):
+        if element is None:
+            return integrate(**inputs)
+        prepared = {name: inputs.pop(name) for name in ("system", "method", "step", "attitude", "watch", "observe")}
+        return PreparedRun(**prepared).run(**inputs, attitude=element)
+
+
+def _coadjoint_start(dataset: xarray.Dataset) -> NDArray[np.float64] | None:
+    """Return the initial coadjoint matrix, which `integrate` does not take; None for a unit matrix or none at all."""
+    if dataset.attrs["attitude_carried"] != "coadjoint":
+        return None
+    element = state_of(dataset, "attitude0", STATE_DIMENSIONS[1:2])
+    return None if np.array_equal(element, np.broadcast_to(np.eye(element.shape[-1]), element.shape)) else element

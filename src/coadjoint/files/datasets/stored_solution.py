@@ -1,4 +1,4 @@
-"""Solutions of runs in datasets and archives, whose arrays are read by name on first use."""
+"""Stored runs: their arguments, and their solutions, whose arrays are read by name on first use."""
 
 from __future__ import annotations
 
@@ -6,23 +6,36 @@ import json
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.errors import in_one_line
-from coadjoint.files.datasets.export import stored_method
-from coadjoint.files.datasets.variables import OBSERVED_NAMES, SIZES, joined_complex
-from coadjoint.files.records.entries import parsed
-from coadjoint.keyword_hints import NamedValues
+from coadjoint.errors import OneLineError, in_one_line
+from coadjoint.files.datasets.export import checked_attributes
+from coadjoint.files.datasets.named_axes import in_order, stacked
+from coadjoint.files.datasets.variables import OBSERVED_NAMES, SIZES, formulas_of, joined_complex, state_of
+from coadjoint.files.records.entries import Entry, as_value_errors, parsed
+from coadjoint.files.records.reconstruction import events_of, not_stored
+from coadjoint.files.records.records import system_of
+from coadjoint.labels import STATE_DIMENSIONS
+from coadjoint.methods import registry
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import Method
+from coadjoint.runs.events import Event
+from coadjoint.runs.results.quantities import NamedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.start import Start, start_of
 from coadjoint.runs.times import Times, times_of
+from coadjoint.short_repr import short
+from coadjoint.systems.coordinates import coordinate_names
+from coadjoint.systems.system_checks import check_system
+
+if TYPE_CHECKING:
+    import xarray
 
 Floats = NDArray[np.float64]
+REQUIRED_ATTRIBUTES = ("system", "method", "step", "save_every", "watch", "attitude_carried", "t_span", "steps")
 
 
 class LazyArrays(Mapping[str, NDArray[Any]]):
@@ -204,3 +217,90 @@ class StoredSolution(Solution):
         if attributes.get("run_failed") and self.failed is None:
             return "failed"
         return None
+
+
+def events_of_dataset(dataset: xarray.Dataset, system: Any) -> tuple[Event, ...]:
+    """Return the events of a stored run, with `not_stored` for functions."""
+    return events_of(dataset.attrs["events"], "events", system) if "events" in dataset.attrs else ()
+
+
+def _check_registered(description: Any) -> None:
+    """Raise OneLineError if a stored scheme, or its base, is not registered in this process."""
+    while isinstance(description, Mapping):
+        name = description.get("name")
+        if isinstance(name, str) and name not in registry.names():
+            raise OneLineError(
+                f"the method of the run is {name!r}, which is not registered; import the module that registers it first"
+            )
+        description = description.get("base")
+
+
+def stored_method(attributes: Mapping[Any, Any]) -> Method:
+    """Return the scheme of a stored run."""
+    entry = parsed(attributes["method"], "method")
+    description = entry.plain_table()
+    _check_registered(description)
+    with as_value_errors(entry):
+        return registry.from_description(description)
+
+
+def stored_inputs(dataset: xarray.Dataset, system: Any = None, events: Any = None) -> dict[str, Any]:
+    """Return the arguments of `solution_inputs`, without its check of the initial coadjoint matrix."""
+    attributes = checked_attributes(dataset)
+    missing = [key for key in REQUIRED_ATTRIBUTES if key not in attributes]
+    if missing:
+        raise ValueError(f"the dataset has no attribute {missing[0]!r}; it was not written by coadjoint")
+    dataset = stacked(dataset)
+    entries = {key: Entry(attributes[key], key) for key in REQUIRED_ATTRIBUTES}
+    x0 = state_of(dataset, "x0", STATE_DIMENSIONS)
+    method = stored_method(attributes)
+    start, end = (time.number() for time in parsed(attributes["t_span"], "t_span").entries(2))
+    step, save_every = entries["step"].number(), entries["save_every"].integer(1)
+    with as_value_errors(entries["step"]):
+        times = times_of((start, end), step, save_every)
+    if times.steps != entries["steps"].integer():
+        raise entries["steps"].invalid_error(
+            f"{times.steps}, the number of steps of {step!r} from {start!r} to {end!r}"
+        )
+    carried = entries["attitude_carried"].text()
+    initial: dict[str, Any] = {"none": False, "coadjoint": "coadjoint"}
+    if carried not in (*initial, "representation"):
+        raise entries["attitude_carried"].invalid_error("'none', 'coadjoint' or 'representation'")
+    between_steps = Entry(attributes.get("between_steps", 0), "between_steps").flag()
+    if "events_not_stored" in attributes and events is None:
+        raise ValueError(
+            f"the run may have been ended by an event, and {attributes['events_not_stored']} is a function, which was "
+            "not stored; run the script that wrote the dataset"
+        )
+    sizes = dict(dataset["x0"].sizes)
+    members = sizes.pop("member", None)
+    if given := system is not None:
+        check_system(system)
+    else:
+        system = system_of(parsed(attributes["system"], "system"), int(np.prod(list(sizes.values()))))
+    if "component" in sizes:
+        system = system.in_numbers  # states of matrices may be rows of numbers
+    shape = x0.shape if members is None else x0.shape[1:]
+    if given and (system.shape != shape or (system.is_batch and len(system) != members)):
+        count = f"{len(system)} members with " if system.is_batch else ""
+        raise ValueError(
+            f"the given system, {short(system.name, 60)}, has {count}states of shape {system.shape}, but x0 of the run "
+            f"has the shape {x0.shape}; give the system of the run, as its solution had it, `sol.system`"
+        )
+    if "component" in sizes:
+        x0 = state_of(in_order(dataset, "component", coordinate_names(system)), "x0", STATE_DIMENSIONS)
+    if events is None:
+        events = tuple(event for event in events_of_dataset(dataset, system) if event.g is not not_stored)
+    return {
+        "observe": formulas_of(attributes, system),
+        "system": system,
+        "x0": x0,
+        "t_span": (start, end),
+        "step": step,
+        "method": method,
+        "save_every": save_every,
+        "t_eval": state_of(dataset, "time", (("time",),)) if between_steps else None,
+        "watch": entries["watch"].flag(),
+        "attitude": initial[carried] if carried in initial else state_of(dataset, "attitude0", STATE_DIMENSIONS[1:2]),
+        "events": events,
+    }

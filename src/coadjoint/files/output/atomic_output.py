@@ -85,7 +85,7 @@ class PendingOutput:
 
     def __enter__(self) -> PendingOutput:
         # Register the cleanup before the folder exists.
-        interruption.register_cleanup(self.abandon)
+        interruption.cleanups.append(self.abandon)
         try:
             while self._lock is None:
                 self._folder = self._target.parent / f"{_prefix(self._target)}{secrets.token_hex(4)}"
@@ -103,7 +103,7 @@ class PendingOutput:
 
     def _cleanup(self) -> None:
         self.abandon()
-        interruption.unregister_cleanup(self.abandon)
+        interruption.cleanups.remove(self.abandon)
         self._release()
 
     def _release(self) -> None:

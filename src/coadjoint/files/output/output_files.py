@@ -197,6 +197,14 @@ def write_movie(frames: Any, target: Path, fps: float) -> None:
         (_write_gif if target.suffix == ".gif" else _write_mp4)(frames, unfinished.path, fps)
 
 
+def save_movie(path: str | Path, fps: float, draw: Callable[[], Any]) -> Path:
+    """Validate the path and the rate of a movie, then draw its frames and write it."""
+    target = check_movie(path)
+    rate = check_speed(fps, target)
+    write_movie(draw(), target, rate)
+    return target
+
+
 def _ffmpeg() -> str | None:
     from matplotlib import rcParams
 

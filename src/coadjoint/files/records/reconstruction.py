@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import prod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.algebra.exact.numbers import Constant
 from coadjoint.algebra.families.matrix_algebra import MAX_MATRIX_SIZE, SUM, MatrixAlgebra
 from coadjoint.algebra.lie_algebra import LieAlgebra
-from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS
+from coadjoint.algebra.polynomials.formula_tree import MAX_CHARACTERS, names_in
+from coadjoint.algebra.polynomials.formulas import add_term, parse_polynomial
+from coadjoint.algebra.polynomials.monomials import Exponents
 from coadjoint.algebra.polynomials.polynomial import MAX_DEGREE, Polynomial
-from coadjoint.files.configuration.construction import parse_polynomial
 from coadjoint.files.records.entries import CASIMIR, EXACT, INTEGRAL, Entry, as_value_errors, parsed
 from coadjoint.memory import check_available_memory
 from coadjoint.runs.events import Event
@@ -326,6 +328,17 @@ def _matrix_of(record: Entry, algebra: MatrixAlgebra) -> NDArray[Any]:
     return parts[0] + 1j * parts[1] if algebra.complex else parts[0]
 
 
+def polynomial_of(source: Any, dim: int, names: Sequence[str] | None = None) -> Polynomial:
+    """Return a polynomial from text or from a list of terms ``[coefficient, [exponent of x1, ...]]``."""
+    if isinstance(source, str):
+        return parse_polynomial(source, dim, names_in(source, dim, names))
+    total: dict[Exponents, Constant] = {}
+    for coefficient, exponents in source:
+        for key, value in Polynomial({tuple(exponents): coefficient}, dim=dim).monomials.items():
+            add_term(total, key, value)
+    return Polynomial(total, dim=dim)
+
+
 def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     """Return the event of a table: ``g``, an index or name of a coordinate or a polynomial, and options of `Event`."""
     names = coordinates_of(system)
@@ -334,7 +347,7 @@ def event_of_file(name: str, table: Mapping[str, Any], system: Any) -> Event:
     options = dict(table)
     g = options.pop("g")
     if isinstance(g, str | list):
-        g = g if g in names else parse_polynomial(g, system.dim, names)
+        g = g if g in names else polynomial_of(g, system.dim, names)
     else:
         g = read_integer(g, "g", 0, system.dim - 1)
     return Event(g, name=name, **options)
@@ -359,5 +372,5 @@ def _event_of(name: str, record: Entry, system: Any) -> Event:
             return Event(**{**record.value, "g": _form_of(g, system.dim)}, name=name)
         if isinstance(g.value, str) and g.value not in coordinates_of(system):
             # `event_record` writes polynomials in x1, x2, ..., whatever the names of the coordinates are.
-            return Event(**{**record.value, "g": parse_polynomial(g.value, system.dim)}, name=name)
+            return Event(**{**record.value, "g": polynomial_of(g.value, system.dim)}, name=name)
         return event_of_file(name, record.value, system)

@@ -64,12 +64,12 @@ SCHEDULE_BYTES = len(schedule_of(0.0, 0.0, 0, 1, False))
 SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
 
 
-def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float64]) -> bytes:
+def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float64], threads: int) -> bytes:
     """Return a schedule as bytes in which each member takes one step of its own and saves the result. The run does
     not end with this step, so that no energy is computed. The arrays must live as long.
     """
     addresses = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
-    return _packed_schedule(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, 1)
+    return _packed_schedule(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, threads)
 
 
 @in_standard_mode

@@ -6,13 +6,13 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import CompiledLoop
-from coadjoint.keyword_hints import ExplainedCalls
+from coadjoint.keyword_hints import Abstract
 from coadjoint.memory import check_available_memory
 from coadjoint.methods.protocol.properties import Properties, check_attitude
 from coadjoint.methods.protocol.step_derivatives import LinearizedStep, dense_step, derivative_of
@@ -31,12 +31,6 @@ if TYPE_CHECKING:
 
 Representation = NDArray[np.float64] | str | None
 
-ERROR_CONTROL = frozenset(("tolerance", "rtol", "atol"))
-NO_ERROR_CONTROL = (
-    "a step that is chosen by an estimate of the error would lose what the scheme keeps over long times; give "
-    "integrate accuracy=, which finds a constant step, or take Taylor(tolerance=...), or "
-    "ReversibleSteps(Splitting(...)), whose steps follow the motion reversibly"
-)
 BYTES_PER_CONSTANT = 450  # peak memory per structure constant during the construction of flows
 MAX_PARAMETER_TEXT = 200  # characters of a parameter in a message
 MAX_SHORT_DENOMINATOR = 2**20  # floats with larger denominators are measured numbers, not short fractions
@@ -51,20 +45,13 @@ class FinerRun(NamedTuple):
     left: float
 
 
-class Method(metaclass=ExplainedCalls):
+class Method(Abstract):
     """A scheme: what it preserves, its compiled loop, its step in Python, its tangent, and its cost.
 
     Families implement this protocol from coefficients (`FlowMethod`), a tableau (`RungeKuttaMethod`) or a step
     (`StepMethod`, `CompiledStepMethod`); a user-defined scheme derives from one of them. What only some schemes can do
     has a default that refuses by name, or that returns what holds for the others.
     """
-
-    def __new__(cls, *arguments: Any, **parameters: Any) -> Self:
-        """Raise TypeError for a tolerance that the scheme does not have."""
-        for name in ERROR_CONTROL.intersection(parameters):
-            if name not in getattr(cls, "__dataclass_fields__", {}):
-                raise TypeError(f"{cls.__name__} has no {name}: {NO_ERROR_CONTROL}")
-        return super().__new__(cls)
 
     failures: ClassVar[Mapping[str, str]] = {}
     """Messages for statuses of a step, by name, other than the common ones (no convergence, overflow)."""

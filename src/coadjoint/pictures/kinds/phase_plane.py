@@ -8,36 +8,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.pictures.analysis_figures import draw_crossings, drawn_coordinates
 from coadjoint.pictures.curves import MemberColours, PathUpdate
 from coadjoint.pictures.plot_data import PlottedRun, spread
-from coadjoint.pictures.register import CannotShow, Paint, Update, coordinate_index, kind
+from coadjoint.pictures.register import CannotShow, Paint, Update, kind
 from coadjoint.pictures.style import (
-    COLOURS,
     colour,
     colour_bar,
     colour_scale,
-    coordinate,
     ink,
     legend,
-    new_figure,
     path_style,
     plain_axes,
     set_title,
     thickness,
-    with_figure_settings,
 )
-from coadjoint.runs.events import RecordedEvents
-from coadjoint.validation import read_integer, read_list, read_number
+from coadjoint.validation import read_integer, read_number
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 Floats = npt.NDArray[np.float64]
 
 Lump = tuple[Any, Any, Any, Any, Any]
-
-MAX_LARGE_DOTS = 2000
-"""Largest number of crossings drawn with dots of full size."""
 
 
 @kind("phase portrait", moves=True)
@@ -204,54 +197,3 @@ def section(drawn: PlottedRun, event: str | int | None = None, components: Any =
         draw_crossings(chosen, components, axes)
 
     return paint
-
-
-@with_figure_settings
-def draw_crossings(events: RecordedEvents, components: Any = None, axes: Any = None) -> Figure:
-    """Draw the crossings of events in two coordinates (right, up), by default those that vary most."""
-    names = events.coordinates
-    across, up = drawn_coordinates(events, components)
-    if axes is None:
-        axes = new_figure("pictures", 5.2, 4.8).add_subplot()
-    plain_axes(axes)
-    size = 2.0 if len(events) <= MAX_LARGE_DOTS else max(0.15, 2.0 * (MAX_LARGE_DOTS / len(events)) ** 0.5)
-    style = {"linestyle": "none", "marker": "o", "markersize": size, "markeredgewidth": 0.0, "rasterized": True}
-    members = np.unique(events.member)
-    shades, bar = _colours_of(members)
-    for m in members:
-        x = events.x[events.member == m]
-        axes.plot(x[:, across], x[:, up], color=shades(m), label=f"member {m}", **style)
-    axes.set(xlabel=coordinate(names[across]), ylabel=coordinate(names[up]))
-    set_title(axes, f"{len(events)} crossings of {', '.join(events.names)}")
-    if bar is not None:
-        colour_bar(axes, bar, "member")
-    elif len(members) > 1:
-        legend(axes, beside=True, markerscale=4.0 / size)
-    figure: Figure = axes.figure
-    return figure
-
-
-def _colours_of(members: Any) -> tuple[Callable[[int], Any], Any]:
-    """Return the colours of members by number, and what a colour bar shows if they are too many for a legend."""
-    if len(members) <= len(COLOURS):
-        return lambda m: colour(int(np.searchsorted(members, m))), None
-    shades = colour_scale(members)
-    return lambda m: shades.to_rgba(np.array(float(m))), shades
-
-
-def drawn_coordinates(events: RecordedEvents, components: Any = None) -> tuple[int, int]:
-    """Return the indices of the coordinates (right, up); arguments and errors are those of `draw_crossings`."""
-    names = events.coordinates
-    if len(names) < 2:
-        raise TypeError("crossings of matrix states cannot be drawn; plot two quantities computed from the states")
-    if not len(events):
-        raise ValueError("there are no crossings to draw; take a longer run, or another event")
-    if components is None:
-        widest = np.argsort(-np.std(events.x, axis=0), kind="stable")[:2]
-        across, up = sorted(widest.tolist())
-        return across, up
-    chosen = read_list(components, "components", "give two numbers or names of coordinates")
-    if len(chosen) != 2:
-        raise ValueError(f"components has {len(chosen)} entries; give two numbers or names of coordinates")
-    across, up = (coordinate_index(names, one) for one in chosen)
-    return across, up

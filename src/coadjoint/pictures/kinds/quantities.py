@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.pictures.curves import draw_each_member, draw_members, draw_over_time, from_start
 from coadjoint.pictures.plot_data import PlottedRun, spread
 from coadjoint.pictures.register import CannotShow, Paint, Update, kind
@@ -17,14 +18,20 @@ from coadjoint.pictures.style import (
     coordinate,
     ink,
     legend,
+    new_figure,
     plain_axes,
     setting,
     symbol,
     thickness,
+    with_figure_settings,
     write_note,
 )
+from coadjoint.runs.results.solution import Solution, check_solution
 from coadjoint.systems.bodies.body_systems import FRAMES
-from coadjoint.validation import read_choice
+from coadjoint.validation import read_choice, read_integer, read_list
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Floats = npt.NDArray[np.float64]
 Function = Callable[[Any], Any]
@@ -32,6 +39,7 @@ Function = Callable[[Any], Any]
 MAX_LINES = 8  # as many as there are colours
 MAX_TIMES = 400  # points of a curve; a closed form each, which takes time
 MAX_CASIMIRS = 5
+MAX_POINTS = 5000  # drawn of modified energies; a printed line does not resolve more
 """Largest number of Casimirs drawn as lines; of more, the worst four are drawn, with a band of all."""
 BAND_COLOUR = "#9AA7B5"
 BISECTIONS = 52  # halvings of an interval, to the last bit of its length
@@ -327,3 +335,66 @@ def error(drawn: PlottedRun) -> Paint:
         plain_axes(axes)
 
     return paint
+
+
+@suggest_keywords
+@with_figure_settings
+def draw_modified_energy(solution: Solution, orders: Sequence[int] = (4, 6, 8)) -> Figure:
+    r"""Return a figure of the deviations of the energy and of modified energies from their initial values.
+
+    If the run is the motion of a nearby Hamiltonian system, the deviation of each order is below that of the previous
+    one by a factor of about the square of the step, down to round-off, and none grows.
+
+    Parameters
+    ----------
+    solution : Solution
+        By a splitting; of an ensemble the first member is drawn.
+    orders : sequence of int
+        Orders of the modified Hamiltonians; see `coadjoint.modified_hamiltonian`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Neither shown nor saved.
+
+    Examples
+    --------
+    >>> import coadjoint as co
+    >>> sol = co.integrate(co.systems.rigid_body(inertia=(1, 2, 3)), (1.0, 0.2, 0.1), t_span=(0, 10), step=0.1)
+    >>> [line.get_label() for line in draw_modified_energy(sol, orders=(4, 6)).axes[0].lines]
+    ['energy $H$', '$\\tilde H$ of order 4', '$\\tilde H$ of order 6']
+    """
+    check_solution(solution)
+    listed = read_list(orders, "orders", "give whole numbers such as (4, 6)")
+    checked = [read_integer(order, "an order") for order in listed]
+    figure = new_figure("drawing modified energies", 7.2, 4.2)
+    axes = figure.add_subplot()
+    draw_deviations(axes, solution, checked)
+    axes.set_title(f"{solution.system.name}, {solution.method}, step {solution.step:g}".replace("$", r"\$"))
+    legend(axes, beside=True)
+    return figure
+
+
+def draw_deviations(axes: Any, solution: Solution, orders: Sequence[int]) -> None:
+    """Draw the deviations of energy and modified energies of the first member from their initial values into axes."""
+    series = {"energy $H$": solution.energy}
+    series |= {rf"$\tilde H$ of order {order}": solution.modified_energy(order) for order in orders}
+    at_start = [values.reshape(len(values), -1)[0, 0] for values in series.values()]
+    if solution.t[0] != solution.t_span[0]:  # t_eval does not save the start
+        at_start = _energies_at_start(solution, orders)
+    every = max(1, -(-len(solution.t) // MAX_POINTS))
+    for line, ((label, values), initial) in enumerate(zip(series.items(), at_start, strict=True)):
+        energy = values.reshape(len(values), -1)[:, 0]
+        deviation = np.abs(energy - initial)[::every]
+        # Zero deviations have no logarithm, and leave gaps.
+        visible = np.where(deviation > 0.0, deviation, np.nan)
+        axes.plot(solution.t[::every], visible, color=colour(line), linewidth=0.9, label=label)
+    axes.set(yscale="log", xlabel="time $t$", ylabel="absolute deviation from start")
+    plain_axes(axes)
+
+
+def _energies_at_start(solution: Solution, orders: Sequence[int]) -> list[Any]:
+    """Return the energy and the modified energies of the initial state of the first member."""
+    # As if it were the only saved point.
+    start = type(solution)({**vars(solution), "x": np.asarray(solution.x0)[None]})
+    return [np.ravel(solution.initial["energy"])[0], *(np.ravel(start.modified_energy(order))[0] for order in orders)]

@@ -27,7 +27,7 @@ from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import OutputTimes, Times
 from coadjoint.short_repr import distinct
 from coadjoint.systems.energy_derivatives import EnergyDerivative, FixedVelocity
-from coadjoint.systems.parameters import Parameter, parameters_of
+from coadjoint.systems.parameters import Parameter, parameters_of, parameters_of_members
 from coadjoint.validation import read_choice
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class DifferentiableRun:
         if self.base.differentiable:
             check_differentiable(system.unforced)
         self.prepared, self.system = prepared, system
-        self.parameters: Mapping[str, Parameter] = parameters_of_run(system) if parameters is None else parameters
+        self.parameters: Mapping[str, Parameter] = parameters_of_members(system) if parameters is None else parameters
         self.representation, self.inputs = prepared.representation, prepared.inputs
         self._tables: dict[Any, DerivativeTables] = {}
 
@@ -273,15 +273,3 @@ class Trajectory:
                 residual=float("nan"),
                 partial=self.solution,
             )
-
-
-def parameters_of_run(system: Any) -> Mapping[str, Parameter]:
-    """Return the parameters of the system of a run; of a batch those of all members, with an axis of members."""
-    if not system.is_batch:
-        return parameters_of(system)
-    members = [parameters_of(member) for member in system]
-    found = {}
-    for name, first in members[0].items():
-        if all(name in one and one[name].value.shape == first.value.shape for one in members):
-            found[name] = first._replace(value=np.stack([one[name].value for one in members]))
-    return found

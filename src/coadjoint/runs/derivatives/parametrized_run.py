@@ -13,6 +13,7 @@ from coadjoint.program.generators import group_side
 from coadjoint.runs.derivatives.backward import gradient_of, read_cotangents
 from coadjoint.runs.derivatives.differentiable_run import Arguments, DifferentiableRun, Trajectory
 from coadjoint.runs.derivatives.forward import tangents_of_outputs
+from coadjoint.runs.error_estimates import warn_of_large_step
 from coadjoint.runs.partial_steps import check_partial_steps
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.short_repr import short
@@ -132,7 +133,7 @@ class ParametrizedRun:
             solution = run.run(x0, attitude=attitude, **arguments)
         except IntegrationError:
             return
-        run.in_one_thread().warn_of_large_step(solution)
+        warn_of_large_step(solution, run.in_one_thread())
 
     @property
     def has_batch(self) -> bool:

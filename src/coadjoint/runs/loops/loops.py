@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.interface import limit
-from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, NamedArrays, matrix_rows
+from coadjoint.kernels.loop import CompiledLoop, Extent, Layout, MemberBatch, NamedArrays, layout_of, matrix_rows
 from coadjoint.kernels.tables.compiled import NotWritable, as_structure
 from coadjoint.kernels.tables.recording import values_along
 from coadjoint.long_operations import note_progress
@@ -136,7 +136,7 @@ class Loops:
 
     def layout(self, members: int, points: int, square: int) -> Layout:
         """Return the layout of the arrays of a run, with `square` entries of a group element."""
-        return Layout(Extent(members, points, self.size, square, self.tracked, self.memory))
+        return layout_of(Extent(members, points, self.size, square, self.tracked, self.memory))
 
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
         """Return the calls of the loops, in rounds that run one after the other; the last ones are cached."""

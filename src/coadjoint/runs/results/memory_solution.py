@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.kernels.loop import Layout, NamedArrays
-from coadjoint.keyword_hints import NamedValues
 from coadjoint.rounding import in_standard_mode
 from coadjoint.runs.loops.loops import GroupCorrection
-from coadjoint.runs.results.quantities import Observed, ObservedValues
+from coadjoint.runs.results.quantities import NamedValues, Observed, ObservedValues
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import Statistics
 from coadjoint.runs.start import Start, start_without_groups

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from coadjoint.algebra.invariants.invariant import Invariant
 from coadjoint.algebra.polynomials.monomials import check_names
 from coadjoint.algebra.polynomials.polynomial import Polynomial
-from coadjoint.errors import in_one_line
+from coadjoint.errors import in_one_line, nearest
 from coadjoint.kernels.tables.recording import values_along
-from coadjoint.keyword_hints import NamedValues
-from coadjoint.short_repr import short
+from coadjoint.keyword_hints import vocabulary
+from coadjoint.optional_packages import require_packages
+from coadjoint.short_repr import compact, short
 from coadjoint.systems.coordinates import coordinate_names
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.hamiltonians.hamiltonian import as_hamiltonian, formula_of
@@ -28,10 +29,34 @@ from coadjoint.systems.user_functions import takes_time, with_time
 from coadjoint.validation import read_number
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 Floats = NDArray[np.float64]
+Value = TypeVar("Value")
+
+
+class NamedValues(dict[str, Value]):
+    """Dictionary of quantities of a run, whose KeyError has the name that is meant, or the nearest one.
+
+    >>> NamedValues({"energy": 0.0, "|x|^2": 1.0})["Energy"]
+    Traceback (most recent call last):
+    KeyError: "there is no 'Energy'; did you mean 'energy'?"
+    """
+
+    def __repr__(self) -> str:
+        return f"{{{', '.join(f'{name!r}: {compact(value)}' for name, value in self.items())}}}"
+
+    def __missing__(self, name: Any) -> Value:
+        """Raise the KeyError."""
+        text = f"there is no {short(name)}"
+        if not isinstance(name, str):
+            raise KeyError(f"{text}; give a name: {', '.join(self)}")
+        meant = vocabulary("attributes of solutions").get(name)
+        near = "energy" if meant == "energy" and "energy" in self else nearest(name, self)
+        raise KeyError(f"{text}; did you mean {near!r}?" if near else f"{text}; there are: {', '.join(self)}")
 
 
 class Observed(NamedTuple):
@@ -272,3 +297,32 @@ def sum_of_absolute_terms(invariant: Any, x: Floats) -> Floats:
     for term in built_in(terms):
         total += term.sum_of_absolute_values(np.abs(x))
     return total
+
+
+def table_of(solution: Any) -> pd.DataFrame:
+    """Return a solution as a table; see `Solution.to_pandas`."""
+    require_packages("a table of a solution", "pandas")
+    import pandas as pd
+
+    system: Any = solution.system.of_member(0).unforced
+    k, members = len(solution.t), None if solution.failed is None else len(solution.failed)
+    shape = system.shape
+    count = int(np.prod(shape))
+    states = solution.x.reshape(k, -1, count)
+    if system.has_matrices:
+        names: Sequence[str] = ["W" + ",".join(str(i + 1) for i in entry) for entry in np.ndindex(*shape)]
+    else:
+        names = coordinate_names(system, count)
+    columns: dict[str, Any] = {name: states[..., i] for i, name in enumerate(names)}
+    observed = {name: np.asarray(values) for name, values in solution.observed.items()}
+    numbers = {name: values for name, values in observed.items() if values.ndim == (1 if members is None else 2)}
+    invariants = {"energy": solution.energy, **solution.casimirs}
+    for what, series in (("invariant", invariants), ("observed", numbers)):
+        for name, values in series.items():
+            # Names of coordinates, invariants and observed quantities may be equal.
+            columns[f"{what} {name}" if name in columns else name] = values.reshape(k, -1)
+    if members is None:
+        times = pd.Index(solution.t, name="time")
+        return pd.DataFrame({name: values[:, 0] for name, values in columns.items()}, index=times)
+    index = pd.MultiIndex.from_product([range(members), solution.t], names=["member", "time"])
+    return pd.DataFrame({name: values.T.ravel() for name, values in columns.items()}, index=index)

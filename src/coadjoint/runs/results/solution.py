@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.keyword_hints import NamedValues, suggest_keywords, unknown_solution_attribute
-from coadjoint.runs.results.quantities import Drift, scales_of_invariants
+from coadjoint.keyword_hints import suggest_keywords, unknown_solution_attribute
+from coadjoint.runs.results.quantities import Drift, NamedValues, scales_of_invariants
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, unfinished_members
 from coadjoint.runs.results.solution_output import SolutionOutput, extent_text, is_driven, table_of_run
 from coadjoint.short_repr import short
-from coadjoint.shortcuts import shortcut
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.validation import read_bool
 
@@ -297,18 +296,23 @@ class Solution(SolutionOutput):
         True
         """
         if read_bool(by_group, "by_group"):
-            return NamedValues(shortcut("step_errors_of_groups")(self))
+            from coadjoint.runs.error_estimates import step_errors_of_groups
+
+            return NamedValues(step_errors_of_groups(self))
         return self._step_error
 
     @cached_property
     def _errors_at_end(self) -> NDArray[np.float64]:
         """Estimated errors at the end, the largest and those of groups of coordinates, (1 + groups, members)."""
-        return shortcut("error_at_end")(self)
+        from coadjoint.runs.error_at_end import error_at_end
+
+        return error_at_end(self)
 
     @cached_property
     def _step_error(self) -> float:
-        error: float = shortcut("step_error")(self)
-        return error
+        from coadjoint.runs.error_estimates import step_error
+
+        return step_error(self)
 
     def _deviations(self, first: int, relative: bool) -> dict[str, Drift]:
         # Balances have the initial values of the invariants.

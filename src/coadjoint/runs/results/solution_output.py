@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.keyword_hints import suggest_keywords
+from coadjoint.runs.results.quantities import table_of
 from coadjoint.runs.results.solution_attributes import SolutionAttributes, Statistics
 from coadjoint.short_repr import distinct, html_table
 from coadjoint.shortcuts import shortcut
@@ -111,8 +113,9 @@ class SolutionOutput(SolutionAttributes):
         >>> sol.at([0.5, 9.99]).energy.shape
         (2,)
         """
-        found: StateAt = shortcut("state_at")(self, t)
-        return found
+        from coadjoint.runs.state_at import state_at
+
+        return state_at(cast("Solution", self), t)
 
     @suggest_keywords
     def spectrum(self) -> NDArray[Any]:
@@ -240,7 +243,7 @@ class SolutionOutput(SolutionAttributes):
         >>> co.integrate(body, (1.0, 0.2, 0.1), t_span=(0, 1), step=0.5).to_pandas().columns.tolist()
         ['x1', 'x2', 'x3', 'energy', '|x|^2']
         """
-        return shortcut("table_of")(self)
+        return table_of(self)
 
     @suggest_keywords
     def plot(
@@ -345,10 +348,8 @@ class SolutionOutput(SolutionAttributes):
         ...     sol.movie(f"{folder}/body.gif", frames=3, size=(160, 120)).name
         'body.gif'
         """
-        target = shortcut("check_movie")(path)
-        rate = shortcut("check_speed")(fps, target)
-        shortcut("write_movie")(shortcut("frames_of")(self, picture, frames, size), target, rate)
-        return target
+        written: Path = shortcut("save_movie")(path, fps, partial(shortcut("frames_of"), self, picture, frames, size))
+        return written
 
 
 def is_driven(system: Any) -> bool:

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.bodies.inertia import inverse_of, moments_of_wheels
 from coadjoint.systems.forces.body_torque import read_limits
 from coadjoint.systems.forces.sampled import Sampled
@@ -20,6 +21,7 @@ FLAT = 1e-9
 """Determinant of the products of axes below which wheels count as parallel or in a plane."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ReactionWheels(Sampled):
     """Motors that turn the wheels of a body, by a law that is sampled: the torque of each motor is held.
@@ -121,6 +123,7 @@ def _shares(axes: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.einsum("mn,ni->mi", inverse, axes) if few else np.einsum("mi,ij->mj", axes, inverse))
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class ControlMomentGyros(Sampled):
     """Motors that turn the gimbals of gyros, by a law that is sampled: the rate of each gimbal is held.
@@ -244,6 +247,7 @@ def rotated(c: Any, s: Any, angle: Any) -> Any:
     return c - (less * c + sine * s), s + (sine * c - less * s)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Thrusters(Sampled):
     """Pairs of thrusters about the axes of the body, which fire at the begin of each period (pulse-width modulation).

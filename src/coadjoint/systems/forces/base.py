@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
-from coadjoint.keyword_hints import ExplainedCalls
+from coadjoint.keyword_hints import Abstract
 from coadjoint.short_repr import record_repr, short
 from coadjoint.systems.coordinates import check_moved, kinds_of
 from coadjoint.validation import as_tuples, read_finite, read_integer, set_fields, to_array
@@ -55,7 +55,7 @@ class ForceReader(Protocol):
         """Register noise of given amplitudes on modes of a matrix; lists over diagonals."""
 
 
-class Force(metaclass=ExplainedCalls):
+class Force(Abstract):
     """A force, which acts in addition to the Hamiltonian: its flow and the invariants that it preserves.
 
     `LinearDamping`, `Torque`, `DoubleBracketDamping` and `HeatBath` are forces, and `OwnForce` makes one from a

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
 from coadjoint.errors import in_one_line
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.bodies.body_systems import read_attitudes
 from coadjoint.systems.forces.base import read_matrix
@@ -195,6 +196,7 @@ def _check_shape(value: Any, what: str, shape: tuple[int, ...]) -> None:
 ERRORS = ("sine", "quaternion")
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Pointing(BodyTorque):
     """A spring and a damper toward an attitude: libration dampers, PD control, and quaternion feedback.

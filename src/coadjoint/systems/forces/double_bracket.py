@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.errors import IntegrationError
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import check_moved, moved_by, moving_others, turned_by_bracket
 from coadjoint.systems.forces.base import (
     Force,
@@ -38,6 +39,7 @@ MAX_SUBSTEPS = 192  # iterations of the midpoint rule; convergent ones take some
 SERIES_TOLERANCE = 2.0**-40  # of |x|: below it a correction that stagnates is round-off
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class DoubleBracketDamping(Force):
     """Damping along the coadjoint orbit, ``x' = alpha J(x) P J(x) grad H``: reduces the energy, preserves Casimirs.
@@ -201,6 +203,7 @@ class DoubleBracketDamping(Force):
         return None
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class HeatBath(DoubleBracketDamping):
     """A heat bath for spins, and for any coadjoint orbit: damping and thermal noise.

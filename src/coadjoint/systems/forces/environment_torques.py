@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.forces.body_torque import (
     BodyTorque,
     body_products,
@@ -22,6 +23,7 @@ from coadjoint.systems.user_functions import callable_from_compiled, check_argum
 from coadjoint.validation import as_tuples, read_finite, read_number, set_fields
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class GravityGradient(BodyTorque):
     """The torque of the gradient of gravity on a body that moves along a prescribed path.
@@ -116,6 +118,7 @@ def _anisotropic(Q: Any) -> Any:
     return 0.5 * (Q + Q.T) - np.trace(Q) / 3.0 * np.eye(3)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class MagneticDipole(BodyTorque):
     """The torque of a magnetic field on a dipole that is fixed in the body, ``moment cross B``.
@@ -204,6 +207,7 @@ def _read_plates(force: Any) -> None:
     set_fields(force, **{name: as_tuples(array) for name, array in plates.items()})
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class SolarPressure(BodyTorque):
     """The torque of sunlight on flat plates, which absorb it, reflect it, and scatter it.
@@ -283,6 +287,7 @@ class SolarPressure(BodyTorque):
         return torque
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Drag(BodyTorque):
     """The torque of thin air on flat plates, with the force ``-density coefficient/2 a (v . n) v`` where v . n > 0.

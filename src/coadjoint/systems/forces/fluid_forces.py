@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, ForceReader, normal_deviates, read_seed
 from coadjoint.systems.forces.mode_force import (
@@ -29,6 +30,7 @@ from coadjoint.systems.user_functions import check_arguments
 from coadjoint.validation import as_tuples, read_bool, read_finite, read_integer, read_nonnegative, read_number
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Friction(ModeRates):
     """Scale-dependent friction of a fluid of matrices: ``W' = -rate(l) W`` on the degree l, solved exactly.
@@ -75,6 +77,7 @@ class Friction(ModeRates):
 MAX_POWER = 32
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Viscosity(ModeRates):
     """Viscosity or hyperviscosity of a fluid of matrices: ``W' = -nu A^power W`` with ``A = -Laplacian``.
@@ -138,6 +141,7 @@ class Viscosity(ModeRates):
             return np.asarray(self.nu * (modes.eigenvalues(d, numbers) - offset) ** self.power)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class BetaPlane(ModeRates):
     """The beta term of a fluid on the torus, ``omega' = ... - beta d psi/dx``: Rossby waves with the exact dispersion.
@@ -200,6 +204,7 @@ def _read_band(value: Any, what: str) -> Any:
     return as_tuples(band)
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class RandomForcing(Force):
     """White noise in time on a band of scales of a fluid of matrices, with a known mean rate of energy input.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.coordinates import momenta_of, rest_of
 from coadjoint.systems.forces.base import (
     Force,
@@ -31,6 +32,7 @@ DIFFERENCE_TIME = 2.0**-12  # step of differences of order four: their error, it
 ROUNDED = 2.0**-40  # change of a coordinate, relative to the state, that is taken for rounding
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class LinearDamping(Force):
     """Linear damping towards a given state, ``x' = -rate (x - toward)``: friction, viscosity of modes, relaxation.
@@ -168,6 +170,7 @@ def _flow_in_frame(damping: LinearDamping, system: Any) -> Callable[..., Any]:
     return flow
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class OwnForce(Force):
     """A custom force, given by the function of its flow.

@@ -20,6 +20,7 @@ MAX_TERMS = 60  # of a power series, whose arguments are scaled to norm one: 1/6
 NEGLIGIBLE = 2.0**-60  # of the result: bound of a term that no longer changes it
 # Iterations of the transposed midpoint rule, of whose number a convergent one takes a few.
 MAX_ITERATIONS = 1000
+MAX_SUBSTEPS = 4096  # of an exponential, as in the kernels
 SETTLED = 2.0**-48
 
 
@@ -235,7 +236,10 @@ def exponential_with_tangent(
 def _generator(system: Any, v: NDArray[Any]) -> tuple[NDArray[np.float64], int]:
     """Return the matrix of D_v, and the number of substeps of its exponential, each of norm at most one."""
     D = system.sign * np.asarray(system.algebra.coadjoint(v), dtype=np.float64)
-    return D, max(1, int(np.ceil(np.max(np.sum(np.abs(D), axis=1), initial=0.0))))
+    norm = np.max(np.sum(np.abs(D), axis=1), initial=0.0)
+    if not norm <= MAX_SUBSTEPS:
+        raise OverflowError(f"the exponential of a matrix of norm {norm:.3g} needs more than {MAX_SUBSTEPS} substeps")
+    return D, max(1, int(np.ceil(norm)))
 
 
 @lru_cache(maxsize=16)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME, sample_points
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import short
 from coadjoint.systems.forces.base import Force, ForceReader
 from coadjoint.systems.forces.body_torque import check_one_body, limited_by, read_limits
@@ -22,6 +23,7 @@ DIFFERENCE_TIME = 2.0**-16  # of differences of a flow, whose error is proportio
 ON_GRID = 1e-9  # part of a step by which a time may miss a whole number of steps, by rounding
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Sampled(Force):
     """A torque that is sampled at a rate and held constant in the body frame between samples (zero-order hold).

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from coadjoint.algebra.invariants.sampled_checks import SAMPLE_TIME
 from coadjoint.errors import in_one_line
+from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.forces.base import Force, ForceReader, check_state, read_state, sample_states, state_vector
 from coadjoint.systems.user_functions import (
     KNOWN_NAMES,
@@ -193,6 +194,7 @@ ATTITUDES = ("r", "q", *KNOWN_NAMES["A"])
 """Names of a second argument that is meant to be an attitude, in small letters."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Torque(StateTorque):
     """A torque in the body frame, ``x' = N``: a thruster, a motor, a control law, radiation pressure.

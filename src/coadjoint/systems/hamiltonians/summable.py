@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, Self, cast
@@ -13,13 +13,14 @@ import numpy.typing as npt
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import Coefficient, read_coefficient
 from coadjoint.algebra.polynomials.polynomial import Polynomial
+from coadjoint.keyword_hints import Abstract
 from coadjoint.short_repr import MAX_SHOWN_LENGTH, short
 from coadjoint.systems.evaluation import read_point, vectorized_over_states
 from coadjoint.systems.hamiltonians.terms import PolynomialTerm, Term
 from coadjoint.validation import is_real, to_array
 
 
-class Summable(ABC):
+class Summable(Abstract):
     """Base class of Hamiltonians: they are called, added to Hamiltonians and numbers, and multiplied by numbers."""
 
     # Prevents NumPy arrays from broadcasting over it.

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.measured_steps import (
+from coadjoint.errors import LargeStepWarning, RoundingWarning
+from coadjoint.long_operations import warn_caller
+from coadjoint.runs.measured_steps import (
     EXCESS,
     ROUNDING,
     SUSPECTED,
@@ -17,18 +19,17 @@ from coadjoint.analysis.measured_steps import (
     WARNED,
     MeasuredSteps,
     WorstStep,
+    error_by_comparison,
     most_steps,
     states_at,
     trial_states,
 )
-from coadjoint.analysis.powers import error_by_comparison
-from coadjoint.errors import LargeStepWarning, RoundingWarning
-from coadjoint.long_operations import warn_caller
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.quantities import sum_of_absolute_terms
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import advance_in_turns
 from coadjoint.runs.times import Times
+from coadjoint.systems.energy_derivatives import gradients_at
 from coadjoint.systems.evaluation import ignore_overflow
 
 # Largest error over a run without a warning, relative to the size of the motion, or of an invariant.
@@ -36,8 +37,9 @@ OVER_RUN = 0.05
 GROWN = 16.0  # growth of the errors of steps over a run of which their sum is no bound
 COMPARED = 64  # points at which a run is compared with one of half the step
 ENERGY_SUSPECTED = 0.01  # deviation of an invariant from which on the run is repeated
-# Number of members whose invariants deviate most, and of points at which the size of an invariant is taken.
-MOST_LOST, SIZED = 16, 16
+# Number of members whose invariants deviate most, and of points at which the size of an invariant is taken; every third
+# has the gradient of the energy, which may be a function in Python.
+MOST_LOST, SIZED, SLOPED = 16, 16, 3
 LOST_DIGITS = 2.0**-36  # size of a motion, or of an invariant in its terms, of which rounding leaves few digits
 # Largest rounding of a group in the run, relative to its size, without a warning: half of the 2 per cent that must
 # warn, since the estimate may be half of the error.
@@ -50,7 +52,7 @@ SUGGESTED = 0.002  # error of the step that a warning suggests, relative to the 
 
 def step_error(solution: Solution) -> float:
     """Return the largest error of a step among the members, relative to the change of the state; see `Solution`."""
-    return MeasuredSteps(solution, None, suspects_of(solution)).worst()[0]
+    return MeasuredSteps(solution, None, suspects_of(solution, deviations_of(solution))).worst()[0]
 
 
 def step_errors_of_groups(solution: Solution) -> dict[str, float]:
@@ -74,12 +76,13 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> bool:
         return False
     lost, rounded, measured, wrong = KEPT, None, None, Wrong()
     try:
+        deviations = deviations_of(solution)
         try:
-            measured = MeasuredSteps(solution, prepared, suspects_of(solution))
+            measured = MeasuredSteps(solution, prepared, suspects_of(solution, deviations))
             error_of_step, steps = measured.worst()
             solution.__dict__["_step_error"] = error_of_step
         finally:
-            lost = lost_invariant(solution, measured)
+            lost = lost_invariant(solution, measured, deviations)
         if not lost.large:
             wrong = wrong_member(measured, steps, lost)
             # Where rounding is most of the error of a step, two half steps differ by rounding too.
@@ -246,38 +249,58 @@ class LostInvariant(NamedTuple):
 KEPT = LostInvariant("", ENERGY_SUSPECTED, 0, False)
 
 
+class Deviation(NamedTuple):
+    """The largest deviation of an invariant of a member, with forces from their work, that may be large."""
+
+    name: str
+    member: int
+    size: float
+
+
 @ignore_overflow
-def _deviations(solution: Solution) -> list[tuple[str, int, float]]:
-    """Return names, members and deviations of invariants that may be lost, with forces from their work."""
+def deviations_of(solution: Solution) -> list[Deviation]:
+    """Return the deviations that are large beside the invariants at the start, of some members for each invariant."""
     balanced, found = bool(solution.work), []
     first = 1 + len(solution.casimirs) if balanced else 0
     accounted = {invariant for _, invariant in solution._accounts}
-    for i, (name, initial) in enumerate(solution.initial.items()):
-        if balanced and name not in accounted:
+    sizes = np.abs([np.atleast_1d(initial) for initial in solution.initial.values()])
+    worst = solution._worst[..., first : first + len(sizes)].max(axis=-2).reshape(-1, len(sizes)).T
+    ratios = np.nan_to_num(worst / sizes, nan=0.0, posinf=np.inf)
+    for name, row, deviations in zip(solution.initial, ratios, worst, strict=True):
+        if not row.max(initial=0.0) > ENERGY_SUSPECTED or (balanced and name not in accounted):
             continue
-        deviations = np.atleast_2d(solution._worst[..., first + i]).max(axis=1)
-        ratios = np.nan_to_num(deviations / np.abs(np.atleast_1d(initial)), nan=0.0, posinf=np.inf)
-        for m in np.argsort(-ratios, kind="stable")[:MOST_LOST].tolist():
+        for m in np.argsort(-row, kind="stable")[:MOST_LOST].tolist():
             one = solution.system.of_member(m)
-            if ratios[m] > ENERGY_SUSPECTED and not one.hamiltonian.timed and (balanced or not one.forces):
-                found.append((name, m, float(deviations[m])))
+            if row[m] > ENERGY_SUSPECTED and not one.hamiltonian.timed and (balanced or not one.forces):
+                found.append(Deviation(name, m, float(deviations[m])))
     return found
 
 
-def suspects_of(solution: Solution) -> tuple[int, ...]:
+def suspects_of(solution: Solution, deviations: list[Deviation]) -> tuple[int, ...]:
     """Return the members of a run in memory whose energy deviates most; Casimirs may be zero at the start."""
-    return tuple(m for name, m, _ in _deviations(solution) if name == "energy") if solution._in_memory else ()
+    return tuple(one.member for one in deviations if one.name == "energy") if solution._in_memory else ()
 
 
 @ignore_overflow
-def lost_invariant(solution: Solution, measured: MeasuredSteps | None = None) -> LostInvariant:
+def lost_invariant(
+    solution: Solution, measured: MeasuredSteps | None = None, deviations: list[Deviation] | None = None
+) -> LostInvariant:
     """Return the invariant that deviates most in a step, relative to its size, if by a part that matters."""
     largest, lost = KEPT, set()
-    for name, m, deviation in _deviations(solution):
+
+    @cache
+    def motion(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return some times and states of a member."""
+        if measured is not None and m in measured.members:
+            return measured.some_states(m, SIZED)
+        points = np.unique(np.linspace(0, len(solution.t) - 1, SIZED).astype(int)) if solution._in_memory else [0]
+        return solution.t[points], np.array([states_at(solution, np.array([m]), k)[0] for k in points])
+
+    for name, m, deviation in deviations_of(solution) if deviations is None else deviations:
         # Of long runs in archives only the start is known, where the terms of a Casimir may vanish.
         if name != "energy" and not (solution._in_memory or (measured is not None and measured.short)):
             continue
-        size = _size_of_invariant(solution, measured, name, m)
+        size = _size_of_invariant(solution, name, m, *motion(m))
         if size > 0.0 and deviation > OVER_RUN * size:
             lost.add(m)
         if size > 0.0 and deviation > largest.ratio * size:
@@ -285,23 +308,21 @@ def lost_invariant(solution: Solution, measured: MeasuredSteps | None = None) ->
     return largest._replace(members=len(lost))
 
 
-def _size_of_invariant(solution: Solution, measured: MeasuredSteps | None, name: str, m: int) -> float:
+def _size_of_invariant(
+    solution: Solution, name: str, m: int, t: NDArray[np.float64], states: NDArray[np.float64]
+) -> float:
     """Return the size of an invariant in the motion of a member: its value, its terms, its change or work of forces."""
     plain, single = solution.system.of_member(m).unforced, solution.failed is None
     invariant = plain.hamiltonian if name == "energy" else plain.casimirs.get(name)
-    if measured is not None and m in measured.members:
-        t, states = measured.some_states(m, SIZED)
-    else:
-        points = np.unique(np.linspace(0, len(solution.t) - 1, SIZED).astype(int)) if solution._in_memory else [0]
-        t, states = solution.t[points], np.array([states_at(solution, np.array([m]), k)[0] for k in points])
     initial = abs(float(np.atleast_1d(solution.initial[name])[m]))
     work = [series[name] if single else series[name][:, m] for series in solution.work.values() if name in series]
     # An invariant that is zero but for rounding has the size of its terms, and the energy what the motion changes in
     # them: those of a close encounter are far larger than at the other points.
     if name == "energy" and not plain.has_matrices:
-        slopes = np.abs([plain.hamiltonian.gradient(x, when) for x, when in zip(states, t, strict=True)])
-        changes = np.median(np.sum(np.abs(states - states.mean(axis=0)) * slopes, axis=1))
-        terms = max(changes, LOST_DIGITS * np.sum(np.abs(states) * slopes, axis=1).max())
+        some, mean = states[::SLOPED], states.mean(axis=0)
+        slopes = np.abs(gradients_at(plain, some[:, None], t[::SLOPED])[:, 0])
+        changes = np.median(np.sum(np.abs(some - mean) * slopes, axis=1))
+        terms = max(changes, LOST_DIGITS * np.sum(np.abs(some) * slopes, axis=1).max())
     else:
         # Terms that vanish at the start, such as those of two axes, need not do so later.
         terms = float(np.nanmax(sum_of_absolute_terms(invariant, plain.states_of(states))))

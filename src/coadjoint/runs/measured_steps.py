@@ -9,18 +9,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.partial_steps import PartialSteps
 from coadjoint.runs.preparation import Preparation, trial_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
-from coadjoint.runs.run import Run, advance_up
+from coadjoint.runs.run import Run, rounding
 from coadjoint.runs.start import any_momenta_of, vector_size
 from coadjoint.runs.times import STEP_SHARE, Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 # Weight of the error of the single fastest step, beside that of the others in the root mean square.
 FASTEST = 0.4
@@ -97,22 +98,14 @@ class MeasuredSteps:
         self.start = start if len(start) == 1 else start[members]
         if system.is_batch and len(members) < len(system):
             prepared = prepared.sampled(members)
-        # Rounding is that of this thread.
-        self.alone = prepared.in_one_thread()
-        self.prepared = prepared if POINTS * self.start.size >= THREADED else self.alone
+        self.prepared, self.alone = prepared, prepared.in_one_thread()
         self._know_states(int(steps + STEP_SHARE))
         self.points = points = self._points()
-        runs: tuple[Preparation, ...] = (self.prepared, self.alone)
         states = [states for _, states, _ in points]
-        if any(one.hamiltonian.timed or one.forces for one in prepared.system.distinct):
-            step = np.stack([self._step(runs, x, t) for t, x, _ in points], axis=1)
-        else:
-            # The members at all points side by side.
-            if system.is_batch:
-                repeated = np.tile(np.arange(len(members)), len(points))
-                runs = tuple(run.sampled(repeated) for run in dict.fromkeys(runs))
-            step = self._step(runs, np.concatenate(states), points[0][0])
-            step = step.reshape(3, len(points), -1, self.groups.count)
+        threads = prepared.threads_for(POINTS * len(members)) if POINTS * self.start.size >= THREADED else (1, 1)
+        self._parts = PartialSteps(prepared.system, prepared.method, prepared.loops(self.h), *threads)
+        rows, times = np.tile(np.arange(len(members)), len(points)), np.repeat([t for t, *_ in points], len(members))
+        step = self._step(rows, np.concatenate(states), times).reshape(3, len(points), -1, self.groups.count)
         norms = self.groups.norms(states[0][None] if len(points) == 1 else np.stack(states))
         held = np.stack([held for _, _, held in points])
         if not held.all():
@@ -155,36 +148,40 @@ class MeasuredSteps:
         start = self.solution.t_span[0], self.start, np.ones(len(self.start), dtype=bool)
         return [start, *((float(self.t[k]), *self.states(k)) for k in chosen)]
 
-    def _step(
-        self, runs: tuple[Preparation, ...], states: Floats, t: float, known_rounding: Floats | None = None
-    ) -> Floats:
-        """Return errors, changes and rounding of a step, (3, members, groups), zero if it cannot be repeated."""
-        # Rounding is measured by the last run, unless it is known.
-        h, groups, prepared = self.h, self.groups, runs[0]
-        middle, halved = trial_states(prepared, states, Times(t, 0.5 * h, 2, 1).with_saved_steps([1, 2]))
-        change = groups.norms(middle - states)
-        # Without the arrays of this run, of a large state.
-        halved, middle = halved.copy(), None
-        whole = Times(t, h, 1, 1).with_saved_steps([1])
-        (full,) = trial_states(prepared, states, whole)
+    def _step(self, m: Integers, states: Floats, t: Floats, known_rounding: Floats | None = None) -> Floats:
+        """Return errors, changes and rounding of steps of chosen members from states (rows, n) at the times t (rows,),
+        (3, rows, groups); zero if they cannot be repeated.
+        """
+        h, groups, n = self.h, self.groups, states.shape[1]
+
+        def ends(x: Floats, t: Floats, *lengths: float) -> list[Floats]:
+            """Return the ends of steps of each of these lengths."""
+            count = len(lengths)
+            rows = np.tile(x, (count, 1)), np.empty((count * len(x), 0)), np.tile(t, count)
+            taken = self._parts.attempt(*rows, np.repeat(lengths, len(x)), np.tile(m, count))
+            return np.split(taken.momenta, count)
+
+        # Behind the coordinates are the works of forces.
+        works = self._parts.loops.size - n
+        start = np.pad(states, ((0, 0), (0, works))) if works else states
+        middle, full = ends(start, t, 0.5 * h, h)
+        change = groups.norms(middle[:, :n] - states)
+        (halved,), full = ends(middle, t + 0.5 * h, 0.5 * h), full[:, :n]
         # The difference of two half steps from a step of order p is all but 2^-p of the error of the latter.
-        errors = error_by_comparison(groups.norms(full - halved), 0.5**self.prepared.scheme.order)
+        errors = error_by_comparison(groups.norms(full - halved[:, :n]), 0.5**self.prepared.scheme.order)
         changes = np.maximum(groups.norms(full - states), change)
         if known_rounding is None:
-            halved, full = None, full.copy()
-            (up,) = trial_states(runs[-1], states, whole, advance_up)
-            rounding = groups.norms(up - full)
-            rounding[~np.isfinite(rounding)] = 0.0
-        else:
-            rounding = known_rounding
+            with rounding(1):
+                known_rounding = groups.norms(ends(start, t, h)[0][:, :n] - full)
+            known_rounding[~np.isfinite(known_rounding)] = 0.0
         sizes = groups.norms(states)
         # If a step loses the largest group too, it is so large that it amplifies rounding.
-        amplified = np.where(sizes == sizes.max(axis=1, keepdims=True), rounding > WARNED * sizes, False)
-        rounded = np.where(amplified.any(axis=1, keepdims=True), 0.0, HALVED * rounding)
+        amplified = np.where(sizes == sizes.max(axis=1, keepdims=True), known_rounding > WARNED * sizes, False)
+        rounded = np.where(amplified.any(axis=1, keepdims=True), 0.0, HALVED * known_rounding)
         errors = np.maximum(0.0, errors - np.maximum(ROUNDING * sizes, rounded))
         failed = ~np.isfinite(errors + changes).all(axis=1)
         errors[failed], changes[failed] = 0.0, 0.0
-        return np.stack([errors, changes, rounding])
+        return np.stack([errors, changes, known_rounding])
 
     @property
     def lossy(self) -> bool:
@@ -298,7 +295,7 @@ class MeasuredSteps:
         known = ~np.isnan(found)
         mean = np.where(known, found, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
         ratios = np.where(known, found / np.where(mean > 0.0, mean, np.inf), 1.0)
-        passages = []
+        fastest = []
         for m in np.argsort(-ratios.max(axis=0), kind="stable")[:FASTEST_MEMBERS].tolist():
             if ratios[:, m].max() >= PASSAGE:
                 first = stride * int(np.argmax(ratios[:, m]))
@@ -306,34 +303,34 @@ class MeasuredSteps:
                 inner = np.nan_to_num(speeds(first, last, 1)[:, m], nan=0.0) if stride > 1 else np.zeros(1)
                 k = first + int(np.argmax(inner))
                 if self.steps_begin[k]:
-                    passages.append(self._fastest_step(k, m))
-        return passages
+                    fastest.append((m, *self._fastest_step(k, m)))
+        if not fastest:
+            return []
+        rows, times, states = (np.array(column) for column in zip(*fastest, strict=True))
+        step = self._step(rows, states, times, self.rounding[rows])
+        errors, changes = np.sum((step[:2] * self.weights[rows]) ** 2, axis=2)
+        # The part of their errors that counts.
+        truncations = (FASTEST * _ratios(errors, changes)).tolist()
+        return [WorstStep(one, m, t, x[None]) for one, (m, t, x) in zip(truncations, fastest, strict=True)]
 
-    def _fastest_step(self, k: int, m: int) -> WorstStep:
-        """Return the fastest step after known point k of a chosen member, with the part of its error that counts."""
-        h, t, state = self.h, float(self.t[k]), self.states(k)[0][m : m + 1]
+    def _fastest_step(self, k: int, m: int) -> tuple[float, Floats]:
+        """Return the time and the state (n,) at which the fastest step after known point k of a chosen member begins."""
+        h, t, state = self.h, float(self.t[k]), self.states(k)[0][m]
         steps = math.ceil(abs(float(self.t[k + 1]) - t) / abs(h) * (1.0 - ROUNDING))
         if not 1 < steps <= max(STEPS, most_steps(self.solution, state.size, h)):
-            return self._error_of(m, state, t)
-        path = trial_states(self.of_member(m), state, Times(t, h, steps, 1))
+            return t, state
+        path = trial_states(self.of_member(m), state[None], Times(t, h, steps, 1))[:, 0]
         # Steps after the end of a member are not in the run.
         left = (ends_by_events(self.solution)[self.members[m]] - t) / h
         path[np.arange(steps + 1) - 1.0 > (math.inf if math.isnan(left) else left)] = np.nan
         with np.errstate(over="ignore", invalid="ignore"):
-            lengths = np.linalg.norm(self.scaled(np.diff(path[:, 0], axis=0), m), axis=1)
+            lengths = np.linalg.norm(self.scaled(np.diff(path, axis=0), m), axis=1)
         j = int(np.argmax(np.nan_to_num(lengths, nan=0.0, posinf=0.0)))
-        return self._error_of(m, path[j], t + j * h)
+        return t + j * h, path[j].copy()
 
     def of_member(self, m: int) -> Preparation:
         """Return the run of a chosen member in one thread."""
         return self.alone.sampled(np.array([m])) if self.system.is_batch else self.alone
-
-    def _error_of(self, m: int, state: Floats, t: float) -> WorstStep:
-        """Return a step of a chosen member from a state (1, n), with the part of its error that counts."""
-        step = self._step((self.of_member(m),), state, t, self.rounding[m : m + 1])
-        errors, changes = np.sum((step[:2] * self.weights[m]) ** 2, axis=2)
-        error = FASTEST * float(_ratios(errors, changes)[0])
-        return WorstStep(error, m, t, state.copy())
 
 
 def most_steps(solution: Solution, numbers: int, h: float) -> int:
@@ -374,3 +371,8 @@ def sampled_members(solution: Solution, system: Any, most: int) -> NDArray[np.in
     chosen = np.isin(owners, np.linspace(0, count - 1, min(count, most)).astype(np.int64))
     first = np.arange(len(order)) - np.searchsorted(owners, owners) < max(1, most // count)
     return np.sort(order[chosen & first])
+
+
+def error_by_comparison(difference: Any, left: float) -> Any:
+    """Return the error of a result from its difference to a better one, which has the fraction `left` of the error."""
+    return difference / (1.0 - left)

@@ -8,12 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.analysis.error_estimates import WHOLE_STEP_TOLERANCE, loses_digits
-from coadjoint.analysis.measured_steps import OF_ZERO, trial_states
-from coadjoint.analysis.powers import error_by_comparison
 from coadjoint.methods.forced import effective_scheme
 from coadjoint.methods.protocol.method import FinerRun, Method
 from coadjoint.rounding import UNIT_ROUNDOFF
+from coadjoint.runs.error_estimates import WHOLE_STEP_TOLERANCE, loses_digits
+from coadjoint.runs.measured_steps import OF_ZERO, error_by_comparison, trial_states
 from coadjoint.runs.partial_steps import resample
 from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.results.solution import Solution
