@@ -116,7 +116,7 @@ def test_brackets_that_are_too_many_are_refused_ahead(monkeypatch):
     plain = logarithms.Commutators.count_products
     monkeypatch.setattr(
         logarithms.Commutators,
-        "check_available_memory",
+        "count_products",
         lambda self, count: (made.append(count), plain(self, count))[1],
     )
     monkeypatch.setattr(logarithms, "MAX_PRODUCTS", 10**6)

@@ -103,7 +103,6 @@ class SettingsSweep:
                 state = np.asarray(initial.state(own, folder))
                 if not momenta_of(own, state)[1]:
                     raise ValueError(f"x0 has the shape {state.shape}, already an ensemble; sweep over one state")
-                check_available_memory(3 * state.nbytes * self.members, f"the states of {self.members} members")
                 for key in self.orbits:
                     if not own.has_structure_constants:
                         raise ValueError(f"{own.name} has no structure constants, and no orbits; sweep over values")

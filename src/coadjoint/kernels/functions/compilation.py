@@ -9,23 +9,21 @@ t)``, ``hamiltonian.gradient(x, t)``; if the system has no function of the user 
 from __future__ import annotations
 
 import ctypes
-import inspect
 import re
 import types
 import warnings
 from collections import namedtuple
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import numba
 import numpy as np
 from numba import carray
 from numba import types as numba_types
-from numba.extending import overload_method
+from numba.extending import intrinsic, overload_method
 
 from coadjoint.interruption import deferred
-from coadjoint.kernels.functions.contents import cell_value, compilation_key, contents_of, global_reads, is_own
+from coadjoint.kernels.functions.contents import cells_of, compilation_key, contents_of, global_reads, is_known, is_own
 from coadjoint.kernels.library import kernels
 from coadjoint.long_operations import note_progress
 from coadjoint.systems.user_functions import MultipleOf
@@ -45,36 +43,25 @@ def compile_cached(value: Any, options: tuple[Any, ...], what: str, make: Callab
     a generator of Numba's registries, Numba would compile nothing more in this process.
     """
     digest, unknown = contents_of(value)
-    if unknown:
-        result = _made(what, make)
-        if what not in _warned:
-            _warned.add(what)
-            warnings.warn(
-                f"{what} is compiled again whenever it is prepared, since some values it reads cannot be compared: "
-                f"{', '.join(unknown[:3])}",
-                UserWarning,
-                stacklevel=2,
-            )
-        return result
     key = digest, options
-    if key not in _COMPILED:
-        _cache(_COMPILED, key, _made(what, make))
-    return _COMPILED[key]
-
-
-def _made(what: str, make: Callable[[], Any]) -> Any:
-    """Return the result of `make`, with its time as a stage of a long operation, before and after."""
+    if not unknown and key in _COMPILED:
+        return _COMPILED[key]
     stage = f"the machine code of {what} by Numba"
-    note_progress(stage)
+    note_progress(stage)  # before and after, so that the time is that of this stage
     with deferred():
         result = make()
     note_progress(stage)
+    if not unknown:
+        _cache(_COMPILED, key, result)
+    elif what not in _warned:
+        _warned.add(what)
+        warnings.warn(
+            f"{what} is compiled again whenever it is prepared, since some values it reads cannot be compared: "
+            f"{', '.join(unknown[:3])}",
+            UserWarning,
+            stacklevel=2,
+        )
     return result
-
-
-def compiled_digests() -> set[str]:
-    """Return the digests of all compiled functions."""
-    return {digest for digest, _ in _COMPILED}
 
 
 def _cache(cache: dict[Any, Any], key: Any, value: Any) -> None:
@@ -83,26 +70,32 @@ def _cache(cache: dict[Any, Any], key: Any, value: Any) -> None:
     cache[key] = value
 
 
-def _with_fresh_dispatchers(value: Any, fresh: dict[int, tuple[Any, Any]], compiles: bool) -> Any:
-    """Return a value with fresh dispatchers; if `compiles`, plain functions are compiled too."""
-    if id(value) in fresh:
-        return fresh[id(value)][1]
-    if isinstance(value, tuple) and type(value) is tuple:
-        return tuple(_with_fresh_dispatchers(entry, fresh, compiles) for entry in value)
+def _fresh(value: Any, made: dict[int, Any], attributes: frozenset[str] = frozenset(), compiles: bool = False) -> Any:
+    """Return a value whose dispatchers have no machine code, which may be older than what they read; if `compiles`,
+    plain functions become dispatchers.
+    """
+    if id(value) in made:
+        return made[id(value)][1]
+    if type(value) is tuple:
+        return tuple(_fresh(entry, made, attributes, compiles) for entry in value)
+    if isinstance(value, types.ModuleType) and not is_known(value.__name__):
+        module = types.ModuleType(value.__name__)
+        made[id(value)] = value, module
+        held = vars(value)
+        vars(module).update(
+            {**held, **{name: _fresh(held[name], made, attributes) for name in attributes & held.keys()}}
+        )
+        return module
     if isinstance(value, types.FunctionType) and compiles:
-        return _with_fresh_dispatchers(numba.njit(value, error_model="numpy"), fresh, compiles)
+        value = numba.njit(value, error_model="numpy")
     if not isinstance(value, numba.core.dispatcher.Dispatcher):
         return value
     digest, unknown = contents_of(value)
     if unknown or digest not in _FRESH:
-        new: Any = None
-
-        def register_copy(copy: types.FunctionType) -> None:
-            nonlocal new
-            new = type(value)(copy, value.locals, value.targetoptions)
-            fresh[id(value)] = value, new
-
-        _copied(value.py_func, fresh, register_copy)
+        copy = _unfilled_copy(value.py_func)
+        new: Any = type(value)(copy, value.locals, value.targetoptions)
+        made[id(value)] = value, new  # before it is filled, since it may call itself
+        _fill(copy, value.py_func, made)
         if not value._can_compile:
             for signature in value.nopython_signatures:
                 new.compile(signature)
@@ -113,41 +106,23 @@ def _with_fresh_dispatchers(value: Any, fresh: dict[int, tuple[Any, Any]], compi
     return _FRESH[digest]
 
 
-def _copied(
-    function: types.FunctionType,
-    fresh: dict[int, tuple[Any, Any]],
-    register_copy: Callable[[types.FunctionType], None] | None = None,
-) -> types.FunctionType:
-    """Return a copy of a function that reads fresh dispatchers, or if recursive what `register_copy` registers."""
-    cells = tuple(types.CellType() for _ in function.__closure__ or ())
+def _unfilled_copy(function: types.FunctionType) -> types.FunctionType:
+    cells = tuple(types.CellType() for _ in function.__closure__ or ()) or None
     names = dict(function.__globals__)
-    copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells or None)
+    copy = types.FunctionType(function.__code__, names, function.__name__, function.__defaults__, cells)
     copy.__kwdefaults__, copy.__qualname__ = function.__kwdefaults__, function.__qualname__
-    copy.__module__ = function.__module__
-    vars(copy).update(vars(function))
-    if register_copy is not None:
-        register_copy(copy)
-    compiles = is_own(function.__module__ or "")
-    for new, old in zip(cells, function.__closure__ or (), strict=True):
-        for value in cell_value(old):
-            new.cell_contents = _with_fresh_dispatchers(value, fresh, compiles)
-    _, attributes, _ = global_reads(function.__code__)
-    for name in attributes & names.keys():
-        names[name] = _with_fresh_dispatchers(_module(names[name], attributes, fresh), fresh, False)
     return copy
 
 
-def _module(value: Any, attributes: frozenset[str], fresh: dict[int, tuple[Any, Any]]) -> Any:
-    """Return a copy of a module with fresh dispatchers if it has any that are read; return other values unchanged."""
-    if not isinstance(value, types.ModuleType):
-        return value
-    replaced = {
-        name: _with_fresh_dispatchers(vars(value)[name], fresh, False) for name in attributes & vars(value).keys()
-    }
-    if all(vars(value)[name] is value_of_name for name, value_of_name in replaced.items()):
-        return value
-    copy = types.ModuleType(value.__name__)
-    vars(copy).update({**vars(value), **replaced})
+def _fill(copy: types.FunctionType, function: types.FunctionType, made: dict[int, Any]) -> types.FunctionType:
+    """Set the globals and cells of a copy to those of a function, with fresh dispatchers."""
+    names, attributes = global_reads(function.__code__)
+    for name in function.__globals__.keys() & {*names}:
+        copy.__globals__[name] = _fresh(function.__globals__[name], made, attributes)
+    held = cells_of(function)
+    for name, cell in zip(function.__code__.co_freevars, copy.__closure__ or (), strict=True):
+        if name in held:
+            cell.cell_contents = _fresh(held[name], made, attributes, is_own(function.__module__ or ""))
     return copy
 
 
@@ -166,15 +141,13 @@ def callback_of(
 
 
 # Functions from which on a warning is given, after some seconds of compilation, and the time (s) that one takes.
-WARNING_COUNT = 48
-SECONDS_PER_FUNCTION = 0.05
+WARNING_COUNT, SECONDS_PER_FUNCTION = 48, 0.05
 
 
 def warn_many_functions(functions: Sequence[Callable[..., Any]]) -> None:
     """Warn before compiling so many functions of a Hamiltonian that it takes seconds."""
-    if len(functions) < WARNING_COUNT:
-        return
-    count = len({compilation_key(function) for function in functions} - compiled_digests())
+    known = {digest for digest, _ in _COMPILED}
+    count = len({compilation_key(function) for function in functions} - known) if len(functions) >= WARNING_COUNT else 0
     if count >= WARNING_COUNT:
         warnings.warn(
             f"{count} different Python functions are compiled one by one, about {SECONDS_PER_FUNCTION * count:.0f} s "
@@ -186,10 +159,48 @@ def warn_many_functions(functions: Sequence[Callable[..., Any]]) -> None:
 
 
 def _compiled(function: Callable[..., Any], size: int, results: int, scalar: bool, flat: bool, timed: bool) -> Any:
-    # The result is NaN until the function returns: if it raises, the NaN remains and stops the run.
-    inner = called_in_machine_code(function)
-    body = _array(inner, size, results, timed) if flat and not scalar else _value(inner, size, scalar, timed)
-    return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(body)
+    inner, is_array = called_in_machine_code(function), flat and not scalar
+    count = results if is_array else 1
+
+    def call(y: Any, t: float, out: Any) -> None:  # Numba compiles only the branches of these arguments
+        for k in range(count):
+            out[k] = np.nan  # stops the run if the function raises
+        x = y[0] if scalar else carray(y, (size,))
+        succeeded, value = attempt(inner, x, t) if timed else attempt(inner, x)
+        if succeeded:
+            if is_array:
+                values = np.asarray(value).ravel()
+                for k in range(count):
+                    out[k] = values[k]
+            else:
+                out[0] = value
+
+    return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(call)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def attempt(context: Any, function: Any, *arguments: Any) -> Any:
+    """Call a compiled function; return whether it has not raised, and its result. Numba compiles a block of `try` in
+    half as much time again as the whole callback without it.
+    """
+    signature = function.get_call_type(context, arguments, {})
+    result = numba_types.Tuple((numba_types.boolean, signature.return_type))
+
+    def generate(target: Any, builder: Any, _: Any, values: Any) -> Any:
+        compiled = function.dispatcher.get_compile_result(signature)
+        target.active_code_library.add_linking_library(compiled.library)
+        given = [builder.extract_value(values[1], k) for k in range(len(arguments))]
+        for k, wanted in enumerate(signature.args):
+            if isinstance(wanted, numba_types.StarArgTuple | numba_types.StarArgUniTuple):
+                given[k:] = [target.make_tuple(builder, wanted, given[k:])]
+            elif k < len(arguments):
+                given[k] = target.cast(builder, given[k], arguments[k], wanted)
+            else:
+                given.append(None)  # a default
+        status, value = target.call_internal_no_propagate(builder, compiled.fndesc, signature, given)
+        return target.make_tuple(builder, result, (status.is_ok, value))
+
+    return result(function, numba_types.StarArgTuple(arguments)), generate
 
 
 def called_in_machine_code(function: Any) -> Any:
@@ -197,8 +208,11 @@ def called_in_machine_code(function: Any) -> Any:
     if isinstance(function, MultipleOf):
         return _multiple(called_in_machine_code(function.function), function.factor, function.scalar)
     if isinstance(function, types.FunctionType):
-        return numba.njit(boundscheck=True, **_INTERNAL_OPTIONS)(_copied(function, {}))
-    return _with_fresh_dispatchers(function, {}, False)
+        copy = _fill(_unfilled_copy(function), function, {})
+        return numba.njit(boundscheck=True, **_INTERNAL_OPTIONS)(copy)
+    inner = _fresh(function, {})
+    is_dispatcher = isinstance(inner, numba.core.dispatcher.Dispatcher)
+    return inner if is_dispatcher else numba.njit(**_INTERNAL_OPTIONS)(lambda *arguments: inner(*arguments))
 
 
 # Called by compiled code only, so that no Python wrappers are compiled.
@@ -222,48 +236,6 @@ def numba_error_text(error: Exception) -> str:
     return " ".join(informative[:3])[:400]
 
 
-def _value(inner: Any, size: int, scalar: bool, timed: bool) -> Callable[..., None]:
-    """Return a callback for one number; Numba compiles only the branches of these arguments."""
-
-    def call(y: Any, t: float, out: Any) -> None:
-        out[0] = np.nan
-        x = y[0] if scalar else carray(y, (size,))
-        try:
-            out[0] = inner(x, t) if timed else inner(x)
-        except Exception:
-            out[0] = np.nan
-
-    return call
-
-
-def _array(inner: Any, size: int, results: int, timed: bool) -> Callable[..., None]:
-    def fill(y: Any, t: float, out: Any) -> None:
-        for k in range(results):
-            out[k] = np.nan
-        x = carray(y, (size,))
-        values = np.asarray(inner(x, t) if timed else inner(x)).ravel()
-        for k in range(results):
-            out[k] = values[k]
-
-    return not_a_number_after_errors(fill)
-
-
-def not_a_number_after_errors(fill: Callable[..., None]) -> Callable[..., None]:
-    """Return a function that fills numbers, the first of them by NaN if it raises.
-
-    A block of `try` takes Numba much longer than the same statements outside it: this one has a single call.
-    """
-    filled = numba.njit(**_INTERNAL_OPTIONS)(fill)
-
-    def call(y: Any, t: float, out: Any) -> None:
-        try:
-            filled(y, t, out)
-        except Exception:
-            out[0] = np.nan
-
-    return call
-
-
 STEP_SIGNATURE = numba_types.int64(
     numba_types.CPointer(numba_types.int64), POINTER, numba_types.float64, numba_types.float64, POINTER
 )
@@ -276,48 +248,6 @@ SYSTEMS = (SystemView, DifferentiableSystem)
 HAMILTONIANS = (HamiltonianView, DifferentiableHamiltonian)
 
 
-def _kernel(name: str, *arguments: Any, result: Any = None) -> Any:
-    function = getattr(kernels(), name)
-    function.argtypes, function.restype = [ctypes.c_int64, ctypes.c_int64, *arguments], result
-    return function
-
-
-FIELD = _kernel("field_at", ctypes.c_double, ctypes.c_int64)
-GRADIENT = _kernel("gradient_at", ctypes.c_double, ctypes.c_int64)
-HESSIAN = _kernel("hessian_at", ctypes.c_double, ctypes.c_int64)
-JACOBIAN = _kernel("jacobian_at", ctypes.c_double, ctypes.c_int64)
-STRUCTURE = _kernel("structure_at", ctypes.c_int64)
-ENERGY = _kernel("energy_at", ctypes.c_double, result=ctypes.c_double)
-
-
-def _array_method(kernel: Any, adapt: Any, matrix: bool) -> Callable[..., Any]:
-    """Return a method whose result is a vector, or a `matrix`; Numba compiles only one branch."""
-
-    def method(self: Any, x: Any, t: float = 0.0) -> Any:
-        y, out = adapt(x), np.empty((self.dim, self.dim) if matrix else self.dim)
-        kernel(self.address, y.ctypes.data, t, out.ctypes.data)
-        return out
-
-    return method
-
-
-def _structure_method(kernel: Any, adapt: Any) -> Callable[..., Any]:
-    def method(self: Any, x: Any) -> Any:
-        y, out = adapt(x), np.empty((self.dim, self.dim))
-        kernel(self.address, y.ctypes.data, out.ctypes.data)
-        return out
-
-    return method
-
-
-def _number_method(kernel: Any, adapt: Any) -> Callable[..., Any]:
-    def method(self: Any, x: Any, t: float = 0.0) -> Any:
-        y = adapt(x)
-        return kernel(self.address, y.ctypes.data, t)
-
-    return method
-
-
 @numba.njit(inline="always")
 def _unchanged(x: Any) -> Any:
     return x
@@ -328,9 +258,34 @@ def _contiguous(x: Any) -> Any:
     return np.ascontiguousarray(x).astype(np.float64)
 
 
-def _add_method(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], kernel: Any) -> None:
+def _method(kernel: Any, adapt: Any, result: str, timed: bool) -> Callable[..., Any]:
+    """Return a method that calls a compiled kernel; Numba compiles only one branch of the second one."""
+    matrix = result == "matrix"
+
+    def number(self: Any, x: Any, t: float = 0.0) -> Any:
+        y = adapt(x)
+        return kernel(self.address, y.ctypes.data, t)
+
+    def array(self: Any, x: Any, t: float = 0.0) -> Any:
+        y, out = adapt(x), np.empty((self.dim, self.dim) if matrix else self.dim)
+        kernel(self.address, y.ctypes.data, t, out.ctypes.data)
+        return out
+
+    def constant(self: Any, x: Any) -> Any:
+        y, out = adapt(x), np.empty((self.dim, self.dim))
+        kernel(self.address, y.ctypes.data, out.ctypes.data)
+        return out
+
+    return number if result == "number" else array if timed else constant
+
+
+def _add_method(kinds: tuple[Any, ...], name: str, kernel_name: str, result: str, timed: bool = True) -> None:
     """Add a method to tuples of these kinds in compiled code."""
-    direct, copying = make(kernel, _unchanged), make(kernel, _contiguous)
+    kernel, is_number = getattr(kernels(), kernel_name), result == "number"
+    integer, real = ctypes.c_int64, ctypes.c_double
+    kernel.argtypes = [integer, integer, *([real] if timed else []), *([] if is_number else [integer])]
+    kernel.restype = real if is_number else None
+    direct, copying = (_method(kernel, adapt, result, timed) for adapt in (_unchanged, _contiguous))
 
     def select(self: Any, x: Any) -> Any:
         if getattr(self, "instance_class", None) not in kinds:
@@ -342,16 +297,16 @@ def _add_method(kinds: tuple[Any, ...], name: str, make: Callable[..., Any], ker
         return select(self, x)
 
     for kind in (numba_types.NamedTuple, numba_types.NamedUniTuple):
-        overload_method(kind, name)(select_timed if "t" in inspect.signature(direct).parameters else select)
+        overload_method(kind, name)(select_timed if timed else select)
 
 
-_add_method(SYSTEMS, "vector_field", partial(_array_method, matrix=False), FIELD)
-_add_method(SYSTEMS, "structure_matrix", _structure_method, STRUCTURE)
-_add_method(SYSTEMS, "energy", _number_method, ENERGY)
-_add_method(SYSTEMS[1:], "jacobian", partial(_array_method, matrix=True), JACOBIAN)
-_add_method(HAMILTONIANS, "gradient", partial(_array_method, matrix=False), GRADIENT)
-_add_method(HAMILTONIANS, "value", _number_method, ENERGY)
-_add_method(HAMILTONIANS[1:], "hessian", partial(_array_method, matrix=True), HESSIAN)
+_add_method(SYSTEMS, "vector_field", "field_at", "vector")
+_add_method(SYSTEMS, "structure_matrix", "structure_at", "matrix", timed=False)
+_add_method(SYSTEMS, "energy", "energy_at", "number")
+_add_method(SYSTEMS[1:], "jacobian", "jacobian_at", "matrix")
+_add_method(HAMILTONIANS, "gradient", "gradient_at", "vector")
+_add_method(HAMILTONIANS, "value", "energy_at", "number")
+_add_method(HAMILTONIANS[1:], "hessian", "hessian_at", "matrix")
 
 
 def compiled_step(
@@ -386,13 +341,11 @@ def _compiled_function(
         address = numbers.ctypes.data
         system = system_kind(n, sign, address, hamiltonian_kind(n, address))
         state = carray(x, (n,)).copy()
-        try:
-            new_state = inner(scheme, system, state, t, h)
-            if new_state.size == n:
-                for k in range(n):
-                    out[k] = new_state[k]
-        except Exception:
-            out[0] = np.nan
+        succeeded, new_state = attempt(inner, scheme, system, state, t, h)
+        out[0] = np.nan
+        if succeeded and new_state.size == n:
+            for k in range(n):
+                out[k] = new_state[k]
         return 0
 
     return numba.cfunc(STEP_SIGNATURE, nopython=True, error_model="numpy")(call)

@@ -315,7 +315,7 @@ def _adapted_stream(
     import numba
     from numba import carray
 
-    from coadjoint.kernels.functions.compilation import SIGNATURE, called_in_machine_code, not_a_number_after_errors
+    from coadjoint.kernels.functions.compilation import SIGNATURE, attempt, called_in_machine_code
 
     inner: Any = called_in_machine_code(function)
     blocks = np.array(traceless, dtype=np.int64).reshape(-1, 2)
@@ -335,8 +335,8 @@ def _adapted_stream(
         out[:] = np.nan
         matrix = carray(W, (2 * N * N,)).copy().view(np.complex128).reshape((N, N))
         centre(matrix)
-        result = inner(matrix, t) if timed else inner(matrix)
-        for i in range(N):
+        succeeded, result = attempt(inner, matrix, t) if timed else attempt(inner, matrix)
+        for i in range(N if succeeded else 0):
             for j in range(N):
                 value = complex(result[i, j])
                 out[2 * (i * N + j)] = value.real
@@ -347,13 +347,12 @@ def _adapted_stream(
         out[:] = np.nan
         matrix = carray(W, (N * N,)).copy().reshape((N, N))
         centre(matrix)
-        result = inner(matrix, t) if timed else inner(matrix)
-        for i in range(N):
+        succeeded, result = attempt(inner, matrix, t) if timed else attempt(inner, matrix)
+        for i in range(N if succeeded else 0):
             for j in range(N):
                 out[i * N + j] = result[i, j]
 
     with warnings.catch_warnings():
         # Suppress Numba's warning that products of transposed matrices are slower.
         warnings.simplefilter("ignore", numba.NumbaPerformanceWarning)
-        filled = not_a_number_after_errors(of_complex if complex_entries else of_real)
-        return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(filled)
+        return numba.cfunc(SIGNATURE, nopython=True, error_model="numpy")(of_complex if complex_entries else of_real)
