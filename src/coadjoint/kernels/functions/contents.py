@@ -32,7 +32,7 @@ PLAIN = frozenset(
     {bool, int, float, complex, str, bytes, type(None), type(...), Fraction, Decimal, range, date, timedelta}
 )
 CONTAINERS = frozenset({tuple, list, set, frozenset, dict, types.MappingProxyType})
-DATA = (dict, tuple, list, set, frozenset, int, float, complex, str, bytes)
+DATA: tuple[Any, ...] = (dict, tuple, list, set, frozenset, int, float, complex, str, bytes)
 """Types of which a derived one has the value, beside its attributes."""
 
 
@@ -155,7 +155,7 @@ def _parts_of_instance(value: Any, walk: _Digester) -> list[Any]:
     if is_dataclass(value) and is_own(kind.__module__):
         return [kind, *(getattr(value, field.name) for field in fields(value))]
     data = next((base(value) for base in DATA if isinstance(value, base)), None)
-    state = object.__getstate__(value)  # type: ignore[attr-defined]
+    state: Any = object.__getstate__(value)  # type: ignore[attr-defined]
     hidden = data is None and state is None and not hasattr(value, "__dict__")
     if hidden or any(base.__module__ in ("ctypes", "_ctypes") for base in kind.__mro__):
         return walk.give_up(f"an object of {kind.__qualname__}")
