@@ -25,7 +25,8 @@ from coadjoint.methods.numerics.tuned_parts import MIN_STEPS, RELATIVE_STEP, orb
 from coadjoint.methods.protocol.method import Method, declared_properties
 from coadjoint.methods.registry import reference_scheme
 from coadjoint.runs.integrate import integrate
-from coadjoint.runs.preparation import Preparation, trial_run
+from coadjoint.runs.measured_steps import trial_run
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.start import momenta_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.coordinates import in_coordinates_of
@@ -301,7 +302,7 @@ def suggest_step(
 def _largest_step(system: LiePoissonSystem, method: Method, start: Floats, bound: float) -> float:
     rate, order = rate_at(system, start), method.order
     target, shortest = 0.5 * (1.0 + SUFFICIENT) * bound, SHORTEST / rate
-    prepared = Preparation(system, method, 1.0 / rate, threads=1)
+    prepared = PreparedRun(system, method, 1.0 / rate, threads=1)
 
     def change_in(h: float, count: int) -> float:
         run = trial_run(prepared, Times(0.0, h, count, count), start[None])

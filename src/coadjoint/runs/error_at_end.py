@@ -14,7 +14,7 @@ from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.error_estimates import WHOLE_STEP_TOLERANCE, loses_digits
 from coadjoint.runs.measured_steps import OF_ZERO, error_by_comparison, trial_states
 from coadjoint.runs.partial_steps import resample
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import Run, advance_in_turns, advance_up
 from coadjoint.runs.start import any_momenta_of
@@ -134,7 +134,7 @@ def _distances(
             advance(run)
             resample(run, moments)
 
-    prepared = Preparation(solution.system, finer.method, abs(plan.h), watch=False)
+    prepared = PreparedRun(solution.system, finer.method, abs(plan.h), watch=False)
     size = max(1, MAX_SAVED_NUMBERS // (points * starts.shape[1]))
     size = len(starts) if solution.system.is_batch else size
     if advance is not Run.advance:
@@ -153,7 +153,7 @@ def _distances(
 
 
 def _of_zero(
-    prepared: Preparation, x: NDArray[np.float64], plan: Times, groups: CoordinateGroups, sizes: NDArray[np.float64]
+    prepared: PreparedRun, x: NDArray[np.float64], plan: Times, groups: CoordinateGroups, sizes: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Return the groups (members, groups) that are zero but for rounding in a run (times, members, n)."""
     if groups.count == 1:

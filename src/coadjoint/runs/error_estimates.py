@@ -24,7 +24,7 @@ from coadjoint.runs.measured_steps import (
     states_at,
     trial_states,
 )
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.quantities import sum_of_absolute_terms
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import advance_in_turns
@@ -74,7 +74,7 @@ def loses_digits(solution: Solution) -> bool:
     return MeasuredSteps(solution, None).lossy
 
 
-def warn_of_large_step(solution: Solution, prepared: Preparation) -> bool:
+def warn_of_large_step(solution: Solution, prepared: PreparedRun) -> bool:
     """Warn if an error over the run is large, or an invariant is lost, or rounding is; return whether the step is."""
     start, end = solution.asked_span
     if prepared.method.own_steps or prepared.system.has_noise or abs(end - start) < 0.5 * solution.step:
@@ -131,7 +131,7 @@ def warn_of_large_step(solution: Solution, prepared: Preparation) -> bool:
     return lost.large or wrong.error > OVER_RUN
 
 
-def warn_of_lost_invariant(solution: Solution, prepared: Preparation, lost: LostInvariant) -> None:
+def warn_of_lost_invariant(solution: Solution, prepared: PreparedRun, lost: LostInvariant) -> None:
     """Warn of an invariant that is not kept."""
     warn_caller(
         f"the step {solution.step:g} is too large for {_motion(solution, lost)}: {lost.name} deviates by "
@@ -141,7 +141,7 @@ def warn_of_lost_invariant(solution: Solution, prepared: Preparation, lost: Lost
     )
 
 
-def warn_of_blocks(solution: Solution, prepared: Preparation, found: list[list[Any]]) -> None:
+def warn_of_blocks(solution: Solution, prepared: PreparedRun, found: list[list[Any]]) -> None:
     """Warn of the invariant that deviates most among those that blocks of an ensemble have lost."""
     lost = [LostInvariant(*one) for one in found]
     largest = max(lost, key=lambda one: one.ratio)
@@ -154,7 +154,7 @@ def _motion(solution: Solution, worst: Wrong | LostInvariant) -> str:
     return "this motion" if solution.failed is None else f"the motion of member {worst.member}{others}"
 
 
-def _smaller_step(solution: Solution, prepared: Preparation, error: float, truncation: float) -> float:
+def _smaller_step(solution: Solution, prepared: PreparedRun, error: float, truncation: float) -> float:
     """Return the step at which the error over the run, and that of a step, are small, by the order."""
     ratio = min(0.1 * OVER_RUN / min(1.0, error), SUGGESTED / min(error, truncation))
     return solution.step * float(ratio ** (1.0 / prepared.scheme.order))

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.runs.preparation import Preparation, trial_run
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.results.solution_attributes import ends_by_events, member_count
 from coadjoint.runs.run import Run, rounding
-from coadjoint.runs.start import any_momenta_of, vector_size
+from coadjoint.runs.start import any_momenta_of, start_without_groups, vector_size
 from coadjoint.runs.times import STEP_SHARE, Times
 from coadjoint.systems.coordinates import CoordinateGroups
 from coadjoint.systems.evaluation import ignore_overflow
@@ -74,7 +74,7 @@ class MeasuredSteps:
     """Steps of a run at a few points: their errors, changes and rounding, by member and group of coordinates."""
 
     @ignore_overflow
-    def __init__(self, solution: Solution, prepared: Preparation | None, suspects: tuple[int, ...] = ()) -> None:
+    def __init__(self, solution: Solution, prepared: PreparedRun | None, suspects: tuple[int, ...] = ()) -> None:
         # An archive need not know its scheme and system; that of a run with inputs has their values.
         described: Any = solution if prepared is None or prepared.takes_inputs else prepared
         method, system = described.method, described.system
@@ -84,7 +84,7 @@ class MeasuredSteps:
             raise TypeError(f"{system.name} has random forces, which are defined for whole steps only")
         # Loops of a run with attitudes need elements, and those with inputs their values.
         if prepared is None or prepared.representation is not None or prepared.takes_inputs:
-            prepared = Preparation(system, method, solution.step, watch=False, threads=1)
+            prepared = PreparedRun(system, method, solution.step, watch=False, threads=1)
         self.solution, self.method, self.system = solution, method, system
         self.groups = CoordinateGroups(system)
         self.h = math.copysign(solution.step, solution.t_span[1] - solution.t_span[0])
@@ -327,7 +327,7 @@ class MeasuredSteps:
         j = int(np.argmax(np.nan_to_num(lengths, nan=0.0, posinf=0.0)))
         return t + j * h, path[j].copy()
 
-    def of_member(self, m: int) -> Preparation:
+    def of_member(self, m: int) -> PreparedRun:
         """Return the run of a chosen member in one thread."""
         return self.alone.sampled(np.array([m])) if self.system.is_batch else self.alone
 
@@ -339,7 +339,7 @@ def most_steps(solution: Solution, numbers: int, h: float) -> int:
 
 
 def trial_states(
-    prepared: Preparation, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance
+    prepared: PreparedRun, states: Floats, times: Times, advance: Callable[[Run], None] = Run.advance
 ) -> Floats:
     """Return the states of a trial run, (times, members, n); NaN of members that fail."""
     run = trial_run(prepared, times, states, advance)
@@ -375,3 +375,12 @@ def sampled_members(solution: Solution, system: Any, most: int) -> NDArray[np.in
 def error_by_comparison(difference: Any, left: float) -> Any:
     """Return the error of a result from its difference to a better one, which has the fraction `left` of the error."""
     return difference / (1.0 - left)
+
+
+def trial_run(
+    prepared: PreparedRun, times: Times, momenta: NDArray[np.float64], advance: Callable[[Run], None] = Run.advance
+) -> Run:
+    """Run from momenta (members, n) without group elements; failures are in `status` of its state."""
+    run = prepared.begun(times, start_without_groups(prepared.system, momenta))
+    advance(run)
+    return run

@@ -14,7 +14,7 @@ from coadjoint.errors import IntegrationError
 from coadjoint.kernels.interface import codes
 from coadjoint.long_operations import paced, progress_bar
 from coadjoint.runs.plan_and_state import State
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.memory_solution import REPORTED_ARRAYS, solution_of_run
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.run import first_point_not_finite
@@ -38,7 +38,7 @@ class PiecewiseRun:
 
     def __init__(
         self,
-        prepared: Preparation,
+        prepared: PreparedRun,
         times: Times,
         start: Start,
         max_points: int,

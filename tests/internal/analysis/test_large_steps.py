@@ -266,15 +266,15 @@ def test_a_suspected_run_is_checked_by_few_gradients_and_loops(monkeypatch, forc
     """Six gradients for the size of an energy, and no loops of half a step for the error of a step."""
     from coadjoint.runs import error_estimates
     from coadjoint.runs.measured_steps import MeasuredSteps
-    from coadjoint.runs.preparation import Preparation
+    from coadjoint.runs.prepared_run import PreparedRun
 
-    counts, gradients_at, loops = [], error_estimates.gradients_at, Preparation.loops
+    counts, gradients_at, loops = [], error_estimates.gradients_at, PreparedRun.loops
     monkeypatch.setattr(error_estimates, "gradients_at", lambda s, x, t: counts.append(len(x)) or gradients_at(s, x, t))
     body = co.systems.heavy_top()
     body = body.with_forces(co.forces.LinearDamping(1e-3)) if forced else body
     sol, found = told(lambda: co.integrate(body, (1.0, 0.0, 2.0, 0.1, 0.0, 1.0), (0, 64), 0.64, co.Splitting()))
     assert counts == [6] and found
     steps = []
-    monkeypatch.setattr(Preparation, "loops", lambda self, h: steps.append(abs(h)) or loops(self, h))
+    monkeypatch.setattr(PreparedRun, "loops", lambda self, h: steps.append(abs(h)) or loops(self, h))
     MeasuredSteps(sol, None)
     assert set(steps) == {0.64}

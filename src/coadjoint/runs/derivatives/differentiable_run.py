@@ -21,7 +21,6 @@ from coadjoint.runs.derivatives.stretches import ONE, Stretch, carry
 from coadjoint.runs.events import Event
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import check_partial_steps, resample
-from coadjoint.runs.preparation import Preparation
 from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.runs.results.solution import Solution
 from coadjoint.runs.times import OutputTimes, Times
@@ -165,7 +164,7 @@ class Trajectory:
         elements = self._elements()[: len(self.point)]
         self.outputs = self.with_members(self.start.system.rows_of(self.solution.x)), np.swapaxes(elements, 2, 3)
 
-    def _take_steps(self, prepared: Preparation, times: Times) -> None:
+    def _take_steps(self, prepared: PreparedRun, times: Times) -> None:
         """Take whole steps, in stretches."""
         self.times, self._run = times, prepared.begun(times, self.start, self.values)
         self.workers, self.threads_inside = self._run.plan.workers, self._run.plan.inside

@@ -25,7 +25,7 @@ from coadjoint.runs.loops.loops import loops_of_system
 from coadjoint.runs.loops.member_batches import Columns
 from coadjoint.runs.loops.shifted_attitude import AttitudeDerivatives
 from coadjoint.runs.partial_steps import PartialSteps
-from coadjoint.runs.preparation import Preparation
+from coadjoint.runs.prepared_run import PreparedRun
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameter_differences import (
     DISTANCE,
@@ -81,7 +81,7 @@ def build_tables(run: DifferentiableRun, h: float, names: Sequence[str], by_inpu
     return forced_tables(inner, steps_at, every, [*names, *([INPUTS] if by_inputs else [])])
 
 
-def differ_in_columns(prepared: Preparation) -> bool:
+def differ_in_columns(prepared: PreparedRun) -> bool:
     """Return whether the members of a batch differ in coefficients of one set of tables, also those of derivatives."""
     loops: Any = prepared.loops(prepared.step)
     if loops.columns_of_members is None or loops.order is not None:
