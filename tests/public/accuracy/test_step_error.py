@@ -97,7 +97,7 @@ def test_near_equilibria_the_error_of_the_whole_run_counts(share, warns):
     steps = int(share * OVER_RUN / error)
     assert steps > 100
     sol, found = told(lambda: co.integrate(LATTICE, ALIGNED, (1, 1 + steps * h), h, method, save_every=steps))
-    assert sol.step_error() > 0.9 and len(found) == warns
+    assert np.isnan(sol.step_error()) and len(found) == warns
     assert not warns or "take a step of about 0.002" in found[0]  # an error of 0.2 percent
 
 
@@ -106,7 +106,7 @@ def test_small_motions_near_equilibria_are_judged_as_others(amplitude, warns):
     """Waves of spins are lost in the error of a step, however short the run; at rest there is no motion to lose."""
     x0 = ALIGNED + amplitude * np.random.default_rng(1).standard_normal(48)
     sol, found = told(lambda: co.integrate(LATTICE, x0, (0, 0.1), 0.02, co.Splitting(order=2)))
-    assert sol.step_error() > 0.1 and len(found) == warns
+    assert np.isnan(sol.step_error()) == (not warns) and len(found) == warns
 
 
 def test_the_worst_member_counts():

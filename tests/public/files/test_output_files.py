@@ -62,7 +62,7 @@ def test_a_store_with_other_content_is_not_replaced(output, name):
     output("run.zarr", refused=False)
     CONTENTS[name](Path("run.zarr"))
     before, error = tree(), output("run.zarr")
-    assert error.startswith("run.zarr: ") and (name in error or " " in name) and tree() == before
+    assert "run.zarr: " in error and (name in error or " " in name) and tree() == before
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -70,10 +70,10 @@ def test_a_store_with_other_content_is_not_replaced(output, name):
 def test_a_store_of_another_program_is_not_replaced(output, version):
     xarray.Dataset({"x": ("time", [1.0, 2.0])}).to_zarr("run.zarr", zarr_format=version, consolidated=version == 2)
     before = tree()
-    assert output("run.zarr").startswith("run.zarr: ") and tree() == before
+    assert "run.zarr: " in output("run.zarr") and tree() == before
     Path("other.zarr").mkdir()
     (Path("other.zarr") / "zarr.json").write_text("{}")
-    assert output("other.zarr").startswith("other.zarr: ")
+    assert "other.zarr: " in output("other.zarr")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="links")
@@ -85,7 +85,7 @@ def test_a_link_in_the_place_of_a_store_is_not_followed(output, there):
     elif there == "an empty folder":
         Path("behind").mkdir()
     before = tree()
-    assert output("run.zarr").startswith("run.zarr: ") and tree() == before
+    assert "run.zarr: " in output("run.zarr") and tree() == before
 
 
 @pytest.mark.parametrize("suffix", [".nc", ".zarr", ".png"])
@@ -140,4 +140,4 @@ def test_targets_of_a_file_are_refused_by_run_and_check(files, key, target):
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="nobody can create files in /proc")
 def test_a_folder_that_cannot_be_written_is_refused(output):
-    assert output("/proc/run.zarr").startswith("/proc/run.zarr: cannot be written (")
+    assert "/proc/run.zarr: cannot be written (" in output("/proc/run.zarr")
