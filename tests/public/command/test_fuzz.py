@@ -74,7 +74,7 @@ initial = {x = [1.0, 0.1, 0.5]}
 @pytest.mark.parametrize(
     ("more", "named"),
     [
-        ('run = {t_span = [0, 1], step = 0.1, t_eval = [0.25]}\noutput.archive = "a.zarr"', ("run.t_eval", "archive")),
+        ('run = {t_span = [0, 1], step = 0.1, t_eval = [0.25]}\noutput.archive = "a.zarr"', ("t_eval", "archive")),
         (
             'run = {t_span = [0, 1], step = 0.1}\noutput.archive = "a.zarr"\n[events.e]\ng = "x1"',
             ("events", "archive"),

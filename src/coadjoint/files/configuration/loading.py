@@ -76,13 +76,13 @@ class Configuration:
         from coadjoint.files.archives.resume import archive_run
 
         stored: Any = {"coordinates": over_members(self.swept), "attributes": {CONFIGURATION: self.text}}
-        arguments: Any = prepared, self.x0, run.span, run.save_every
+        asked = self.x0, run.span, run.save_every
         if run.workers is not None:
             pool = read_worker_pool(None, run.workers, run.threads)
-            solution = run_in_blocks(*arguments, archive, pool, progress=progress, **stored)
+            solution = run_in_blocks(prepared, *asked, archive, pool, progress=progress, **stored)
         else:
             assert archive is not None
-            solution = archive_run(*arguments, archive, **options, **stored)
+            solution = archive_run(prepared, *asked, archive=archive, **{**options, **stored})
         return with_choice(solution, self.choice)
 
     def dataset(self, solution: Solution) -> xarray.Dataset:

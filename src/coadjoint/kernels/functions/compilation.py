@@ -227,9 +227,11 @@ def _multiple(inner: Any, factor: float, scalar: bool) -> Any:
 
 def numba_error_text(error: Exception) -> str:
     """Return the informative lines of a Numba error, joined to one line; of a call of a Python function, its name."""
-    if helper := re.search(r"Untyped global name '(\w+)'[^\n]*\s*[^\n]*<class 'function'>", str(error)):
+    _, calls, text = str(error).partition("<intrinsic attempt>")
+    text = text.partition("raised a specific error:")[2] if calls else str(error)
+    if helper := re.search(r"Untyped global name '(\w+)'[^\n]*\s*[^\n]*<class 'function'>", text):
         return f"it calls the Python function {helper[1]}; compile that one too, by the decorator @numba.njit"
-    lines = [line.strip(" -\x1b[0123456789;m") for line in str(error).splitlines()]
+    lines = [line.strip(" -\x1b[0123456789;m").removeprefix("TypingError: ") for line in text.splitlines()]
     informative = [
         line for line in lines if line and not line.startswith(("Failed in", "During:", "File ", "For more", "<"))
     ]
