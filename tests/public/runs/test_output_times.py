@@ -262,3 +262,17 @@ def test_spans_within_rounding_of_none_have_no_steps(end):
     """A time that was summed misses the start of the next run by an ulp or two."""
     sol = co.integrate(BODY, X, (end, end + 2 * np.spacing(end) if end else 0.0), 0.1)
     assert sol.stats.steps == 0 and np.array_equal(sol.x, [X])
+
+
+def test_members_that_fail_beside_others_are_left_out():
+    """Damped members at times between the steps, of which some have ended: rows of no length stand in their place."""
+    system = co.LiePoissonSystem(co.algebras.so(3), co.Polynomial({(4, 0, 0): 1.0, (0, 2, 0): 0.5, (0, 0, 2): 0.3}))
+    damped, times = system.with_forces(co.forces.LinearDamping(0.2)), [0.0, 0.04, 0.1]
+    x0 = np.resize([1.0, 30.0, 1e60, 0.9, 1e70], 9)[:, None] * [0.583, 0.883, -0.719]
+    run = {"t_span": (0.0, 0.1875), "step": 0.015625, "method": co.CommutatorFree(2), "t_eval": times}
+    with pytest.raises(co.IntegrationError) as caught:
+        co.integrate(damped, x0, **run)
+    found = caught.value.partial.x
+    assert np.isnan(found[1:, 2::5]).all() and np.isnan(found[1:, 4::5]).all()
+    for m in (0, 3, 5, 8):
+        np.testing.assert_array_equal(found[:, m], co.integrate(damped, x0[m], **run).x)

@@ -56,7 +56,7 @@ class Force {
     FieldWorkspace<double> workspace;
     ExponentialAction exponential;
     std::vector<double> one, two, three, four, five, six, expm1;
-    double prepared_for = 0.0;  // the time for which `expm1` is computed
+    double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `expm1` is computed
     std::unique_ptr<ModeForce> modes;
     std::unique_ptr<SpinBath> spins;
 

@@ -38,7 +38,7 @@ class ModeForce {
     const ForceTable& table;
     Modes modes;
     std::vector<double> values;
-    double prepared_for = 0.0;  // the time for which `values` is computed
+    double prepared_for = std::numeric_limits<double>::quiet_NaN();  // the time for which `values` is computed
 
     // exp(-(rate + i turning) tau) - 1.
     void prepare(double tau) {
