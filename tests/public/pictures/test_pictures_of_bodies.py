@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from drawn_runs import (
+    BARE,
     SENSES,
     T0,
     TURN,
@@ -98,6 +99,14 @@ def test_axes_in_space_of_members_that_hang_down():
     for wrong in ((0.0, 0.0, 0.0), (1.0, 2.0)):
         with refused(ValueError, "axis"):
             axes_of(run, "nutation", axis=wrong)
+
+
+@pytest.mark.parametrize("sense", SENSES)
+def test_an_axis_that_goes_round_a_cone_has_its_azimuth_and_its_tilt(sense):
+    tilted = rotations((0, 0, 1), 0.4 + sense * TURN) @ rotations((1, 0, 0), np.array([0.5]))
+    run = made(np.ones((len(TURN), 3)), BARE, attitude=tilted, carried="representation")
+    found = data(axes_of(run, "nutation", turns=2.0).lines[0])
+    np.testing.assert_allclose(found, np.degrees([sense * TURN, 0.5 + 0.0 * TURN]), rtol=0, atol=1e-10)
 
 
 def test_the_path_in_space_is_the_integral_of_the_velocity():
