@@ -70,6 +70,15 @@ def test_measured_rounding_stays_below_the_accuracy(ratio, windows):
         assert seen * (100 * windows / found.steps) ** 16 * windows <= 7 / 8 * required
 
 
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("steps", [9, 10, 11])
+def test_a_confirmed_error_is_that_of_the_steps_of_the_run(steps):
+    """Over three windows, each tried with the whole number of steps below a third of them."""
+    wanted = 3e-3 * (9.0 / steps) ** 16
+    found = confirmed_fit(found_of(lambda tried: 1e-3 * (3.0 / tried) ** 16, steps, 3.0), wanted, 4.0 * wanted)
+    assert found.steps == steps and found.error == pytest.approx(wanted, rel=1e-12) and found.pilot.tried == [3]
+
+
 @pytest.mark.parametrize("windows", [1.0, 3.0])
 def test_rounding_that_remains_too_large_is_reported(windows):
     """More steps do not help; the error is the accuracy at which the fit is accepted."""

@@ -203,14 +203,27 @@ def test_orders_are_those_of_the_smallest_steps_above_round_off():
     assert abs(found.order - 4) < 1e-9 and found.dropped == 4
 
 
+DRIVEN = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
+
+
 @pytest.mark.parametrize(
     ("method", "step"), long_beyond(1, [(co.SphericalMidpoint(), -0.1), (co.GaussLegendre(2), 0.1)])
 )
 def test_schemes_of_a_driven_system_are_symmetric(method, step):
-    spins = co.systems.spin_lattice("chain", 2, field=lambda t: (np.cos(3.0 * t), np.sin(3.0 * t), 0.2))
-    found = co.certify(spins, method, (0.6, 0.0, 0.8, 0.0, 0.28, 0.96), step, steps=20)
+    found = co.certify(DRIVEN, method, (0.6, 0.0, 0.8, 0.0, 0.28, 0.96), step, steps=20)
     assert found["symmetry"].verdict == "holds"
     assert found["energy"].verdict == found["reversibility"].verdict == "not applicable"
+
+
+@pytest.mark.thinned(2)
+@pytest.mark.parametrize("step", [0.1, -0.1])
+@pytest.mark.parametrize("method", [co.SphericalMidpoint(), co.Composition(co.SphericalMidpoint(), (0.7, -0.4, 0.7))])
+def test_forces_on_a_driven_system_have_the_work_of_their_flows(method, step):
+    """The energy is that at the time of each flow, before or after the step of the scheme."""
+    damped = DRIVEN.with_forces(co.forces.LinearDamping(0.3), co.forces.DoubleBracketDamping(0.2))
+    found = co.certify(damped, method, (0.6, 0.0, 0.8, 0.0, 0.28, 0.96), step, steps=8)
+    works = [row for row in found.rows if row.key.startswith("work of")]
+    assert [row.verdict for row in works] == ["holds"] * 2, str(found)
 
 
 @pytest.mark.thinned(6)

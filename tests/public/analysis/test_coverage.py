@@ -78,6 +78,14 @@ def test_means_of_members(kind, count, members):
     check_coverage(found.mean, found.mean_error)
 
 
+@pytest.mark.parametrize("members", [1, 2])
+def test_times_of_short_series_are_not_biased(members):
+    """Of 16 samples the time has 4 to 6 degrees of freedom; one too many takes a sixth from it."""
+    found = co.spectra.autocorrelation(np.arange(16), noise_of("white", (16, members, 800), members))
+    # The mean of 800 times is uncertain by 3 per cent, and autoregressions of few samples raise it by as much.
+    assert np.nanmean(found.time) == pytest.approx(integrated_time("white"), rel=0.1)
+
+
 def test_members_with_means_of_their_own_are_seen_in_the_error():
     """What each member keeps for ever is as uncertain as the scatter of 40 means, whatever the length of the series."""
     rng = np.random.default_rng(2)

@@ -66,6 +66,11 @@ def test_stored_run_equals_the_run(store, name, tmp_path):
             np.testing.assert_array_equal(data[variable].values, values.values, err_msg=variable)
 
 
+def test_members_that_are_run_in_another_order_resume_in_their_own(tmp_path):
+    found = STORES["pieces"]("interleaved batch", tmp_path)
+    check_same(found, run("interleaved batch"), work=False)
+
+
 def test_every_part_is_covered():
     derived = {
         "system", "stats", "events", "choice", "error_estimate", "step_error", "rotation", "to_pandas", "t_eval",

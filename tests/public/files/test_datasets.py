@@ -37,6 +37,16 @@ def test_variables_and_attributes():
     assert "not_stored" not in dataset.attrs
 
 
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_quaternions_do_not_jump_in_several_turns(sense):
+    """A body about its third axis, at the rate 1: half of the angle, from the attitude 1 on."""
+    body = co.systems.rigid_body((1.0, 2.0, 2.5))
+    sol = co.integrate(body, (0.0, 0.0, 2.5 * sense), (3.0, 33.0), 0.25, attitude=True)
+    half = 0.5 * sense * (sol.t - 3.0)
+    wanted = np.stack([0.0 * half, 0.0 * half, np.sin(half), np.cos(half)], axis=1)
+    np.testing.assert_allclose(sol.to_xarray()["quaternion"], wanted, rtol=0, atol=1e-12)
+
+
 def test_names_differing_in_symbols_are_distinct():
     algebra = co.LieAlgebra([(0, 1, 2, 1.0)], dim=3)
     z = co.Polynomial({(0, 0, 1): 1})

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from drawn_runs import (
+    BARE,
     SENSES,
     T0,
     TURN,
@@ -100,6 +101,14 @@ def test_axes_in_space_of_members_that_hang_down():
             axes_of(run, "nutation", axis=wrong)
 
 
+@pytest.mark.parametrize("sense", SENSES)
+def test_an_axis_that_goes_round_a_cone_has_its_azimuth_and_its_tilt(sense):
+    tilted = rotations((0, 0, 1), 0.4 + sense * TURN) @ rotations((1, 0, 0), np.array([0.5]))
+    run = made(np.ones((len(TURN), 3)), BARE, attitude=tilted, carried="representation")
+    found = data(axes_of(run, "nutation", turns=2.0).lines[0])
+    np.testing.assert_allclose(found, np.degrees([sense * TURN, 0.5 + 0.0 * TURN]), rtol=0, atol=1e-10)
+
+
 def test_the_path_in_space_is_the_integral_of_the_velocity():
     body = co.systems.kirchhoff_body()
     run = co.integrate(body, (0.5, 1.5, 1.0, 0.8, 0.1, 0.1), (0.0, 4.0), 0.01, co.Splitting(order=4), attitude=True)
@@ -169,9 +178,11 @@ def drawn_polygons(run: Any, **options: Any) -> list[np.ndarray]:
 
 
 def test_molecules_are_discs_in_the_box():
-    """Of the diameters of their sites, near ones in front; sites without one are smaller."""
+    """Of the diameters of their sites, near ones in front; sites without one are smaller. The second one, across the
+    border, stays whole.
+    """
     water = co.systems.rigid_molecules(box=1.5, cutoff=0.5)
-    run = made(np.stack([water.state([[0.7, 1.6, 0.2], [-1.3, 0.4, 0.9]])] * 2), water)
+    run = made(np.stack([water.state([[0.7, 1.6, 0.2], [-1.49, 0.4, 0.9]])] * 2), water)
     sites = water.sites(run.x[0]) - np.repeat([[0.0, 1.5, 0.0], [-1.5, 0.0, 0.0]], 3, axis=0)
     order = np.argsort(sites[:, 2], kind="stable")
     discs = drawn_polygons(run)

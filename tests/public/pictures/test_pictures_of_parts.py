@@ -22,6 +22,7 @@ FIXED = {
     "paper_rigid_body", "passive_scalar", "reduced_mhd", "riccati", "rigid_body", "satellite", "satellite_on_orbit",
     "separable_cosh", "sklyanin", "sphere_euler", "torus_euler",
 }  # fmt: skip
+FLUIDS = {"passive_scalar", "reduced_mhd", "sphere_euler", "torus_euler"}  # their states are matrices
 
 
 def inertias(count: int) -> list[tuple[float, ...]]:
@@ -138,6 +139,44 @@ def test_components_are_those_of_each_part(name, count):
     assert len(found) == len(wanted)
     for values, expected in zip(found.values(), wanted.values() if isinstance(wanted, dict) else wanted, strict=True):
         np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
+
+
+def roots(x: np.ndarray) -> dict[str, np.ndarray]:
+    """Both roots of x1 w^2 - 2 x2 w - x3; v is the smaller one if x1 is positive."""
+    pairs = np.array([np.roots([a, -2.0 * b, -c]) for a, b, c in x])
+    pairs = np.where((np.abs(pairs) < 6.0) & (pairs.imag == 0.0), pairs.real, np.nan)
+    ordered = np.where(x[:, :1] > 0.0, np.sort(pairs, axis=1), -np.sort(-pairs, axis=1))
+    return {"v": ordered[:, 0], "w": ordered[:, 1]}
+
+
+# The lines of systems with a fixed number of parts that are no coordinates.
+FUNCTIONS: dict[str, Callable[[np.ndarray], dict[str, np.ndarray]]] = {
+    "riccati": roots,
+    "satellite": lambda x: {"pitch": np.degrees(np.angle(x[:, 6] + 1j * x[:, 7]))},
+    "satellite_on_orbit": lambda x: {
+        "pitch": np.degrees(np.angle(x[:, 3] + 1j * x[:, 4])),
+        "tilt of the normal": np.degrees(np.arctan2(np.hypot(x[:, 9], x[:, 10]), x[:, 11])),
+    },
+}
+
+
+@pytest.mark.thinned(1)
+@pytest.mark.parametrize("name", sorted(FIXED - FLUIDS))
+def test_components_of_other_systems_are_coordinates_or_the_functions_of_their_names(name):
+    system = S.get(name)
+    x = np.random.default_rng(1).normal(size=(7, system.dim))
+    if name == "satellite_on_orbit":
+        x[:, 9:] /= np.linalg.norm(x[:, 9:], axis=1, keepdims=True)
+    found = lines_of(declared(made(x, system, method=co.Splitting(), step=0.01), "components"))
+    if name in FUNCTIONS:
+        plain = {label.strip("$"): values for label, values in found.items()}
+        wanted = FUNCTIONS[name](x)
+        assert list(plain) == list(wanted)
+        for label, values in wanted.items():
+            np.testing.assert_allclose(plain[label], values, rtol=0, atol=1e-10)
+    else:
+        numbers = [np.flatnonzero((x.T == values).all(axis=1)).tolist() for values in found.values()]
+        assert numbers and all(len(number) == 1 for number in numbers) and sorted(numbers) == numbers
 
 
 @pytest.mark.parametrize("count", COUNTS)
