@@ -214,6 +214,18 @@ def test_members_that_cross_less_often_than_the_count_go_on_to_the_end(span, cou
         assert np.array_equal(sol.at(span[1]).x, sol.x[-1], equal_nan=True)
 
 
+@pytest.mark.parametrize("method", [METHODS[0], METHODS[3]], ids=str)
+def test_members_that_end_keep_the_deviations_of_their_last_steps(method):
+    """Members side by side end in the middle of tenths, in which others go on: all of their energies count."""
+    x0 = np.array(FLIPPING) + np.linspace(0, 0.3, 5)[:, None]
+    sol = co.integrate(BODY, x0, (0, 32), 0.125, method, events=co.Event("x2", count=2, terminal=True))
+    assert np.isfinite(sol.events.ends(5)).tolist() == [False, True, True, True, True]
+    steps = np.rint(sol.t / 0.125).astype(int)
+    tenth, deviations = np.maximum(steps - 1, 0) * 10 // 256, np.abs(sol.energy - sol.energy[0])
+    expected = [np.nan_to_num(deviations[tenth == k]).max(axis=0) for k in range(10)]
+    assert np.array_equal(sol.drift(relative=False)["energy"].tenths.T, expected)
+
+
 RATES = np.add.outer(np.arange(4.0), np.arange(4.0))
 
 

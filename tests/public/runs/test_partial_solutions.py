@@ -179,3 +179,20 @@ def test_failed_runs(tmp_path):
         found = co.load(path)
         assert found.incomplete == error.value.partial.incomplete == "failed" and "failed" in repr(found)
         assert found.stats.steps == error.value.partial.stats.steps == error.value.step - 1
+
+
+@pytest.mark.parametrize("method", [co.Splitting(order=2), co.Taylor(order=8), co.ExplicitRungeKutta("rk4")], ids=str)
+def test_members_that_fail_keep_the_deviations_of_their_last_steps(method):
+    """Members side by side, of which one overflows in the first tenth: all of its energies count."""
+    line = co.LieAlgebra.from_brackets(2, {(0, 1): {1: 1.0}})
+    system = co.LiePoissonSystem(line, co.Polynomial({(0, 2): 0.5, (1, 1): 0.3}))
+    x0 = np.column_stack([np.full(8, 0.3), [*np.linspace(0.01, 0.07, 7), 40.0]])
+    with pytest.raises(co.IntegrationError) as failure:
+        co.integrate(system, x0, (0, -20), 0.125, method)
+    sol = failure.value.partial
+    assert 1 < failure.value.step < 16 and np.isnan(sol.x[-1]).all(axis=-1).tolist() == 7 * [False] + [True]
+    tenth = np.maximum(np.rint(-sol.t / 0.125) - 1, 0) * 10 // 160
+    deviations = np.abs(sol.energy - sol.energy[0])
+    expected = [np.nan_to_num(deviations[tenth == k]).max(axis=0) for k in range(10)]
+    tenths = sol.drift(relative=False)["energy"].tenths
+    assert np.array_equal(tenths.T, expected) and tenths[7, 0] > 1e9

@@ -88,6 +88,20 @@ def test_work_and_balance(s):
         assert sum(work[name][-1] for work in fine.work.values()) < 0.0
 
 
+def test_steps_between_forces_have_the_stream_of_their_own_time():
+    """Each step but the first has an initial guess from the step before it, and not the time of that step."""
+
+    def stream(W, t):
+        return (1.0 + 0.5 * np.sin(3.0 * t)) * W.T
+
+    system = co.MatrixSystem(co.MatrixAlgebra("gl", 3), stream, name="timed")
+    W, h, method = np.random.default_rng(1).uniform(-0.5, 0.5, (3, 3)), 0.25, co.IsospectralGauss(1)
+    sol = co.integrate(system.with_forces(some.LinearDamping(0.5)), W, (0.5, 2.5), h, method)
+    for k, found in enumerate(sol.x):
+        assert np.abs(found - W).max() < 64 * (1 + k) * UNIT_ROUNDOFF
+        W = np.exp(-0.25 * h) * method.step(system, np.exp(-0.25 * h) * W, 0.5 + k * h, h)
+
+
 KINDS = [("so", 4), ("u", 3), ("su", 3), ("gl", 3), ("sl", 3), ("sp", 4), ("gl(C)", 2), ("so(C)", 3)]
 
 
