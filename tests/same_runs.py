@@ -17,9 +17,9 @@ PARTS = (
 
 
 def plain(value: Any) -> Any:
-    """Return mappings as dictionaries, and drifts as numbers."""
+    """Return mappings as dictionaries in the order of their keys, and drifts as numbers."""
     if hasattr(value, "items"):
-        return {name: plain(each) for name, each in value.items()}
+        return {name: plain(each) for name, each in sorted(value.items(), key=lambda item: str(item[0]))}
     return (float(value), np.asarray(value.tenths), value.members) if hasattr(value, "tenths") else value
 
 

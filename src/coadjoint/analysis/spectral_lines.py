@@ -102,7 +102,10 @@ def refine_lines(
         matrix = np.einsum("mkac,mab,mlbc->mkl", slopes.conj(), schur, slopes, optimize=True).real
         rhs = np.einsum("mkac,mac->mk", slopes.conj(), reduced).real
         matrix = np.where(present[:, :, None] & present[:, None], matrix, np.eye(count))
-        size = np.sqrt(np.maximum(np.einsum("mkk->mk", matrix), np.finfo(float).tiny))
+        curvature = np.einsum("mkk->mk", matrix)
+        # Of a line without any, only rounding is left.
+        least = UNIT_ROUNDOFF**2 * curvature.max(axis=1, keepdims=True) + np.finfo(float).tiny
+        size = np.sqrt(np.maximum(curvature, least))
         scaled = matrix / size[:, :, None] / size[:, None] + UNIT_ROUNDOFF * np.eye(count)
         change = np.linalg.solve(scaled, (np.where(present, rhs, 0.0) / size)[..., None])[..., 0] / size
         change = np.where(present, np.clip(change, -0.5 * bin_width, 0.5 * bin_width), 0.0)

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from coadjoint.analysis.spin_energy import SpinEnergy, Sublattice, product, spin_energy
 from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.long_operations import long_operation, note_progress
+from coadjoint.memory import check_available_memory
+from coadjoint.short_repr import short
 from coadjoint.systems.evaluation import ignore_overflow
 from coadjoint.systems.forces.base import read_seed
 from coadjoint.validation import read_choice, read_finite, read_integer
@@ -148,6 +150,7 @@ def thermal_states(
             f"temperature is {float(kT.min())!r}; it must be positive, from {MIN_TEMPERATURE:g} up; co.equilibrium "
             "finds states of lowest energy"
         )
+    check_available_memory(8 * number * (system.dim + 2 * count + 2), f"{short(number)} thermal states")
     group = max(1, min(number, SPINS_AT_ONCE // energies.sites))
     temperatures = np.array(np.broadcast_to(kT, number))
     result = ThermalStates(

@@ -234,7 +234,7 @@ def gradients_by_inertia(ready, x0, t):
     return gradient
 
 
-UNITS = ["bodies", "satellite", "decorated_particles", "double_spherical_pendulum", "gravitating_bodies"]
+UNITS = ["bodies", "satellite", "decorated_particles", "gravitating_bodies"]
 
 
 @pytest.mark.parametrize("backend", ["compiled", "xla"])
