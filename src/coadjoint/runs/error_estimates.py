@@ -327,7 +327,9 @@ def _size_of_invariant(
         some, mean = states[::SLOPED], states.mean(axis=0)
         slopes = np.abs(gradients_at(plain, some[:, None], t[::SLOPED])[:, 0])
         changes = np.median(np.sum(np.abs(some - mean) * slopes, axis=1))
-        terms = max(changes, LOST_DIGITS * np.sum(np.abs(some) * slopes, axis=1).max())
+        # At rest the gradient too is rounding.
+        rounded = ROUNDING * np.max(sum_of_absolute_terms(invariant, some))
+        terms = max(changes, LOST_DIGITS * np.sum(np.abs(some) * slopes, axis=1).max(), rounded / OVER_RUN)
     else:
         # Terms that vanish at the start, such as those of two axes, need not do so later.
         terms = float(np.nanmax(sum_of_absolute_terms(invariant, plain.states_of(states))))

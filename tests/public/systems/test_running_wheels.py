@@ -37,6 +37,7 @@ def in_units(name, mass=1.0, time=1.0):
     return S.body(np.asarray(moments) * mass, **scaled), turned
 
 
+@pytest.mark.filterwarnings("error::coadjoint.LargeStepWarning")
 @pytest.mark.parametrize("method", [co.Splitting(), co.Splitting(order=4), co.Splitting(parts="coordinates")], ids=repr)
 @pytest.mark.parametrize("mass, time", [(1.0, 1.0), (1e-7, 1.0), (1e30, 1e5)])
 @pytest.mark.parametrize("name", BODIES)
