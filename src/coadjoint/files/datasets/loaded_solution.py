@@ -116,8 +116,10 @@ class LoadedSolution(StoredSolution):
         if "event_time" not in self._arrays:
             return None
         events = events_of_dataset(self.dataset, self.system)
-        t, x, event_index, member, direction = (
-            self._read(f"event_{name}") for name in ("time", "x", "which", "member", "direction")
+        t, x = self._read("event_time"), self._read("event_x")
+        # Some versions of xarray read whole numbers as 32 bits.
+        event_index, member, direction = (
+            self._read(f"event_{name}").astype(np.int64, copy=False) for name in ("which", "member", "direction")
         )
         names = tuple(str(event.name) for event in events)
         coordinates, attitude = coordinates_of(self.system), self._read_if_stored("event_attitude")

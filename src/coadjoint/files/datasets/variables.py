@@ -150,7 +150,8 @@ def _quaternions(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     from scipy.spatial.transform import Rotation
 
     proper, found = are_rotations(rotations), np.full((*rotations.shape[:-2], 4), np.nan)
-    found[proper] = Rotation.from_matrix(rotations[proper]).as_quat(canonical=True)
+    if proper.any():
+        found[proper] = Rotation.from_matrix(rotations[proper]).as_quat(canonical=True)
     opposite = (found[1:] * found[:-1]).sum(axis=-1, keepdims=True) < 0.0
     found[1:] *= np.cumprod(np.where(opposite, -1.0, 1.0), axis=0)
     return found
