@@ -104,7 +104,7 @@ def refine_lines(
         matrix = np.where(present[:, :, None] & present[:, None], matrix, np.eye(count))
         curvature = np.einsum("mkk->mk", matrix)
         # Of a line without any, only rounding is left.
-        least = UNIT_ROUNDOFF**2 * curvature.max(axis=1, keepdims=True) + np.finfo(float).tiny
+        least = UNIT_ROUNDOFF**2 * curvature.max(axis=1, keepdims=True, initial=0.0) + np.finfo(float).tiny
         size = np.sqrt(np.maximum(curvature, least))
         scaled = matrix / size[:, :, None] / size[:, None] + UNIT_ROUNDOFF * np.eye(count)
         change = np.linalg.solve(scaled, (np.where(present, rhs, 0.0) / size)[..., None])[..., 0] / size

@@ -293,7 +293,11 @@ class PolynomialTerm:
         """Return the sums of the absolute values of the monomials where coordinates have the absolute values `size`."""
         total = np.zeros(size.shape[:-1])
         for exponents, coefficient in self.polynomial.monomials.items():
-            total += abs(float(coefficient)) * np.prod(size ** np.array(exponents), axis=-1)
+            # Products, since powers of the C library differ in their last bits.
+            product = np.full(total.shape, abs(float(coefficient)))
+            for k in np.repeat(np.arange(len(exponents)), exponents).tolist():
+                product = product * size[..., k]
+            total += product
         return total
 
     def describe_to(self, reader: Any) -> Any:
