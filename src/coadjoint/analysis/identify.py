@@ -87,18 +87,7 @@ class Identification:
     basis: Floats
 
     def coefficients_of(self, H: Polynomial) -> Floats:
-        """Return the coefficients of a polynomial modulo Casimirs, constants and what is undetermined.
-
-        Its difference from that of `hamiltonian` has the `covariance`, if this polynomial is the true H.
-
-        Parameters
-        ----------
-        H : Polynomial
-
-        Returns
-        -------
-        ndarray, shape (p,)
-        """
+        """Return coefficients (p,) of H modulo Casimirs, constants and `undetermined`, comparable by `covariance`."""
         unknown = next((e for e in H.monomials if sum(e) and e not in self.exponents), None)
         if unknown is not None:
             raise ValueError(f"H has the monomial {unknown}, beyond the degree that was identified")
@@ -208,10 +197,9 @@ def identify(
 def _estimate(
     data: TrajectorySamples, exponents: NDArray[np.int64], complement: Floats, r: int
 ) -> tuple[Identification, tuple[int, int, float]] | None:
-    """Solve the equations, weighted by the covariance of their errors at the solution, by iteration.
+    """Solve the equations by iteration, weighted by the covariance of their errors at the solution.
 
-    The result, without a run, comes with the number of determined directions, the degrees of freedom up to
-    `ENOUGH_FREEDOM`, and minus the sum of the variances.
+    Return the result without a run, and (determined directions, degrees of freedom up to `ENOUGH_FREEDOM`, -variance).
     """
     noise, unknowns = first_noise(data.x), complement.shape[1]
     # Equations of samples with twice the variance show how much of the matrix is noise.

@@ -290,8 +290,8 @@ def stretching(
 ) -> tuple[NDArray[np.float64], str, Run]:
     """Carry the orthonormal tangent vectors of `frame` along a run of every member.
 
-    Return the logarithms of the stretching factors since the start, (points, members, k), NaN after a failure, how the
-    tangent was computed, and the run.
+    Return log stretching factors since the start (points, members, k), NaN after a failure, how tangents were computed,
+    and the run.
     """
     systems = tuple(system) if system.is_batch else (system,)
     prepared = []

@@ -198,10 +198,7 @@ def _validated(function: Function, n: int, name: str) -> Function:
 
 
 def _attitude_motion(system: LiePoissonSystem, gradient: Function, start: Floats) -> tuple[float, float, float]:
-    """Integrate momentum, attitude, from the unit matrix, and angle about the momentum in space, over one period.
-
-    Return the period, the rotation about the momentum in it modulo 2 pi, and the mean angular velocity about it.
-    """
+    """Integrate momentum and attitude over a period: its length, rotation about the momentum mod 2 pi, mean rate."""
     representation = system.representation
     assert representation is not None
     along = start / np.linalg.norm(start)

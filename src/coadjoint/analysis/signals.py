@@ -27,10 +27,7 @@ WINDOW = 5.0  # integrated times in the window
 
 
 class SampledSignal(NamedTuple):
-    """A signal at equidistant times, with values (members, k, channels).
-
-    `members` and `channels` state whether the argument had these axes.
-    """
+    """Values (members, k, channels) at equidistant times; `members`, `channels`: whether the argument had the axis."""
 
     t: NDArray[np.float64]
     values: NDArray[Any]
@@ -45,10 +42,7 @@ class SampledSignal(NamedTuple):
 
 
 def sampled(given: Any, signal: Any = None, min_count: int = 2) -> SampledSignal:
-    """Return the signal of a run, or samples, at equidistant times; at least `min_count` of them.
-
-    For the kinds of signals see `frequencies`. Raise ValueError for uneven times, too few samples, or values that are
-    not finite or do not match the times, and TypeError for another type of signal.
+    """Return the signal of a run, or samples, at equidistant times; ValueError or TypeError if there are none such.
 
     >>> sampled([0.0, 0.5, 1.0], [1.0, 2.0, 4.0]).values.shape
     (1, 3, 1)

@@ -67,10 +67,9 @@ class SpinEnergy:
 
 @dataclass(frozen=True, eq=False)
 class Sublattice:
-    """Sites that are not coupled to each other, their rows of the coupling, fields and on-site forms (None if zero).
+    """Sites not coupled to each other: rows of the coupling, fields and on-site forms (None if zero).
 
-    In a simulation also the inverse temperatures `beta` (members,), and the lengths of the spins and the sizes of their
-    small rotations, (sites of this set, members).
+    In a simulation also `beta` (members,), and lengths and rotation angles of spins (sites, members).
     """
 
     sites: Integers

@@ -38,10 +38,9 @@ def student_factor(freedom: float) -> float:
 
 
 class LowPower(NamedTuple):
-    """Power of a series at low frequencies, the sum of its covariances over all lags, and how it was estimated.
+    """Power of a series at low frequencies (sum of its covariances): the mean of k samples has variance power / k.
 
-    The mean of k samples of a process with this power has the variance ``power / k``. `window` is the number of samples
-    in half a period of the highest frequency used, `spread` the variance of the power relative to its square.
+    `window`: samples in half a period of the highest frequency used; `spread`: variance of the power over its square.
     """
 
     power: float
@@ -68,10 +67,9 @@ def covariances(deviations: NDArray[Any]) -> Floats:
 
 
 def low_power(deviations: NDArray[Any], sums: Floats, removed: int = 1, times: float = 0.0) -> LowPower:
-    """Return the power of a series, of members (members, k) without their common mean, or of one without its line.
+    """Return the power of deviations (members, k) from a common mean (`removed` = 1) or a line (2).
 
-    `sums` are its `covariances`; `removed` is 1 for a mean, 2 for a line. The window is of `times` integrated times, if
-    it can be.
+    `sums` are `covariances`; the window is of `times` integrated times, if it can be.
     """
     # Projections on cosines cos(pi j (i + 1/2) / k) are independent, with the power at the frequency pi j / k (E.
     # Lazarus, D. Lewis, J. Stock, M. Watson, J. Bus. Econ. Stat. 36, 541, 2018). An autoregression extrapolates them to

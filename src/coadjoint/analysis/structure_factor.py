@@ -225,10 +225,7 @@ def _amplitudes(rows: Floats, phase: Floats) -> NDArray[np.complex128]:
 
 
 def reciprocal_path(lattice: str, shape: Any, path: Any) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return the wave vectors that fit the lattice on straight lines between corners; None is the usual path.
-
-    They are (k, axes), in units of the reciprocal edges, with distances along the path (k,) and the numbers of corners.
-    """
+    """Return commensurate wave vectors (k, axes) in reciprocal edges, distances (k,), and indices of corners."""
     sizes = np.array(sizes_of(shape))
     given = CELLS[lattice].path if path is None else path
     corners = read_finite(given, "path")

@@ -36,10 +36,7 @@ class ErrorTerm(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SchemeTerms:
-    """The terms of a scheme, by the sweeps of its kernel and of its processor `after`, for a polynomial Hamiltonian.
-
-    Symbols of coefficients are in `names`, by exponents; the symbol of a square is twice the coefficient.
-    """
+    """Terms of the sweeps of a kernel and its processor `after`; `names`: exponents -> symbol (twice a square's)."""
 
     system: LiePoissonSystem
     program: Program

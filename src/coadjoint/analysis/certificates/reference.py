@@ -113,10 +113,9 @@ class Motion(NamedTuple):
 
 
 def motion(system: System, x: Floats, t: float, norm: Norm | None = None, element: bool = False) -> Motion | None:
-    """Return the states after time t from states x (k, n) at time 0; t is negative for backward.
+    """Return the states after time t (negative: backward) from x (k, n) at time 0, to an error in `norm`; cached.
 
-    The error is in `norm`; None is that of the states. The result is None if the motion leaves the range of float64 or
-    takes more than `MAX_STEPS` steps. It is cached. With `element`, coadjoint matrices (n, n) follow the states in x.
+    None on overflow or after `MAX_STEPS` steps. With `element`, coadjoint matrices (n, n) follow the states in x.
     """
     return _motion(system, x.tobytes(), x.shape, t, Norm.of(system, x) if norm is None else norm, element)
 

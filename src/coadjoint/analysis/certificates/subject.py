@@ -130,11 +130,7 @@ class Subject:
 
     @cached_property
     def noise(self) -> float:
-        """Noise of a step from rounding or a truncated iteration, from second differences of neighbouring states.
-
-        At distances of 2^-40 of the state a smooth map has no second differences; those of independent errors are
-        sqrt(6) times the errors.
-        """
+        """Noise of a step by rounding or truncated iterations: second differences at distances 2^-40, over sqrt(6)."""
         worst = 0.0
         for x in self.states[:2]:
             size = float(self.norm(x))
