@@ -48,10 +48,8 @@ SCHEMES = {
         [_as_fractions(12, 3, 2, 2, -1), _as_fractions(12, -1, 2, 2, 3)],
     ),
 }
-"""Order -> the midpoint, Heun's third-order and the classical Runge-Kutta method, on a group: stages and final moves.
-
-Stage i + 1 is stage `stages[i][0]` moved by the exponential of the combination `stages[i][1]` of the previous
-gradients; the final combinations move the old state, in order.
+"""Order -> (stages, final moves). Stage i + 1 moves stage `stages[i][0]` by exp of the combination `stages[i][1]` of
+earlier gradients; final combinations move the old state, in order.
 """
 
 

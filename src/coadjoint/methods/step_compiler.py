@@ -1,7 +1,4 @@
-"""Compilation of user-written steps in C++ against the headers of the kernels, and the user's cache of them.
-
-Libraries are loaded from the cache only if no other user can have written them.
-"""
+"""Compilation of user-written C++ steps; cached libraries are loaded only if no other user can have written them."""
 
 from __future__ import annotations
 

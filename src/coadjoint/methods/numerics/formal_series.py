@@ -121,8 +121,6 @@ class FormalNumber(PowerSeries):
 def formal_numbers(ring: ExactPolynomials, count: int) -> type[FormalNumber]:
     """Return the class of formal numbers over a ring with the coefficients of h^0, ..., h^(count - 1).
 
-    Examples
-    --------
     >>> from coadjoint.algebra import catalogue
     >>> ring = ExactPolynomials(catalogue.so(3))
     >>> Number = formal_numbers(ring, 3)

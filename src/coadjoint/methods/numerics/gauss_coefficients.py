@@ -137,8 +137,6 @@ def _radau(stages: int, number: Number) -> Collocation:
 def node_polynomial(stages: int) -> list[Fraction]:
     """Return the monic polynomial of degree s in c whose roots are the nodes, lowest power first.
 
-    Examples
-    --------
     >>> [str(coefficient) for coefficient in node_polynomial(2)]
     ['1/6', '-1', '1']
     """

@@ -1,9 +1,7 @@
-"""Steps of isospectral Gauss methods in NumPy, with their derivatives: the reference for the compiled steps.
+"""Isospectral Gauss steps in NumPy, with derivatives: the reference for the compiled steps.
 
-``V_i = 1 + h sum_j a_ij P_j V_j`` and ``U_i = 1 - h sum_j a_ij U_j P_j`` are inverses of one another at the end of a
-step, ``M_i = V_i W U_i`` and ``P_i = stream(M_i)``. For skew-Hermitian W, U_i is V_i*.
-States of two layers (2, N, N) are blocks in the stages. The linear equations of derivatives are iterated like the
-stages; inner products are those of real and imaginary parts.
+``V_i = 1 + h sum_j a_ij P_j V_j`` and ``U_i = 1 - h sum_j a_ij U_j P_j`` (U_i = V_i* for skew-Hermitian W) are inverse
+at the end of a step, ``M_i = V_i W U_i``, ``P_i = stream(M_i)``. Two layers are (2, N, N); inner products are real.
 """
 
 from __future__ import annotations
@@ -103,10 +101,7 @@ def largest(values: Matrix) -> float:
 
 
 def iterated(update: Callable[..., Any], start: Any, N: int, failure: str, t: float) -> Any:
-    """Iterate a state until its corrections stagnate at round-off; IntegrationError if they do not fall.
-
-    `update` takes the arrays of a state, and returns the next state with its correction and the size of its entries.
-    """
+    """Iterate `update(*state)` -> state, correction, size until corrections stagnate at round-off."""
     state, change, smallest, stagnant_count = start, np.inf, np.inf, 0
     for count in range(1, MAX_ITERATIONS + 1):
         state, change, size = update(*state)

@@ -1,7 +1,6 @@
-"""Taylor series of a motion in NumPy: truncated power series, dual numbers, and steps of variable length.
+"""Taylor series of a motion in NumPy: the reference for ``taylor_variable.cpp`` and ``steps/step_length.hpp``.
 
-The variable steps are the reference with which tests compare ``taylor_variable.cpp``: `near_log2`, `near_power_of_two`
-and `logarithm_of_step` repeat the formulas of ``steps/step_length.hpp``: library functions would choose other steps.
+`near_log2`, `near_power_of_two` and `logarithm_of_step` repeat their formulas: library functions choose other steps.
 """
 
 from __future__ import annotations
@@ -34,9 +33,7 @@ TOO_SHORT_MESSAGE = (
 
 
 class PowerSeries:
-    """The series sum_k coefficients[k] t^k, of any number type; sums and products have the known coefficients of both
-    operands.
-    """
+    """The series sum_k coefficients[k] t^k of any number type; results have the terms known of both operands."""
 
     __slots__ = ("coefficients",)
 
@@ -224,9 +221,7 @@ def own_step(
     tolerance: float,
     memory: tuple[float, float] | None,
 ) -> tuple[list[NDArray[Any]], float, float, tuple[float, float]]:
-    """Return the terms of the motion from x, their time unit, the length of the step, and the memory for the next one:
-    the largest size of a state so far, and the time unit of its terms.
-    """
+    """Return terms of the motion from x, their time unit, the step, and the next memory: (largest state, time unit)."""
     largest, scale = memory or (0.0, _time_of_change(field, x, h))
     largest = max(largest, _size(x))
     terms = expand(field, x, scale, order)

@@ -247,12 +247,8 @@ SERIES_PRODUCT_COST, GRADIENT_COST, FACTORED_COST, ENTRY_COST, CHAIN_COST, MEMOR
 def series_operations(system: System, order: int, invariants: Iterable[HamiltonianLike]) -> Operations:
     """Return the operations of a step: products of series, dependent operations, and the projection.
 
-    Examples
-    --------
-    A rigid body has one product per row, and four rows fill half a vector:
-
     >>> import coadjoint as co
-    >>> series_operations(co.systems.rigid_body(inertia=(1, 2, 3)), 8, []).vectors
+    >>> series_operations(co.systems.rigid_body(inertia=(1, 2, 3)), 8, []).vectors  # four rows, half a vector
     16.0
     """
     lanes = 4 if system.dim <= 4 else LANES
@@ -287,9 +283,7 @@ def vectors_of_products(system: System, lanes: int) -> float:
 
 
 def factored_products(system: System, lanes: int) -> tuple[int, float] | None:
-    """Return the vectors of factored products of a quadratic energy, each of a coordinate and a sum of coordinates, and
-    of the entries of the sums around them; None where the kernel does not factor.
-    """
+    """Return vectors of products coordinate * sum of coordinates of H, and entries of sums; None if not factored."""
     assert system.algebra is not None
     terms, n = system.hamiltonian.terms(), system.dim
     most = 2 * lanes if lanes == LANES else lanes

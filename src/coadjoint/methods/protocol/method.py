@@ -140,25 +140,9 @@ class Method(Abstract):
         return self, (1.0,)
 
     def loop(self, system: System, h: float, representation: Representation = None) -> CompiledLoop:
-        """Return the scheme on a system as a compiled loop with its tables.
+        """Return the compiled loop on a system for the step h (negative: backward).
 
-        Parameters
-        ----------
-        system : LiePoissonSystem or PoissonSystem
-            The system.
-        h : float
-            The step, negative for backward.
-        representation : ndarray of shape (n, d, d), "coadjoint", or None
-            Representation in which the group element is computed; None for no group element.
-
-        Returns
-        -------
-        CompiledLoop
-
-        Raises
-        ------
-        ValueError, TypeError
-            The scheme cannot be used for the system.
+        `representation` (n, d, d) or "coadjoint" is that of the group element; None computes none.
         """
         self._check_loop(system)
         return self.compiled(system, h, representation)

@@ -58,11 +58,7 @@ def _difference(
 
 
 class LinearizedStep(NamedTuple):
-    """A step and its derivative at a state: the state (n,) at the `end`, and the derivative as linear maps.
-
-    `tangents` takes the tangents (k, n) before the step to those after it, `cotangent` the cotangent (n,) after it to
-    that before it. `by` says how the derivative was computed.
-    """
+    """A step and its derivative: `tangents` maps (k, n) forward, `cotangent` (n,) back; `by` says how."""
 
     end: Floats
     tangents: Callable[[Floats], Floats]
