@@ -23,9 +23,8 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 class Action(NamedTuple):
-    """exp(theta D) of each part on vectors of `size` components: part p has the runs run[p] to run[p + 1], and a run
-    applies `angles` angles from `angle` on, each to `repeat` blocks with indices from `position` and constants from
-    `constant` on. `docs/table.md` describes the indices and constants of blocks.
+    """exp(theta D) of each part on `size` components: part p has runs run[p] to run[p + 1]; a run applies `angles` from
+    `angle` on, each to `repeat` blocks, with indices from `position`, constants from `constant` (see `docs/table.md`).
     """
 
     size: int
@@ -107,9 +106,7 @@ def _group_ranks(angle: Integers, kind: NDArray[np.uint8], count: Integers, lead
 
 
 def _arrange_runs(size: int, blocks: BlockTable, parts: Parts) -> Action:
-    """Group the blocks of one kind that share an angle (and constants, except for shears), and order the groups so that
-    equal shapes with consecutive angles form one run.
-    """
+    """Group blocks of a kind and angle (and constants, except shears), so that shapes with consecutive angles join."""
     part_of_angle, label = parts.part_of_angle, _sharing_labels(blocks)
     level = _angle_levels(blocks, part_of_angle)
     order = order_by(blocks.angle, blocks.kind, label)
@@ -253,9 +250,10 @@ def copied_action(algebra: LieAlgebra, parts: Parts) -> Action | None:
 
 
 def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, number: Number) -> NDArray[Any]:
-    """Return the frequency w of each angle for 2/w atan(w angle/2), in exact numbers w^2, and 0 for exact angles. This
-    is the exact flow of another function of l.x if the generator has the one frequency w and the angle depends on l.x
-    alone; otherwise raise ValueError, unless the generator is nilpotent.
+    """Return w of 2/w atan(w angle/2) by angle, as exact w^2; 0 for exact angles.
+
+    It is the flow of another function of l.x if the generator has one frequency and the angle depends on l.x alone;
+    otherwise raise ValueError, unless the generator is nilpotent.
     """
     least, largest, known, _ = _frequencies(state, parts, number, squared=is_exact(number))
     # Frequencies are roots of sums of some products, rounded alike.
@@ -277,9 +275,7 @@ def rational_frequencies(system: LiePoissonSystem, parts: Parts, state: Action, 
 
 
 def _frequencies(action: Action, parts: Parts, number: Number, squared: bool = False) -> tuple[NDArray[Any], ...]:
-    """Return for each angle the smallest and largest frequency of its blocks, whether all of them are nilpotent or
-    rotations, and whether there are any.
-    """
+    """Return by angle the extreme frequencies of its blocks, if all are nilpotent or rotations, and if any exist."""
     run = np.repeat(np.arange(len(action.kind)), action.angles)
     q = np.arange(len(run)) - np.repeat(starts_of(action.angles)[:-1], action.angles)
     part = np.repeat(np.arange(len(parts)), np.diff(action.run))[run]
@@ -335,9 +331,7 @@ def rational_angle(angle: Any, frequency: Any, atan: Any) -> Any:
 
 
 def rational_angle_series(angle: Any, squared_frequency: Any, count: int) -> Any:
-    """Return the angle of a rational rotation for a power series of `count` terms, the first of them zero. It depends
-    on the square of the frequency alone: 2/w atan(w angle/2) = angle (1 - z/3 + z^2/5 - ...), z = (w angle/2)^2.
-    """
+    """Return 2/w atan(w angle/2) = angle (1 - z/3 + z^2/5 - ...), z = (w angle/2)^2, for a series in h."""
     if squared_frequency == 0:
         return angle
     z = angle * angle * (squared_frequency / 4)

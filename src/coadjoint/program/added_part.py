@@ -1,7 +1,6 @@
-"""Where the energy enters a program: places of its coefficients in the table, and its derivative as one more part.
+"""Derivatives of a splitting by H: that of H + epsilon G has the added part epsilon G.
 
-A splitting of H + epsilon G is one of H with the part epsilon G. So its derivative by epsilon is the sum of the
-coefficients of that part times J(x) grad G(x) at its rows, carried on by the tangents of the other flows.
+Its derivative by epsilon sums the part's coefficients times J(x) grad G(x) at its rows, carried by later tangents.
 """
 
 from __future__ import annotations
@@ -29,9 +28,8 @@ from coadjoint.systems.lie_poisson import LiePoissonSystem
 
 
 class AddedPart(NamedTuple):
-    """A program with one more part, the last one, which moves nothing: `rows` and `terms` of all parts, its numbers of
-    `shares` and `angles`, the generators of all in `state` and `group`, its `coefficients`, and `counts` of constants
-    of both.
+    """A program with a last part that moves nothing: `rows` and `terms` of all parts, its numbers of `shares` and
+    `angles`, generators in `state` and `group`, its `coefficients`, and `counts` of constants of both.
     """
 
     rows: ProgramRows
@@ -184,10 +182,9 @@ _AFTER_ALL = np.iinfo(np.int64).max
 
 
 class Places:
-    """The constants of the parts of a program to which the coefficients of monomials of the energy are added.
+    """Constants of a program to which coefficients of monomials of H are added: offsets, weights, then monomials.
 
-    Positions count all offsets, then all weights, then all coefficients of monomials. `copied` has those of shares that
-    are copies of terms of the energy; others, as of completed squares, contain more.
+    `copied`: those of shares that are copies of terms of H; others, as of completed squares, contain more.
     """
 
     def __init__(self, program: Program) -> None:
@@ -240,10 +237,7 @@ class Places:
         ]
 
     def of(self, G: EnergyDerivative) -> tuple[Multiples, Multiples, Integers]:
-        """Return how the constants, and the factors of the subtracted Casimirs, depend on the entries of G.
-
-        The last array has the entries of monomials that are in no part. Functions are left out.
-        """
+        """Return how constants, and factors of subtracted Casimirs, depend on G, and its monomials in no part."""
         i, j = np.sort(G.quadratic, axis=1).T
         codes = np.concatenate([encoded(np.full(len(G.linear), -1), G.linear), encoded(i, j)])
         at = self._rows_of(codes)

@@ -21,9 +21,8 @@ HASH_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 class BlockTable(NamedTuple):
-    """Blocks sorted by angle, then by first coordinate: `width` coordinates of block b from indices[begin[b]] on, for
-    CUBIC and SERIES followed by starts of rows and columns; its constants from constant_begin[b] on, then the values of
-    entries.
+    """Blocks by angle and first coordinate: block b has `width` coordinates from indices[begin[b]] (CUBIC, SERIES: then
+    starts of rows and columns), constants from constant_begin[b], then values of entries.
     """
 
     angle: Integers

@@ -106,10 +106,9 @@ TAYLOR_DEGREE = 20
 # Above this size one column is tested before whole matrix products are formed.
 MAX_SQUARED_SIZE = 64
 MOST_SUBSTEPS = 4096
-"""Largest number of substeps of norm one in a SERIES block; longer flows are rejected.
+"""Largest number of substeps of norm one in a SERIES block.
 
-The angle of a flow depends on the state, so a flow multiplies rounding errors by its length: after five flows of this
-one, 2^12, float64 has no digits left.
+Angles depend on the state, so a flow multiplies rounding errors by its length: after five of 2^12 no digit is left.
 """
 FEW_SUBSTEPS = 64
 """Number of substeps above which the exponential of a SERIES block is computed as a matrix, by repeated squares."""

@@ -27,10 +27,7 @@ BOND_WORK = 60
 
 @dataclass(frozen=True)
 class PartDescription:
-    """Description of one part, with counts for one flow of it. `generators` has the forms l_a in coordinate names,
-    `blocks` the number of blocks of each kind in the coadjoint action. `multiplications` include the additions;
-    `functions` counts sincos, exponentials, and user functions.
-    """
+    """One part with counts for one flow: forms, blocks by kind, multiplications with additions, calls of functions."""
 
     generators: tuple[str, ...]
     blocks: dict[str, int]
@@ -40,9 +37,9 @@ class PartDescription:
 
 @dataclass(frozen=True)
 class Description:
-    """Description of a splitting of a system, with a readable `str`. `parts` are in the order of a forward sweep;
-    `shift` maps Casimirs to the multiples subtracted from H. `flows` (outer flows of neighbouring steps merged),
-    `multiplications` and `functions` are per step. `found` has the sums that functions in H were found to be.
+    """Description of a splitting, with a readable `str`; counts are per step, outer flows of neighbouring steps merged.
+
+    `shift`: Casimir -> multiple subtracted from H; `found`: sums that functions in H were recognized as.
     """
 
     system: str

@@ -83,10 +83,7 @@ class BasisMatrices:
         return np.diff(cost[forms.start])
 
     def combinations(self, forms: SparseRows, number: Number) -> Iterator[Generators]:
-        """Yield sum_i form_i D_i of all forms, in chunks of angles.
-
-        Entries that cancel up to rounding are dropped.
-        """
+        """Yield sum_i form_i D_i in chunks of angles, without entries that cancel up to rounding."""
         cost = np.diff(self._start)[forms.coordinate]
         owner = forms.owner
         for part in chunks(owner, cost):
@@ -164,9 +161,8 @@ class Components(NamedTuple):
 
 
 def components_of(generators: Generators) -> tuple[Components, NDArray[np.bool_], Integers]:
-    """Return the connected sets by angle and first coordinate, a shear flag and a depth for each. A shear has no
-    coordinate that is both source and target. The depth of other sets is the longest path in their pattern, -1 if it
-    has a cycle.
+    """Return connected sets by angle and first coordinate, whether each is a shear (no coordinate source and target),
+    and its depth: the longest path in the pattern, -1 for a cycle.
     """
     angle, row, column, value = generators
     size = int(max(row.max(initial=0), column.max(initial=0))) + 1
@@ -214,9 +210,7 @@ def _depths(label: Integers, chosen: NDArray[np.bool_], source: Integers, target
 
 
 class NotSplittable(ValueError):
-    """The Hamiltonian is not a sum of functions with known flows, or its flows take minutes to prepare, and seconds per
-    step; the message names the piece and the reason.
-    """
+    """H is no sum of functions with known flows, or these take minutes to prepare; the message names the piece."""
 
 
 def check_products(products: NDArray[np.int64] | Integers, what: str) -> None:

@@ -1,7 +1,6 @@
-"""Action on the group element of Casimirs subtracted from a Hamiltonian, in components with known closed forms.
+"""Action of subtracted Casimirs on the group element: exp(t X), X = -sign rho(grad C(x0)), linear in x0.
 
-A Casimir C turns the group element by exp(t X), X = -sign rho(grad C(x0)), linear in x0. The algebra, the Casimirs and
-the representation alone determine its pattern and the closed form of each component.
+Algebra, Casimirs and representation alone determine its pattern and the closed form of each component.
 """
 
 from __future__ import annotations

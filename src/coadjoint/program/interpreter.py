@@ -17,8 +17,9 @@ from coadjoint.program.term_table import FUNCTION, LINEAR, derivative_of
 
 
 class Interpreter:
-    """Reference interpreter of one program, in its number type or that of the states; slow. With power series truncated
-    after `count` terms as numbers, for programs in exact numbers, flows are Lie series, which end there.
+    """Reference interpreter in the number type of the program or the states; slow.
+
+    With series truncated after `count` terms as numbers, flows of exact programs are Lie series, which end there.
     """
 
     def __init__(self, program: Program, number: Any = None) -> None:
@@ -38,11 +39,9 @@ class Interpreter:
         group: NDArray[Any] | None = None,
         tangent: NDArray[Any] | None = None,
     ) -> Any:
-        """Take `count` steps of length h (negative: backward) from the momentum x (n,), which is not changed.
+        """Take `count` steps h (negative: backward) from x (n,), not changed; return x, then `group`, `tangent` given.
 
-        `group` (d, d) is the group element in the representation of the program, `tangent` (n, m) has tangent vectors
-        in columns. Returns the momentum, or a tuple of it with those of `group` and `tangent` that are given, in this
-        order.
+        `group` (d, d) is in the representation of the program; `tangent` (n, m) has tangent vectors in columns.
         """
         x = self._converted(x)
         element = None if group is None else self._converted(group).T.copy()

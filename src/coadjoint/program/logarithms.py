@@ -1,12 +1,8 @@
-"""Logarithms: of a composition of sweeps as a Lie series, the same for all systems, and of one sweep in polynomials.
+"""Logarithms of compositions of sweeps as Lie series, the same for all systems, and of one sweep in polynomials.
 
-A forward sweep over the step h is exp(h Y1 + h^2 Y2 + ...) with free letters Y1, Y2, ...; a backward one is its
-adjoint, with (-1)^(k+1) Yk. A `turn` merges two adjacent rational rotations of one part into one. The merged rotation
-differs from the two separate ones, and the difference has letters of its own.
-
-A function H stands for the derivation F -> sign {F, H} along its motion. Under the flows of H_1, then H_2, ... a
-function F becomes exp(h H_1) exp(h H_2) ... F, with the first flow on the left. The commutator of the derivations of F
-and G is the derivation of [F, G] = sign {G, F}.
+A forward sweep is exp(h Y1 + h^2 Y2 + ...) in free letters, a backward one its adjoint, with (-1)^(k+1) Yk. A `turn`
+merges two rational rotations of one part; its difference from the two has letters of its own. H stands for
+F -> sign {F, H}: flows of H_1, then H_2, map F to exp(h H_1) exp(h H_2) F, and [F, G] = sign {G, F}.
 """
 
 from __future__ import annotations
@@ -47,10 +43,10 @@ MAX_EXACT_DIGITS = 30
 
 
 class Coordinates(NamedTuple):
-    """Lie series of a step: of_weight[w] maps Lyndon words of letters to nonzero `flint.fmpq` or `flint.arb`;
-    `neglected` is the largest coefficient set to zero because an order condition holds only up to rounding; `exact`:
-    all are rational. A letter (k, origin) is h^k Y, with the origin "sweep", or "first" or "last" for the part where
-    two sweeps meet.
+    """Lie series of a step: of_weight[w] maps Lyndon words of letters to nonzero `flint.fmpq` or `flint.arb`.
+
+    `neglected`: largest coefficient dropped since an order condition holds up to rounding; `exact`: all are rational. A
+    letter (k, origin) is h^k Y of a "sweep", or of the "first" or "last" part, where two sweeps meet.
     """
 
     of_weight: tuple[Mapping[Word, Any], ...]
@@ -72,7 +68,8 @@ def composition_logarithm(
     parts: int = 2,
     rational: bool = False,
 ) -> Coordinates:
-    """Return the Lie series of one step P K P^-1, with the `sweeps` of K and `after` of P, up to h^highest.
+    """Return the Lie series of P K P^-1, with `sweeps` of K and `after` of P, up to h^highest.
+
     Coefficients of order conditions that vanish up to rounding are zero. With `rational`, two flows of one part are not
     its flow over the sum.
     """
@@ -265,9 +262,10 @@ def _sum_in_pairs(polynomials: Iterable[Exact], zero: Exact) -> Exact:
 
 
 def sweep_logarithm(commutators: Commutators, flows: Sequence[Flow], highest: int) -> list[Exact]:
-    """Return Y_1, ..., Y_highest: the given flows, the first one first, are the flow of h Y_1 + h^2 Y_2 + ... With E(h)
-    = exp(W(h)) ... for the flows in their order, R = E' E^-1 has a plain series, and Y = log E obeys Y' = sum_k B_k/k!
-    ad_Y^k R, with the Bernoulli numbers B_k and B_1 = -1/2.
+    """Return Y_1, ..., Y_highest: the given flows, the first one first, are the flow of h Y_1 + h^2 Y_2 + ...
+
+    With E(h) = exp(W(h)) ... in order, R = E' E^-1 has a plain series, and Y = log E obeys Y' = sum_k B_k/k! ad_Y^k R
+    with the Bernoulli numbers B_k, B_1 = -1/2.
     """
     ring = commutators.ring
     R = [ring.zero] * highest

@@ -69,8 +69,7 @@ def _term(
 ) -> tuple[Polynomial, float, float]:
     """Return a term h^w (w >= 2) of a Lie series in coordinates and symbols, its radius, and a bound.
 
-    It is exact for rational coefficients. Otherwise the coefficients are floats, the radius is the largest one of a
-    ball relative to its midpoint, and the bound is that of coefficients dropped as zero up to rounding.
+    The radius is that of the largest ball relative to its midpoint (0 if exact); the bound is of coefficients dropped.
     """
     from flint import arb, ctx
 
@@ -123,11 +122,10 @@ def modified_terms(
     H: Polynomial | None = None,
     factors: Mapping[Exponents, Exact] = MappingProxyType({}),
 ) -> tuple[dict[int, Polynomial], float, float]:
-    """Return the nonzero terms of the given weights (>= 2) by the power of h, the weight minus one, as polynomials in
-    the coordinates, then the symbols of the ring; the largest relative error of a coefficient before rounding to
-    float64 (0 if exact); and a bound of the coefficients set to zero. If `H` is given, the
-    coefficients of the parts are replaced by its own, or by the polynomials in symbols `factors` (see
-    `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
+    """Return {power of h: nonzero term} for `weights` >= 2 (power + 1), their rounding, and a bound of dropped ones.
+
+    Terms are polynomials in coordinates, then symbols of the ring. `H` or `factors` in symbols replace the coefficients
+    of parts (see `with_hamiltonian_coefficients`), unless a Casimir was subtracted.
     """
     nonzero = [weight for weight in weights if coordinates.of_weight[weight]]
     highest = max(nonzero, default=1)
@@ -159,9 +157,9 @@ def _check_cost(system: LiePoissonSystem, program: Program, highest: int) -> Non
 
 
 def estimated_products(algebra: LieAlgebra, parts: Parts, highest: int) -> float:
-    """Estimate a lower bound on the products of monomials in `sweep_logarithm`, from the sparsity pattern. Part p acts
-    on the series R of the parts after it. Products up to h^3 are counted, few compared with those of higher powers up
-    to `highest`. Returns 0 without an estimate: for parts that are not quadratic forms, and very large systems.
+    """Estimate a lower bound on products of monomials in `sweep_logarithm` from sparsity, up to h^3; 0 if unknown.
+
+    Part p acts on the series R of the parts after it. There is none for parts that are no quadratic forms.
     """
     n = algebra.dim
     if highest < 2 or parts.nonlinear or n > MAX_ESTIMATED_DIMENSION:

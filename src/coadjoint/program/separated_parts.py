@@ -30,9 +30,7 @@ Separated = tuple[Parts, Integers]
 
 
 def separated_parts(algebra: LieAlgebra, parts: Parts, inputs: Collection[int] = ()) -> Separated:
-    """Return parts in which a function has angles for each of the vectors that its gradient is the sum of, and the
-    entries (angle, row, column) of their generators that are omitted, shape (k, 3).
-    """
+    """Return parts with angles for each vector of separated gradients, and the omitted (angle, row, column), (k, 3)."""
     key = frozenset(inputs)
     known = _SEPARATED.setdefault(parts, {})
     if (algebra, key) not in known:

@@ -1,8 +1,7 @@
-"""Sources of the constants of tables: the numbers that they are multiples, exact sums, or other functions of.
+"""How the constants of a flow table depend on H: sparse linear maps, plus rules for completed squares.
 
-Sources are numbered: first the coefficients of all terms of the energy and its constant, as in a `SystemStack`, then as
-many as coordinates for each force, those of a constant torque. Negative ones count from the end the coefficients that a
-scheme splits, after multiples of Casimirs were subtracted: -1 is the first.
+Sources are numbered: coefficients of all terms of H and its constant, as in a `SystemStack`, then the coordinates of
+each force's constant torque. Negative ones count the coefficients after Casimirs were subtracted: -1 is the first.
 """
 
 from __future__ import annotations
@@ -27,10 +26,7 @@ Floats = NDArray[np.float64]
 
 
 class Multiples(NamedTuple):
-    """The constants at `position`, which are, or contain, `factor` times the numbers `number`; None: equal to them.
-
-    Members of a batch may have factors of their own, (members, count).
-    """
+    """Constants at `position` that contain `factor` (None: 1; (members, count) in a batch) times `number`."""
 
     position: Integers
     number: Integers
@@ -111,8 +107,9 @@ INDEPENDENT = -2
 
 
 class Sums(NamedTuple):
-    """Constants that are exact sums of the linear coefficients of the energy, (n,): at the positions of each rule.
-    `linear` are the values of these; those of `coordinate` that are not zero are the sources `number`.
+    """Constants that are exact sums of the linear coefficients of H, at the positions of each rule.
+
+    `linear`: their values (n,); the nonzero ones, of `coordinate`, are the sources `number`.
     """
 
     linear: Floats
@@ -159,10 +156,7 @@ class Sources(NamedTuple):
 
 
 class CoefficientNumbers(NamedTuple):
-    """The numbers of the coefficients of an energy: the first of each term, and those of degree one with their values.
-
-    `coordinate` has the coordinate of each of these.
-    """
+    """Numbers of the coefficients of H: the first of each term, and those of degree one, by coordinate."""
 
     starts: Sequence[int]
     coordinate: Integers
@@ -211,8 +205,9 @@ class CoefficientNumbers(NamedTuple):
 
 
 def sources_of(table: Terms, source: Integers, coordinate: NDArray[Any], terms: Sequence[Term]) -> Sources:
-    """Return the sources of a table whose term k is a copy of source[k] among `terms`, if that is not negative.
-    `coordinate` has that of each row. If a coordinate has several rows in a term, the linear coefficient is in one.
+    """Return the sources of a table whose term k copies `terms[source[k]]`, if not negative.
+
+    `coordinate` has that of each row; of several rows of one in a term, one has the linear coefficient.
     """
     energy = CoefficientNumbers.of(terms)
     sizes: Any = np.diff(table.row.astype(np.int64))

@@ -56,9 +56,9 @@ class Swept(Protocol):
 
 
 class ProgramRows(NamedTuple):
-    """Rows of a program: row r applies part[r] over coefficient[r] * h, at the time t + moment[r] * h. Section s has
-    the rows section[s] to section[s + 1]: the first step, every other step, and the finish, which completes a state for
-    output.
+    """Row r applies part[r] over coefficient[r] * h, at the time t + moment[r] * h.
+
+    Section s has rows section[s] to section[s + 1]: first step, every other step, and the finish before output.
     """
 
     part: NDArray[np.uint32]
@@ -68,9 +68,7 @@ class ProgramRows(NamedTuple):
 
 
 class Flows(NamedTuple):
-    """Sequence of flows of parts, over coefficient[r] * h at moment[r] of the step. turn[r] marks a rational rotation
-    that may be joined with the previous one.
-    """
+    """Flows of parts over coefficient[r] * h at moment[r]; turn[r]: a rotation that may join the previous one."""
 
     part: Integers
     coefficient: NDArray[Any]

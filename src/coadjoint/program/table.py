@@ -36,10 +36,10 @@ MIN_REPEATED_ROWS = 256
 
 @dataclass(frozen=True)
 class Program:
-    """A splitting of one system as plain arrays, which compiled and Python interpreters use: rows of flows, parts,
-    their shares as terms, and actions. `frequency` has that of each rational rotation, else 0, in exact numbers its
-    square; `omitted` the entries (angle, row, column) whose products cancel; `shift` the Casimirs and factors
-    subtracted from H.
+    """A splitting of one system as plain arrays, for compiled and Python interpreters: rows, parts, shares, actions.
+
+    `frequency`: of rational rotations, else 0 (exact programs: squared); `omitted`: entries (angle, row, column) whose
+    products cancel; `shift`: Casimirs and factors subtracted from H.
     """
 
     system: LiePoissonSystem

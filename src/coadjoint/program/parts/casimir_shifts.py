@@ -211,9 +211,9 @@ def count_parts(
 
 
 def singular_factors(matrix: NDArray[np.float64], casimir: NDArray[np.float64]) -> tuple[float, ...]:
-    """Return the c with M - c C singular, for symmetric M and definite C; there a completed square vanishes. The real
-    zeros of det(M - c C) are counted in integers and bracketed by bisection; each result is the float beyond the zero.
-    Empty if C is not definite, or if M is diagonal, where the diagonal gives the factors.
+    """Return the c with M - c C singular, where a square vanishes, for symmetric M and definite C (else empty).
+
+    Real zeros of det(M - c C) are counted in integers and bisected, to the float beyond; a diagonal M gives its own.
     """
     if not np.any(matrix - np.diag(np.diag(matrix))):
         return ()

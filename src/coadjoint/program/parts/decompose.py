@@ -48,9 +48,7 @@ BODY_FLOW_CHOICES = ("free_body", "bonds")
 
 @dataclass(frozen=True)
 class ChosenParts:
-    """Explicit choice of parts: those of ``parts="auto"`` after a `shift`, names of quadratic Casimirs with factors, in
-    the order `order`. Linear coefficients of the coordinates `linear` count as present even if zero.
-    """
+    """Explicit parts: those of "auto" after a `shift`, in an `order`; `linear` coefficients count even if zero."""
 
     order: tuple[int, ...]
     shift: tuple[tuple[str, float], ...] = ()
@@ -97,9 +95,9 @@ class ChosenParts:
 
 @dataclass(frozen=True)
 class Decomposition:
-    """Parts in the order of a forward sweep, and the Casimirs subtracted from H, which leave the motion unchanged. The
-    parts add up to H - sum c C over the pairs (C, c) of `shift`, which is None if these have too many terms. Passing
-    `choice` as `parts` reproduces the decomposition.
+    """Parts in the order of a forward sweep, adding up to H - sum c C over the pairs (C, c) of `shift`.
+
+    `shift` is None if it has too many terms. Passing `choice` as `parts` reproduces the decomposition.
     """
 
     parts: Parts
@@ -108,9 +106,8 @@ class Decomposition:
 
 
 def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
-    """Split the Hamiltonian of a system, deterministically, by the algebra and H alone; ``"auto"`` joins commuting
-    coordinates, subtracts Casimirs if that removes a part or reduces the h^2 term, and orders the parts for the
-    smallest one.
+    """Split H, deterministically, by the algebra and H alone; "auto" joins commuting coordinates, subtracts Casimirs if
+    that removes a part or reduces the h^2 term, and orders the parts for the smallest one.
     """
     if isinstance(choice, ChosenParts):
         return _explicit_decomposition(system, choice)
@@ -142,9 +139,10 @@ _CHECKED_CACHE: WeakKeyDictionary[LiePoissonSystem, set[Any]] = WeakKeyDictionar
 
 
 def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64]) -> Decomposition:
-    """Return the decomposition with the fewest parts and, among those, the smallest h^2 term at `points` (k, n). A
-    Casimir that is a sum of terms of H is always subtracted: in other units than those of the points, its flows may be
-    the fastest ones, with errors that cancel only in part.
+    """Return the decomposition with the fewest parts, then the smallest h^2 term at `points` (k, n).
+
+    A Casimir that is a sum of terms of H is always subtracted: in other units its flows may be the fastest ones, with
+    errors that cancel only in part.
     """
     alternatives = candidates(system, len(points) > 0)
     orders = best_orders(system, [parts for _, parts in alternatives], points)
@@ -167,10 +165,7 @@ def best_decomposition(system: LiePoissonSystem, points: NDArray[np.float64]) ->
 
 
 def angles_of(parts: Parts, offset: NDArray[Any], weight: NDArray[Any]) -> list[tuple[Any, NDArray[Any]]]:
-    """Return the angles of linear shares: forms with columns of weights, and numbers (1 + k, ...), the offset first.
-
-    `offset` (angles, ...) and `weight` (entries, ...) are those of one system, or of many members.
-    """
+    """Return (form with columns of weights, numbers (1 + k, ...), offset first) by linear angle."""
     found, weights = [], parts.weights
     for angle in range(len(offset)):
         entries = slice(int(weights.start[angle]), int(weights.start[angle + 1]))

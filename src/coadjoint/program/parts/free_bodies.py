@@ -35,9 +35,9 @@ Triples = dict[Triple, tuple[float, float, float]]
 
 
 def free_bodies(system: LiePoissonSystem) -> Parts:
-    """Split a Hamiltonian into the exact flow of free rigid bodies, triples that span so(3) with a quadratic energy,
-    which come first, and a remainder, split as with ``"auto"``. The order is independent of the linear term, which may
-    be an input.
+    """Split H into the exact flow of free bodies (so(3) triples with quadratic energy), first, and the rest as "auto".
+
+    The order is independent of the linear term, which may be an input.
     """
     form, before, after = _quadratic_term(system)
     chosen = {} if form is None else _select_triples(system.algebra, form)
@@ -59,9 +59,7 @@ def free_bodies(system: LiePoissonSystem) -> Parts:
 
 
 def _quadratic_term(system: LiePoissonSystem) -> tuple[QuadraticTerm | None, list[Term], list[Term]]:
-    """Return the quadratic term outside of pieces, or None, with the terms before and after it; polynomials are split
-    at degree two.
-    """
+    """Return the quadratic term outside of pieces, or None, and those before and after it; polynomials are split."""
     terms = [piece for term in system.hamiltonian.terms() for piece in _by_degree(term)]
     position = quadratic_position(terms)
     return (None, terms, []) if position is None else (terms[position].form, terms[:position], terms[position + 1 :])
@@ -165,9 +163,10 @@ Bonds = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def bonds(system: LiePoissonSystem) -> tuple[Parts, tuple[tuple[Polynomial, float], ...] | None]:
-    """Split a Hamiltonian into exact flows of bonds and a remainder. A bond c z.w is c |z + w|^2/2 up to Casimirs, so
-    both momenta rotate about z + w by c tau |z + w|; edge colouring joins bonds without a common momentum into parts.
-    Also return the Casimirs subtracted; None if these have too many terms.
+    """Split H into exact flows of bonds and a remainder; also return the Casimirs subtracted, None if too many terms.
+
+    A bond c z.w is c |z + w|^2/2 up to Casimirs: both momenta rotate about z + w by c tau |z + w|. Edge colouring joins
+    bonds without a common momentum into parts.
     """
     form, before, after = _quadratic_term(system)
     spins = {} if form is None else _ideals(system.algebra)

@@ -85,9 +85,9 @@ def _plain(stack: SystemStack, casimirs: dict[str, QuadraticCasimir], shift: Shi
 def _shifted(
     stack: SystemStack, casimirs: dict[str, QuadraticCasimir], factors: dict[str, NDArray[Any]]
 ) -> tuple[Masks, Callable[[Integers], SystemStack]]:
-    """Subtract multiples of Casimirs, `factors` (members,) by name, from the energies. Return the entries of M that
-    remain, (cells, members), and the function that takes members for which these are the same. Their coefficients are
-    those of `shifted_terms`, bit for bit.
+    """Subtract multiples of Casimirs, `factors` (members,), bit for bit as `shifted_terms`.
+
+    Return the entries of M that remain (cells, members), and a function of members for which these agree.
     """
     by_member = np.array(list(factors.values()), dtype=np.float64).reshape(-1, stack.size)
 
@@ -246,9 +246,7 @@ def _of_members(
     rules: Sequence[tuple[Rule, dict[str, NDArray[Any]]]],
     casimirs: dict[str, QuadraticCasimir],
 ) -> tuple[SystemStack, Sources, list[tuple[Any, Floats]]] | None:
-    """Return the coefficients of all members after a shift of the first one, with the sources of its parts and their
-    angles for all members; None if the parts are no copies of terms.
-    """
+    """Return coefficients of all members after the first one's shift, sources and angles; None if not copies."""
     by_name: dict[str, NDArray[Any]] = {}
     if shift:
         for _, factors in rules:

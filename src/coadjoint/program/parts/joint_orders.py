@@ -32,10 +32,7 @@ MAX_ATOMS = 40  # pieces of all parts; brackets of all triples are stored
 def joint_sizes(
     algebra: LieAlgebra, parts: Parts, sources: Sources, coefficients: Floats, points: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the root mean square of the h^2 term for each order of parts, (orders, members), and its rounding.
-
-    Both are infinite if they overflow, or there are too many pieces. All members share the brackets.
-    """
+    """Return the RMS of the h^2 term (orders, members), and its rounding; infinite if it cannot be computed."""
     members, orders = coefficients.shape[1], list(permutations(range(len(parts))))
     atoms = _atoms(parts, sources, coefficients, points)
     if len(atoms) > MAX_ATOMS:
@@ -133,10 +130,7 @@ def _derivatives(
 
 
 def smallest(sizes: Floats, errors: Floats) -> tuple[Integers, Floats, Floats, NDArray[np.bool_]]:
-    """Choose an order (members,) as by exact sizes, with its size and the bound of its rounding.
-
-    The last array is False where rounding may decide.
-    """
+    """Choose orders (members,) as by exact sizes, with sizes and errors; the mask is False if rounding decides."""
     best = np.zeros(sizes.shape[1], dtype=np.int64)
     least, error = sizes[0].copy(), errors[0].copy()
     clear = np.isfinite(least)

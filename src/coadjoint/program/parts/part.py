@@ -20,10 +20,7 @@ from coadjoint.systems.hamiltonians.terms import FunctionTerm
 
 @dataclass(frozen=True)
 class GradientShare:
-    """Angles that are the derivatives, by the given coordinates, of a polynomial, or of the user function of a term.
-
-    The gradient of a function may be `divided` into a sum of vectors.
-    """
+    """Angles that are derivatives of a polynomial or a term's user function, which may be `divided` into vectors."""
 
     coordinates: tuple[int, ...]
     polynomial: Polynomial | None = None
@@ -48,9 +45,10 @@ class GradientShare:
 
 @dataclass(frozen=True)
 class BodyShare:
-    """Flow of a free rigid body of the energy x.M.x/2 on a triple, or of a bond with a second triple `other`, where M
-    acts on the sum of both. `scale` times the basis elements have the brackets of so(3). The rows are linear:
-    coordinates 3, 1, 2, 3, the first without weights, in the order of the rotations of the compiled flow.
+    """Flow of a free body with energy x.M.x/2 on a triple, or of a bond, where M acts on its sum with `other`.
+
+    `scale` times the basis elements have the brackets of so(3). Rows are linear: coordinates 3, 1, 2, 3, the first
+    without weights, in the order of the rotations of the compiled flow.
     """
 
     coordinates: tuple[int, int, int]

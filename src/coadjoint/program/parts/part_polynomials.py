@@ -72,9 +72,9 @@ def to_rational(value: Any) -> Any:
 def with_hamiltonian_coefficients(
     ring: ExactPolynomials, parts: Parts, pieces: Sequence[Exact], H: Polynomial, factors: Mapping[Exponents, Exact]
 ) -> list[Exact]:
-    """Replace the coefficients in the pieces of parts of coordinates by those of H, without Casimirs subtracted, or by
-    the polynomials `factors` in symbols. Parts not made of monomials of H are unchanged; with symbols they raise
-    ValueError.
+    """Replace coefficients of pieces by those of H, without Casimirs subtracted, or by polynomials `factors`.
+
+    Parts not made of monomials of H are unchanged; with symbols they raise ValueError.
     """
     lengths, values = np.diff(parts.forms.start), parts.forms.value
     unit_forms = bool(np.all(lengths == 1) and np.all(np.asarray(values == 1, dtype=bool)))
@@ -102,9 +102,9 @@ def with_hamiltonian_coefficients(
 def rational_pieces(
     ring: ExactPolynomials, parts: Parts, frequency: NDArray[Any], highest: int
 ) -> list[dict[int, Exact]]:
-    """Return for each part {j: coefficient of h^j}, j = 3, 5, ..., added to its piece by rational rotations: they are
-    the exact flow over h of K(s; h) with the derivative theta - (h w/2)^2 theta^3/3 + ..., for angles theta of s = l.x
-    alone.
+    """Return by part {j: h^j coefficient}, j = 3, 5, ..., that rational rotations add to its piece.
+
+    They are the exact flow of K(s; h), K' = theta - (h w/2)^2 theta^3/3 + ..., for angles theta of s = l.x alone.
     """
     terms: list[dict[int, Exact]] = [{} for _ in range(len(parts))]
     share_of_angle = {
@@ -180,8 +180,9 @@ def _expanded(local: dict[tuple[int, ...], float], x: NDArray[np.float64], coord
 
 
 def taylor_polynomial(term: FunctionTerm, y: NDArray[np.float64], degree: int) -> dict[tuple[int, ...], float]:
-    """Return {exponents: coefficient} of a function at y (m,), without its constant, for degree >= 1: above degree two
-    by Fourier coefficients of the gradient on circles in the complex plane, to about 1e-10 of the largest.
+    """Return {exponents: coefficient} of a function at y (m,), without its constant, for degree >= 1.
+
+    Above degree two by Fourier coefficients of the gradient on complex circles, to about 1e-10 of the largest.
     """
     gradient = np.asarray(derivative_of(term, 1, y, 0.0), dtype=np.float64)
     m = len(y)

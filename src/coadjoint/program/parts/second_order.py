@@ -29,9 +29,7 @@ IMPROVEMENT_FACTOR = 1.0 - 1e-9
 
 
 def part_derivatives(parts: Parts, points: Floats) -> tuple[Floats, Floats]:
-    """Return gradient and Hessian of the piece of the Hamiltonian of each part at points (k, n). The gradients sum_a
-    l_a theta_a have shape (parts, k, n), the Hessians (parts, k, n, n), or (parts, 1, n, n) if all are constant.
-    """
+    """Return by part gradients (parts, k, n) and Hessians (parts, k or 1, n, n) of its piece of H at points (k, n)."""
     count, n = points.shape
     constant, quadratic = np.zeros((len(parts), 1, n)), np.zeros((len(parts), 1, n, n))
     forms, weights, part = parts.forms, parts.weights, parts.part_of_angle
@@ -61,9 +59,9 @@ def _matrix_vector(matrices: Floats, vectors: Floats) -> Floats:
 
 
 def nested_brackets(algebra: LieAlgebra, sets: Sequence[Parts], points: Floats) -> Floats:
-    """Return {H_i, {H_j, H_k}}, j < k, of the pieces of several sets of as many parts at points (k, n), shape (sets,
-    parts, pairs, k), with {F, G} = (grad F)^T J(x) grad G. With `order_weights` they add up to H2 of parts in the order
-    of a forward sweep: ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4).
+    """Return {H_i, {H_j, H_k}}, j < k, at points, (sets, parts, pairs, k), with {F, G} = (grad F)^T J(x) grad G.
+
+    With `order_weights` they add up to H2: ``X1(h/2) ... Xn(h) ... X1(h/2)`` is the time-h flow of H + h^2 H2 + O(h^4).
     """
     shape = len(sets), len(sets[0])
     derivatives = part_derivatives(Parts.concatenate(sets), points)
@@ -118,7 +116,7 @@ def order_sizes(brackets: Floats, orders: Sequence[tuple[int, ...]]) -> list[flo
 
 @lru_cache(maxsize=1024)
 def order_weights(order: tuple[int, ...]) -> Floats:
-    """Return the coefficients of `nested_brackets` in H2, shape (parts, pairs), for an order of a forward sweep.
+    """Return the coefficients of `nested_brackets` in H2, (parts, pairs), for an order of a forward sweep.
 
     A part A followed by the sum D of all later ones contributes -{A, {A, D}}/24 + {D, {D, A}}/12.
     """
@@ -141,10 +139,10 @@ def order_weights(order: tuple[int, ...]) -> Floats:
 def best_orders(
     system: LiePoissonSystem, sets: Sequence[Parts], points: NDArray[np.float64]
 ) -> list[tuple[tuple[int, ...], float]]:
-    """Return for several sets of as many parts the order with the smallest root mean square of the h^2 term at `points`
-    (k, n), and that value. Up to five parts are permuted in all ways, up to eight moved one by one as long as that
-    helps; more keep their order. The natural order and zero are returned if the term is not available (no second
-    derivatives, or no points).
+    """Return for sets of as many parts the order with the smallest RMS of the h^2 term at `points` (k, n), and that.
+
+    Up to five parts are permuted in all ways, up to eight moved one by one while that helps; more keep their order.
+    Without the term (no second derivatives, or no points) it is the natural order and zero.
     """
     natural = tuple(range(len(sets[0])))
     if len(natural) < 2 or not len(points) or not has_hessians(system, system.hamiltonian.terms()):

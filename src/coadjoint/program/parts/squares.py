@@ -46,8 +46,9 @@ class Squares(NamedTuple):
 
 
 def complete_squares(matrix: NDArray[Any], linear: NDArray[Any], central: NDArray[np.bool_] | None = None) -> Squares:
-    """Complete the square for any symmetric matrix (Lagrange's reduction), rational as eigenvectors are not. Those of
-    `central` coordinates, a mask, which generate no flow, come last, so that no flow is a difference of larger ones.
+    """Complete the square for any symmetric matrix (Lagrange's reduction), rational as eigenvectors are not.
+
+    Those of `central` coordinates, which generate no flow, come last, so that no flow is a difference of larger ones.
     """
     size = len(linear)
     exact = matrix.dtype == np.float64 and size <= MAX_RATIONAL_SIZE
@@ -115,8 +116,9 @@ def _square(residual: NDArray[Any], i: int) -> list[tuple[NDArray[Any], Any]]:
 
 
 def _pair(residual: NDArray[Any], i: int, j: int) -> list[tuple[NDArray[Any], Any]]:
-    """Return squares along e_i + e_j or e_i - e_j, then e_j, for a diagonal small against the entry (i, j). For the
-    entry m and a zero diagonal, ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2 with the rows m u and m v.
+    """Return squares along e_i +- e_j, then e_j, for a diagonal small against m = M_ij.
+
+    With a zero diagonal, ((u + v)(u + v)^T - (u - v)(u - v)^T) m/2 with the rows m u and m v.
     """
     sign = 1 if (residual[i, i] + residual[j, j]) * residual[i, j] >= 0 else -1
     along = residual[i] + sign * residual[j]
@@ -277,8 +279,6 @@ class ExactSums(NamedTuple):
     def at(self, b: NDArray[np.float64]) -> list[float]:
         """Evaluate the sums for finite floats b, correctly rounded; raise OverflowError beyond float64.
 
-        Examples
-        --------
         >>> ExactSums((0, 1), ((1, -2), (1, 0)), (3, 4)).at(np.array([1.0, 0.25]))
         [0.16666666666666666, 0.25]
         """
@@ -318,9 +318,9 @@ class ReductionSteps(NamedTuple):
 
 
 def offsets_of_squares(parts: Parts) -> list[tuple[list[int], ExactSums | ReductionSteps]]:
-    """Return (angles, offsets) for each set of coupled coordinates, as functions of the linear term. Forms of up to 16
-    coupled coordinates are exact (`ExactSums`), others floats (`ReductionSteps`). Uncoupled coordinates are omitted:
-    their offset is the coefficient itself.
+    """Return (angles, offsets of the linear term) by set of coupled coordinates; uncoupled ones are omitted.
+
+    Up to 16 coupled coordinates have exact forms (`ExactSums`), others floats (`ReductionSteps`).
     """
     forms = parts.forms
     linear = np.ones(len(parts.offset), dtype=bool)
