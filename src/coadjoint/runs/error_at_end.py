@@ -96,10 +96,7 @@ def error_at_end(solution: Solution) -> NDArray[np.float64]:
 
 
 def finer_run(method: Method, steps: int, times: float, order: int, sampled: bool) -> FinerRun:
-    """Return the scheme and number of steps of a run of `times` as many steps, and the fraction of the error `left`.
-
-    With samples the number is a multiple of `steps`.
-    """
+    """Return scheme and steps of a run `times` as fine (with samples a multiple of `steps`), and the error `left`."""
     by_own_steps = method.finer(steps, times)
     if by_own_steps is not None:
         return by_own_steps
@@ -117,9 +114,9 @@ def _distances(
     finer: FinerRun,
     advance: Callable[[Run], None] = Run.advance,
 ) -> NDArray[np.float64]:
-    """Return the relative distances from the ends of a finer run, corrected for its error: largest, and of groups.
+    """Return relative distances from the ends of a finer run, corrected for its error: largest, and by group.
 
-    A span of whole steps may end after the run, which is then compared by a part of a step.
+    If a span of whole steps ends after the run, a partial step makes the comparison.
     """
     points = max(2, min(MAX_SAVED_POINTS, MAX_SAVED_NUMBERS // starts.shape[1]))
     every = -(-finer.steps // points)

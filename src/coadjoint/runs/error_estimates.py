@@ -187,11 +187,10 @@ def wrong_member(measured: MeasuredSteps, steps: list[WorstStep], lost: LostInva
 
 @ignore_overflow
 def error_over_run(measured: MeasuredSteps, worst: WorstStep, turn: float | None = None) -> float:
-    """Return the error of the run of a member by half steps, relative to its motion; of a long run, of a part.
+    """Return the error of a member's run by half steps, relative to its motion; of a long run, of a part.
 
     The part begins at the worst step; where errors of steps are small it is a turn. Slow errors that grow in it are
-    extrapolated. Of a state at rest the error is relative to the state, since all that changes is error, and so that of
-    groups at rest beside others that move.
+    extrapolated. At rest the error is relative to the state, since all that changes is error; so for groups at rest.
     """
     m, t, state, h = worst.m, worst.t, worst.state, measured.h
     count = max(1, math.ceil(measured.step_count(m) * (1.0 - WHOLE_STEP_TOLERANCE)))
@@ -340,10 +339,7 @@ def _size_of_invariant(
 
 @ignore_overflow
 def rounded_group(measured: MeasuredSteps) -> tuple[float, int, int] | None:
-    """Return the largest change of a group by rounding in the run of a chosen member, that member, and the group.
-
-    The change is relative to the size of the group; None if it is small.
-    """
+    """Return the largest change of a group by rounding relative to its size, its member and group; None if small."""
     # If a step loses so many digits that the run could, the run of that member is repeated, or the part of it that
     # few steps reach, with rounding up and down in turns. Groups that are zero but for rounding are left out.
     if not measured.lossy:

@@ -1,7 +1,4 @@
-"""Inputs of a prepared run: coefficients of the linear term of H, and torques, that each call sets.
-
-The loops are compiled once; each call writes its inputs into copies of their tables.
-"""
+"""Inputs of a prepared run (linear coefficients of H, torques): each call writes them into copies of the tables."""
 
 from __future__ import annotations
 
@@ -55,8 +52,7 @@ RESERVED_NAMES = frozenset(
 class Inputs:
     """Inputs of a prepared run: coefficients of the linear term of H, or constant torques.
 
-    `values` (m,) are the defaults, first the linear term, then the torques; `indices` maps each name to its indices in
-    them, and `changing` has all of these in order.
+    `values` (m,): defaults, linear terms first; `indices`: name -> indices in them; `changing`: all these in order.
     """
 
     def __init__(self, system: System | Batch, specification: Any) -> None:

@@ -27,9 +27,8 @@ Integers = NDArray[np.int64]
 FASTEST = 0.4
 # Least speed of a passage, relative to the mean speed; below, the steps at the points represent all.
 PASSAGE = 2.0
-# Largest number of steps that are repeated, and part of the run. Short runs, of no more steps, are repeated as a whole
-# unless every step is saved, so that what is found does not depend on the saved points; and longer ones in which the
-# energy deviates.
+# Short runs, of no more steps than this, are repeated as a whole, so that findings do not depend on saved points;
+# so are longer ones in which the energy deviates. Else this part of a run is.
 STEPS, PART, SUSPECTED_STEPS = 1000, 0.05, 10000
 # Smallest number of entries of the states at the points whose steps take several threads.
 THREADED = 2**16
@@ -148,9 +147,7 @@ class MeasuredSteps:
         return [start, *((float(self.t[k]), *self.states(k)) for k in chosen)]
 
     def _step(self, m: Integers, states: Floats, t: Floats, known_rounding: Floats | None = None) -> Floats:
-        """Return errors, changes and rounding of steps of chosen members from states (rows, n) at the times t (rows,),
-        (3, rows, groups); zero if they cannot be repeated.
-        """
+        """Return errors, changes, rounding (3, rows, groups) of steps from states; zero if not repeatable."""
         h, groups, n = self.h, self.groups, states.shape[1]
 
         def ends(x: Floats, t: Floats, *lengths: float) -> list[Floats]:

@@ -1,6 +1,4 @@
-"""Partial steps: states between two steps by a shorter step of the same scheme, for many states at once, and the states
-of a run at output times.
-"""
+"""States between two steps, by a shorter step of the same scheme for many states at once, and at output times."""
 
 from __future__ import annotations
 

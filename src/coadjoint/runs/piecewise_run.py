@@ -105,10 +105,10 @@ class PiecewiseRun:
     def advance_into(
         self, take: Callable[[PiecewiseRun], None], until: int | None = None, progress: bool = False
     ) -> None:
-        """Take the steps up to number `until`, or all; a function takes what they save, such as an archive.
+        """Take the steps up to number `until`, or all; `take` uses what they save, such as an archive.
 
-        It reads the points in memory, `piece`, and the state, `stored`, which are released afterwards. It is called
-        when memory is full, every ten seconds or less often, before an interrupt, and at the end.
+        It reads the points in memory, `piece`, and the state, `stored`, released afterwards: when memory is full, every
+        ten seconds or less often, before an interrupt, and at the end.
         """
         stretch, last = FIRST_STRETCH, self.run.times.steps if until is None else until
         taken, seconds, when = -1, 0.0, time.perf_counter()
@@ -205,10 +205,8 @@ def state_of(stored: Mapping[str, Any]) -> State:
 
 
 def larger_deviations(earlier: NDArray[np.float64], later: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Combine the largest deviations of two successive pieces of a run with the NaN semantics of the loops.
+    """Combine largest deviations of two successive pieces with the NaN semantics of the loops.
 
-    Examples
-    --------
     >>> larger_deviations(np.array([1.0, 2.0, np.nan, 3.0]), np.array([2.0, 1.0, 0.0, np.nan]))
     array([ 2.,  2., nan, nan])
     """

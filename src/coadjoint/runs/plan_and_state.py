@@ -28,8 +28,8 @@ BYTES_PER_POINT = 24  # time, number and observed quantities
 class Plan:
     """System, scheme, loops and times of runs whose group elements have one shape; immutable.
 
-    The calls of the loops in `rounds` run one after the other, and those of a round concurrently. `shared` are fields
-    of all solutions; `is_short` means one call in the calling thread, from the momenta alone, with a small state.
+    Calls in a round of `rounds` are concurrent. `shared`: fields of all solutions; `is_short`: one call in this thread,
+    from the momenta alone, with a small state.
     """
 
     def __init__(

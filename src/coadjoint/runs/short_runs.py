@@ -1,6 +1,4 @@
-"""The short way of runs that are one call of a loop: of a solution made of the arrays, without a `Run`, and of the
-final state alone, with arrays that are reused from call to call.
-"""
+"""Fast path for a single trajectory: one kernel call whose buffer becomes the `Solution`, or only its last state."""
 
 from __future__ import annotations
 

@@ -21,13 +21,11 @@ ULP_TOLERANCE = 4
 
 
 def accumulated_rounding(count: float, first: float, last: float, step: float) -> float:
-    """Return the largest rounding of one of `count` times between two ends, each of which may be a sum of steps.
+    """Return the largest rounding of `count` times between two ends, each of which may be a sum of steps.
 
-    Times such as ``np.cumsum([0.1] * 300)`` have a rounding error for each term, relative to the largest time. The sum
-    of these errors counts as rounding up to a hundredth of a step; a single one always does.
+    Times such as ``np.cumsum([0.1] * 300)`` have a rounding error per term, relative to the largest time; their sum
+    counts up to a hundredth of a step, a single one always.
 
-    Examples
-    --------
     >>> accumulated_rounding(1, 0.0, 30.0, 0.1) < 1e-13 < 1e-11 < accumulated_rounding(300, 0.0, 30.0, 0.1)
     True
     """

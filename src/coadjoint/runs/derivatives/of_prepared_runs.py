@@ -1,7 +1,6 @@
-"""Derivatives of prepared runs: `PreparedRun.jvp` and `PreparedRun.vjp`.
+"""Derivatives of prepared runs, `PreparedRun.jvp` and `vjp`: jointly for members whose tables have one structure.
 
-Members of batches whose tables have one structure are differentiated together. All others, and those with events or
-own steps, are differentiated each by a run of its own.
+All others, and those with events or own steps, are differentiated each by a run of its own.
 """
 
 from __future__ import annotations

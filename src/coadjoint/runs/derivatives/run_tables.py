@@ -293,8 +293,7 @@ def changed_inputs(inputs: Inputs, system: Any, values: Floats, h: float) -> Ite
 
 
 StepTangents = Callable[[Floats, float, Floats | None], Floats | None]
-"""Derivatives of a step, (n, n) by the state and (n, k) by inputs, side by side, at a state, a time and values of the
-inputs; None if they are not finite."""
+"""Derivatives (n, n + k) of a step, by the state, then inputs, at a state, a time and inputs; None if not finite."""
 
 
 def step_tangents(

@@ -120,9 +120,9 @@ def carry(tables: DerivativeTables, structure: Any, run: Any, first: int, last: 
 
 
 class StepwiseDerivatives:
-    """Derivatives of steps by the state (`Method.linearized`), of their group elements, and of both by parameters.
+    """Derivatives of steps by the state (`Method.linearized`), of group elements, and of both by parameters.
 
-    Derivatives by parameters, and of the elements g of A -> A g by the state, are central differences of order 8.
+    Those by parameters, and of the elements g of A -> A g by the state, are central differences of order 8.
     """
 
     def __init__(

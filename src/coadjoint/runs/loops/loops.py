@@ -47,10 +47,10 @@ Floats = NDArray[np.float64]
 
 
 class Loops:
-    """The compiled loops of a run, and further properties of its system; concurrent runs may share them.
+    """Compiled loops of a run and properties of its system; concurrent runs may share them.
 
-    There is one loop for each distinct system, or for several with `columns`; `owners` (members,) are the numbers of
-    their loops. With `in_order` a member keeps its row, which its noise depends on.
+    There is one loop for each distinct system, or for several with `columns`; `owners` (members,) selects it. With
+    `in_order` a member keeps its row, which its noise depends on.
     """
 
     corrected_groups: GroupCorrection

@@ -37,9 +37,9 @@ MAX_PRODUCTS = 2e7
 
 
 UNSHIFTED = ("momenta", "initial", "held", "out", "members", "first", "last", "k0", "k1", "rate", "elapsed")
-"""Fields of the part of a run to process: addresses of its arrays for `members` members, and ranges of members and
-points. X is multiplied by `rate`. `elapsed`, if not 0, is the address of the times since the start of each point and
-member, instead of those of a schedule."""
+"""Addresses of arrays of `members` members, ranges of members and points; X is multiplied by `rate`. `elapsed`, if not
+0, is the address of times since the start by point and member, in place of those of a schedule.
+"""
 
 
 def unshifting(tables: UnshiftTables) -> Callable[..., None]:
@@ -60,8 +60,9 @@ def unshifting(tables: UnshiftTables) -> Callable[..., None]:
         schedule: bytes,
         elapsed: NDArray[np.float64] | None = None,
     ) -> None:
-        """Fill out (k, members, d, d) with the elements of the members `first` to `last` - 1, from the transposed ones
-        of the shifted run at the address `loop_groups`. `elapsed` (k, members) replaces the times of the schedule.
+        """Fill out (k, members, d, d), members `first` to `last` - 1, from transposed elements at `loop_groups`.
+
+        `elapsed` (k, members) replaces the times of the schedule.
         """
         x0, g0 = addressof(as_c_double(momenta)), addressof(as_c_double(initial))
         out_address = addressof(as_c_double(out))
