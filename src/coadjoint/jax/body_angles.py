@@ -23,10 +23,7 @@ Angles = tuple[Callable[[Any], Any], Callable[[Any, Any, Any, Any], Any]]
 
 
 def body_angles(table: Mapping[str, Any], part: int) -> Angles:
-    """Return the angles 4 b to 4 b + 3 of body b of a part; a bond is a spherical body with two momenta.
-
-    The constants are the inverse inertia of each body, of which a bond has one number.
-    """
+    """Return angles 4 b to 4 b + 3 of body b of a part; a bond is a spherical body of one inertia with two momenta."""
     own = table["state_part"] == part
     names = ("state_angle", "state_row", "state_column", "state_value")
     entries = list(zip(*(table[name][own].tolist() for name in names), strict=True))

@@ -101,7 +101,7 @@ _compiled_step = jax.jit(step)
 def motion(x: Any, m: Any) -> tuple[Any, Any]:
     """Return the momentum, and the quaternion of the rotation from the axes at the end to those at the start.
 
-    `m` has the inverse inertia times the time: its diagonal (3,), or all entries (6,) of `PAIRS`.
+    `m`: the inverse inertia times the time, its diagonal (3,) or all entries (6,) of `PAIRS`.
     """
     # A power of two, on which the result does not depend.
     largest = lax.stop_gradient(jnp.max(jnp.abs(x)))

@@ -26,10 +26,7 @@ Flow = Callable[[Any, Any, Any, Any, Any], Any]
 
 
 def steps_between_forces(inner: Steps, system: Any, field: StageField, scheme: Forced) -> Steps:
-    """Return steps of another scheme between half flows of forces, at fractions of the step, as of `methods.Forced`.
-
-    The constants are those of the scheme, and the coefficients of the energy.
-    """
+    """Return steps between half flows of forces, as `methods.Forced`; constants: the scheme's, then coefficients."""
     plain = system.unforced
     readers = [ForceReaders(plain, field, f"a function of {system.labels[k]}", scheme.order) for k, _ in system.flows]
     flows: list[Flow] = [

@@ -1,7 +1,6 @@
-"""Primitives of JAX that integrate, and their rules: for tangents, transposes, batches and compiled programs.
+"""Primitives of JAX that integrate, and their rules: the derivative is a linear primitive with a transpose.
 
-The solution is one primitive, and its derivative is a linear one with a transpose, so that forward and reverse mode
-both follow. The names of the values are parameters of the primitives: "x0", "attitude0" and those of parameters.
+Both modes follow. Names of values are parameters: "x0", "attitude0" and those of parameters.
 """
 
 from __future__ import annotations

@@ -57,11 +57,10 @@ def _unchanged(constants: Any, state: Any, *_: Any) -> Any:
 
 
 class Steps(NamedTuple):
-    """Steps of a scheme. A state is a momentum and the rows of a group element, None in runs without an attitude.
+    """Steps of a scheme on (momentum, rows of a group element or None), unfinished between `begin` and `finish`.
 
-    Between steps a state may be unfinished: `begin(constants, start, t, h)` returns the one of which a state is the
-    finished one, with the unit element; `finish(constants, state, t, h, start, elapsed)` returns the finished state,
-    with the attitude from the start of a run. `constants(energy)` are those for coefficients of the energy.
+    `begin` returns the unfinished state with the unit element; `finish` that with the attitude from the start of a run.
+    `constants(energy)` are those for coefficients of the energy.
     """
 
     constants: Callable[[Any], Any]

@@ -1,7 +1,7 @@
-"""The table of a splitting as operations of JAX: angles, and closed forms of all blocks of a part at once.
+"""Flow table as JAX operations: angles, and closed forms of all blocks of a part at once.
 
-The blocks of a part are arranged in layers without common coordinates. A layer is x + S N x + C N^2 x, with factors S
-and C for each coordinate, so that its operations do not depend on the number of blocks.
+Blocks are arranged in layers without common coordinates, x + S N x + C N^2 x with factors by coordinate, so that the
+number of operations does not depend on that of blocks.
 """
 
 from __future__ import annotations
@@ -85,10 +85,7 @@ def _part(
 def table_steps(
     table: Table, functions: Mapping[int, Any], side: int | None, unshift: Sequence[UnshiftTables]
 ) -> Steps:
-    """Return the steps of a splitting from its table, with the sizes of group elements and the shifts of these.
-
-    Their `begin` undoes the finish, so that all steps have the same flows.
-    """
+    """Return the steps of a splitting; `begin` undoes the finish, so that all steps have the same flows."""
     if table["version"] > VERSION:
         raise ValueError(f"the table has the version {table['version']}; this reader knows versions up to {VERSION}")
     generators, after_shift = [_generator(one) for one in unshift], _after_shift(table)

@@ -218,9 +218,9 @@ def on_jax(function: Callable[..., Any], what: str) -> Callable[..., Any]:
 
 
 class TracedFunction(NamedTuple):
-    """A function of numbers y and the time as operations of JAX, with the `reference` as compiled, None for one of JAX.
+    """A function of numbers y and the time as JAX operations; `reference`: as compiled, None for one of JAX.
 
-    The numbers are those of a state at some `coordinates`; for a flow, behind them, the length of a step.
+    y are the numbers at `coordinates` of a state; for a flow, followed by the step length.
     """
 
     at: Callable[[Any, Any], Any]
