@@ -90,10 +90,7 @@ def draw_over_time(
     title: str,
     members_of: PlottedRun | None = None,
 ) -> None:
-    """Draw series (members, k) over time by label, each in its colour, with labels of the axes and a legend.
-
-    One series of the members of a run has a colour for each member, with a key of the parameters in which they differ.
-    """
+    """Draw series (members, k) over time by label, with labels and a legend; a single one is coloured by member."""
     if members_of is not None and len(lines) == 1 and differing_parameters(members_of):
         draw_each_member(axes, members_of, t, next(iter(lines.values())), joined)
     else:
@@ -286,10 +283,7 @@ def towards_viewer(axes: Any) -> Floats:
 
 
 class Globe:
-    """Sphere of a given radius in flat axes of equal aspect, with labelled directions, by default its three axes.
-
-    The view is one as `VIEW`.
-    """
+    """Sphere of a given radius in flat axes of equal aspect, seen from a `VIEW`, with labelled directions."""
 
     def __init__(
         self,

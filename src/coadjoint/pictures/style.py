@@ -264,8 +264,6 @@ def symbol(name: str) -> str:
 def coordinate(name: str) -> str:
     r"""Return the name of a coordinate as mathematical text; long names stay plain text.
 
-    Examples
-    --------
     >>> print(coordinate("x12"), coordinate("gamma3"), coordinate("S1[7]"), coordinate("E"), coordinate("zonal wind"))
     $x_{12}$ $\gamma_{3}$ $S_{1}^{[7]}$ $E$ zonal wind
     """

@@ -112,10 +112,7 @@ def _sides(system: Any) -> Floats:
 
 
 def _visible_faces(edges: Floats) -> tuple[Floats, Floats]:
-    """Return the corners (3, 4, 3) of the faces of a box towards the viewer, and their brightness.
-
-    `edges` has the half edges in columns, in the frame of the picture, with the origin in the middle of the box.
-    """
+    """Return corners (3, 4, 3) and brightness of faces of a box, `edges` its half edges in columns, to the viewer."""
     corners, brightness = [], []
     for i in range(3):
         normal = edges[:, i] * (1.0 if edges[2, i] >= 0.0 else -1.0)

@@ -233,10 +233,7 @@ class Projection:
     unproject: Callable[[Floats, Floats], ArrayPair]
 
     def directions(self, columns: int, centre: tuple[float, float]) -> Floats:
-        """Return the unit vectors of square pixels, (rows, columns, 3), lowest row first; NaN outside the map.
-
-        `centre` is the longitude and latitude of the middle of the map in degrees.
-        """
+        """Return unit vectors of square pixels (rows, columns, 3), lowest row first, NaN outside; centre in degrees."""
         rows = round(columns / self.half_width)
         x = self.half_width * ((2 * np.arange(columns) + 1) / columns - 1)
         x, y = np.meshgrid(x, (2 * np.arange(rows) + 1) / rows - 1)
