@@ -299,10 +299,8 @@ CHECKS = (motions, orders, certificates, same_bits, interpreted_steps, resumed)
 def selftest() -> Iterator[Finding]:
     """Check the installed package on this machine; yield each measurement with its bound.
 
-    All schemes of the library run on seven systems. Checks that need an optional package are skipped, with the reason.
+    All schemes run on seven systems; checks that need a missing optional package are skipped, with the reason.
 
-    Examples
-    --------
     >>> from itertools import islice
     >>> all(found.passed for found in islice(selftest(), 3))
     True

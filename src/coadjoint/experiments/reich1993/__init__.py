@@ -29,19 +29,9 @@ def reproduce(
 ) -> tuple[list[Statement], list[Path]]:
     """Repeat the experiments of the paper; return a row for each of its statements, and the paths of its figures.
 
-    Writes figure1.png ... figure5.png, modified_energies.png, long_time.png, table.md and table.csv to the folder
-    `out`. Some steps of the paper are too large for the motion on purpose; table.md lists them, in place of warnings.
-
-    Parameters
-    ----------
-    out : str or Path
-        Output folder, created if needed; OSError if it cannot be written.
-    echo : callable
-        Called with a line of text at the start of each section.
-    phase_end : float
-        End of the runs for phase errors (a whole number of time units, at least 50).
-    steps : int
-        Steps of the runs for the drift of invariants (a multiple of 10,000).
+    Writes figure1.png ... figure5.png, modified_energies.png, long_time.png, table.md (which lists steps too large on
+    purpose, in place of warnings) and table.csv to `out`. `phase_end`: a whole number, at least 50; `steps`: a multiple
+    of 10,000, for the drift of invariants. `echo` is called with a line at the start of each section.
     """
     if phase_end < 50.0 or phase_end != int(phase_end):
         raise ValueError(f"phase_end is {short(phase_end)}; it must be a whole number from 50 up")

@@ -121,13 +121,7 @@ def reference_problem(system: System, x0: npt.ArrayLike, end: float) -> Referenc
 
 
 def roundoff(steps: float, size: float) -> float:
-    """Return an upper bound of accumulated round-off: 8 roundings of 2^-53 per step, all of one sign.
-
-    Examples
-    --------
-    >>> roundoff(1000, 1.0) < 1e-12
-    True
-    """
+    """Return an upper bound of accumulated round-off: 8 roundings of 2^-53 per step, all of one sign."""
     return 8 * UNIT_ROUNDOFF * steps * size
 
 
@@ -168,8 +162,6 @@ def _fitted(
 def within(measured: float, expected: float) -> bool:
     """Return whether a slope agrees with the expected order.
 
-    Examples
-    --------
     >>> within(1.93, 2), within(2.5, 2)
     (True, False)
     """
