@@ -1,7 +1,6 @@
-"""The interface of the kernels to Python, as the library describes it, and the check that it matches this package.
+"""The interface of the kernels (`source/boundary`) as the library describes it, checked against this package.
 
-Tables, arrays of a run, codes and limits are defined in the headers of `source/boundary`. `program` works without
-compiled code and therefore defines some of them again; these are compared by name when the description is first read.
+`program` works without compiled code and defines some codes again; these are compared when it is first read.
 """
 
 from __future__ import annotations
@@ -24,9 +23,7 @@ REBUILD_ADVICE = (
 
 
 class LibraryInterface(NamedTuple):
-    """The interface by name: fields (type, field) of `tables`, `arrays` "saved" and "state" of a run, each with a
-    type and its axes, which are fields of `Extent` or limits, `codes` and "Limit".
-    """
+    """Fields (type, field) of `tables`, of `arrays` "saved" and "state" with their axes, `codes`, and "Limit"."""
 
     tables: Mapping[str, Fields]
     arrays: Mapping[str, Mapping[str, tuple[str, tuple[str, ...]]]]

@@ -129,9 +129,9 @@ def kernels() -> ctypes.CDLL:
 
 @functools.cache
 def interruptible_kernels() -> ctypes.PyDLL:
-    """Return the same library with its loops, which are called while Python's global lock is held. The loops release
-    the lock while they work, and acquire it periodically to check for signals; exceptions of handlers are raised by the
-    call. In a daemon thread they suspend the thread once the interpreter is finalizing.
+    """Return the library with loops called under Python's global lock, which they release and take to check signals.
+
+    Exceptions of handlers are raised by the call. Once the interpreter is finalizing, they suspend a daemon thread.
     """
     library = kernels()
     python = ctypes.pythonapi

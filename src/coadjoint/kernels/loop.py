@@ -1,8 +1,4 @@
-"""Compiled loops over steps, common to all families of schemes: the arrays of a run, calls, and limits on BLAS threads.
-
-Each group of arrays, results and working state, is contiguous in memory. BLAS and the threads of a run should not
-compete for cores.
-"""
+"""Compiled loops over steps: the arrays of a run, each group contiguous, calls, and limits on BLAS threads."""
 
 from __future__ import annotations
 
@@ -93,9 +89,9 @@ class NamedArrays:
 
 
 class Layout:
-    """The arrays of a run by name, "saved" at K points and the "state" carried between steps, as the library describes
-    them in `boundary/arrays.hpp`; matrices are transposed, and `worst` has the largest deviations in each tenth of the
-    run.
+    """Arrays of a run, "saved" at K points and the "state" between steps, as in `boundary/arrays.hpp`.
+
+    Matrices are transposed; `worst` has the largest deviations in each tenth of the run.
     """
 
     def __init__(self, extent: Extent) -> None:
@@ -138,8 +134,9 @@ WholeRun: Any = ctypes.c_int64 * 9
 
 @dataclass(frozen=True, kw_only=True)
 class CompiledLoop(CompiledTables):
-    """A compiled loop: its tables, and its name in the library. `memory` counts the numbers of a member that the scheme
-    keeps; `accounts` are the force and the invariant of each entry after the coordinates.
+    """A compiled loop: tables and name in the library; `memory`: numbers of a member that the scheme keeps.
+
+    `accounts`: work integrals behind the coordinates, as (force, invariant).
     """
 
     name: str
@@ -149,14 +146,13 @@ class CompiledLoop(CompiledTables):
 
 
 NEVER_STOPPED = ctypes.c_int64(0)
-"""Flag of runs in the calling thread; a value of 1 in that of other runs stops all their loops within a fraction of a
-second."""
+"""Flag of runs in the calling thread; 1 in another run's stops its loops within a fraction of a second."""
 
 
 class MemberBatch:
-    """The members `first` to `last` - 1 that one call of a loop advances, with its tables, plain or `as_structure`. If
-    `stride` is nonzero, constants differ by member: each is an array of `stride` columns, the first for member `base`.
-    They are read in whole lanes, up to 32: the last column must be followed by as many.
+    """Members `first` to `last` - 1 of one call of a loop, with its tables, plain or `as_structure`.
+
+    With a nonzero `stride`, constants have one column per member from `base` on, padded to a multiple of 32 (SIMD).
     """
 
     def __init__(
@@ -200,9 +196,9 @@ class MemberBatch:
         k1: int,
         stop: ctypes.c_int64,
     ) -> int:
-        """Take the steps k0 + 1 to k1, and save the start if k0 is 0; return the number of failed members, with those
-        of a last energy that is not finite. An exception of a signal, such as KeyboardInterrupt, invalidates the arrays
-        of the batch.
+        """Take steps k0 + 1 to k1 (save the start if k0 is 0); return failed members, with those of nonfinite energy.
+
+        An exception of a signal, such as KeyboardInterrupt, invalidates the arrays of the batch.
         """
         failed_count: int = self._advance(
             layout.address, schedule, saved.address, state.address, as_int64(k0), as_int64(k1), ctypes.byref(stop)
@@ -210,9 +206,9 @@ class MemberBatch:
         return failed_count if failed_count >= 0 else raise_outcome(failed_count)
 
     def whole_run(self, layout: Layout, schedule: Any) -> Callable[[Any], int]:
-        """Return a function of the address of the arrays, the saved ones and then the state, that takes all steps of a
-        run, for many calls. It returns the number of failed members, all if a momentum is not finite, or a negative
-        outcome.
+        """Return a function of the address of the arrays, saved then state, that takes all steps, for many calls.
+
+        It returns the number of failed members (all if a momentum is not finite), or a negative outcome.
         """
         pointed = *self._pointed_tables, layout.table, schedule, NEVER_STOPPED
         tables, watch, extent, schedule_address, stop = map(ctypes.addressof, pointed)

@@ -1,5 +1,5 @@
-"""Tables as C structures with the layout that the library describes, the compiled user functions that they call, and
-their pickling: functions are compiled again, and addresses are replaced by those in the receiving process.
+"""Tables as C structures, the compiled user functions that they call, and their pickling: functions are compiled
+again, and addresses are replaced by those in the receiving process.
 """
 
 from __future__ import annotations
@@ -181,9 +181,7 @@ def _structure_of(field: TableField, value: Any) -> Hashable:
 
 
 def stacked(members: Sequence[Tables]) -> Tables:
-    """Return one set of tables for members of equal `structure_of`, with a column of constants for each; the last one
-    is repeated up to a multiple of MOST_LANES, since lanes may read beyond it.
-    """
+    """Stack tables of equal `structure_of`, a column of constants each, padded to a multiple of MOST_LANES."""
     kind: Any = type(members[0])
     varying = [one for one in table_fields(structure_of_table(kind)) if one.token in PER_MEMBER_TYPES]
     return with_arrays(
@@ -228,9 +226,7 @@ FIELDS_OF_LIBRARY_ADDRESSES = ("step", "tables.whole")
 
 @dataclass(frozen=True)
 class CompiledTables:
-    """Tables for a compiled loop, objects that must live as long, and the sources of the constants. `referenced` are
-    tables read by address, by its index among the integers of the step.
-    """
+    """Tables of a compiled loop, objects kept alive, sources of constants; `referenced`: tables read by address."""
 
     tables: Any
     keepalive: tuple[Any, ...] = ()

@@ -22,9 +22,9 @@ from coadjoint.program.term_table import LINEAR, Terms
 
 
 class FlowTables(NamedTuple):
-    """The arrays of a program, with coefficients of rows multiplied by `step`. only[p] is the row of a part of one
-    linear angle, else -1; bent[p] is 1 if its blocks on the group have other frequencies. `called`, the bodies and
-    `properties` are described in `boundary/tables.hpp` and `flows/called_parts.hpp`.
+    """Arrays of a program, row coefficients times `step`; for `called`, bodies, `properties` see `boundary/tables.hpp`.
+
+    only[p]: row of a part of one linear angle, else -1; bent[p]: 1 if its blocks on the group have other frequencies.
     """
 
     longest: int
@@ -161,8 +161,9 @@ def _constants(share: BodyShare) -> list[float]:
 
 
 def principal_axes(matrix: Sequence[Sequence[float]]) -> tuple[list[float], list[list[float]]]:
-    """Return eigenvalues (unsorted) and eigenvectors (columns, a rotation) of a symmetric 3x3 matrix by Jacobi
-    rotations. The bits are the same on every machine. A diagonal matrix keeps its order.
+    """Return eigenvalues (unsorted) and eigenvectors (columns, a rotation) of a symmetric 3x3 matrix (Jacobi).
+
+    The bits are the same on every machine. A diagonal matrix keeps its order.
     """
     M = [list(row) for row in matrix]
     Q = [[float(i == j) for j in range(3)] for i in range(3)]

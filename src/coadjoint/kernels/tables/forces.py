@@ -83,9 +83,7 @@ def _adapted_matrix_function(
 
 
 def accounts_of(system: Any) -> tuple[tuple[str, str], ...]:
-    """Return the accounts of a system with forces, which accumulate changes of invariants behind the coordinates: for
-    each force, by its label, those of the energy and of the Casimirs that it changes.
-    """
+    """Return the work integrals of a system, (force, invariant changed), behind the coordinates."""
     accounts: list[tuple[str, str]] = []
     hamiltonian_part = system.unforced
     tracked_casimirs = (
@@ -98,10 +96,7 @@ def accounts_of(system: Any) -> tuple[tuple[str, str], ...]:
 
 
 class _ForceTableBuilder:
-    """Builder of the table of a force in schemes of an order, with the Python function `called` by it.
-
-    `keepalive` holds the machine code of the function, which is only read if it is not to be compiled.
-    """
+    """Builder of the table of a force in schemes of an order; `keepalive` holds the code of its function `called`."""
 
     def __init__(self, system: Any, account: int, accounts: int, order: int, compiles: bool = True) -> None:
         self.called: Callable[..., Any] | None = None

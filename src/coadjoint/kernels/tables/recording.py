@@ -24,14 +24,14 @@ _packed_schedule = packer(
         *("starts", "lengths", "events", "threads"),
     ),
 )
-"""Bytes of a schedule: the steps of a run, those after which states are saved or invariants computed, and the addresses
-of the steps of single members and of events, 0 if there are none, as in `boundary/tables.hpp`."""
+"""Pack a schedule (steps, saved steps, steps with invariants, addresses of own steps and events or 0)."""
 
 
 class Watch(NamedTuple):
-    """The watched invariants: I of them, each a constant plus a sum of terms. Invariant i has the terms first[i] to
-    first[i + 1]. A positive period[i] marks a multivalued one (a logarithm with an angle), which is unwrapped by whole
-    periods along the run. `longest` is the largest number of arguments of a function.
+    """The I watched invariants, each a constant plus terms first[i] to first[i + 1].
+
+    A positive period[i] marks a multivalued one (a logarithm with an angle), unwrapped along the run. `longest`: most
+    arguments of a function.
     """
 
     size: int
@@ -65,9 +65,7 @@ SINGLE_STEP_MARK = np.array([1], dtype=np.int64)
 
 
 def partial_step_schedule(starts: NDArray[np.float64], lengths: NDArray[np.float64], threads: int) -> bytes:
-    """Return a schedule as bytes in which each member takes one step of its own and saves the result. The run does
-    not end with this step, so that no energy is computed. The arrays must live as long.
-    """
+    """Return a schedule of one step of its own for each member, without energy; the arrays must live as long."""
     addresses = (SINGLE_STEP_MARK.ctypes.data, starts.ctypes.data, lengths.ctypes.data)
     return _packed_schedule(0.0, 0.0, 2, 1, 0, False, 1, *addresses, 0, threads)
 
@@ -83,9 +81,9 @@ def values_along(watch: Any, points: NDArray[np.float64], times: NDArray[np.floa
 
 
 class FlaggedSteps(NamedTuple):
-    """Rows recorded by the loops, r of them, each a step of a member with a possible crossing. `codes` (r, E) are
-    `Crossing` codes of the kernels; `states` (r, n) and `groups` (r, d*d) are those before the step; `before` and
-    `after` (r, E) are the values of the events.
+    """Steps of a member with a possible crossing, by row: `Crossing` `codes` (r, E), states and groups before it.
+
+    `before` and `after` (r, E) are the values of the events.
     """
 
     members: NDArray[np.int64]
@@ -106,9 +104,9 @@ class FlaggedSteps(NamedTuple):
 
 
 class EventArrays:
-    """Arrays with which the loops detect events: `direction` (E,), 1 for rising zeros, -1 for falling, 0 for both;
-    `left` (members, E), crossings until a run ends, 0 for no end. At most `chunk` steps may pass between calls of
-    `take`.
+    """Arrays for events: `direction` (E,) 1 rising, -1 falling, 0 both; at most `chunk` steps between `take`s.
+
+    `left` (members, E): crossings until a run ends, 0 for no end.
     """
 
     def __init__(

@@ -122,9 +122,10 @@ NO_BAND: tuple[int, NDArray[np.uint32]] = (-1, np.zeros(0, dtype=np.uint32))
 
 
 def narrow_band(system: System, stages: int, solver: str) -> tuple[int, NDArray[np.uint32]]:
-    """Return the bandwidth of a Jacobian (-1 without a narrow band) and the position (n,) of each coordinate. The
-    ordering is reverse Cuthill-McKee; the `stages` unknowns of a coordinate are adjacent. The Jacobian of the solver is
-    sign (D_u + J(x) H'') for "implicit", J(x) H'' for "structure", D_u for "gradient".
+    """Return the bandwidth of a Jacobian (-1: no narrow band) and positions (n,), by reverse Cuthill-McKee.
+
+    The `stages` unknowns of a coordinate are adjacent. The Jacobian is sign (D_u + J(x) H'') for "implicit", J(x) H''
+    for "structure", D_u for "gradient".
     """
     if system.algebra is None:
         return NO_BAND

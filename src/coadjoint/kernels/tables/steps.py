@@ -1,7 +1,4 @@
-"""Tables of the loop for step methods, schemes with one compiled step of their own, of vectors and of matrices.
-
-Streams given as Python functions are called by address: compiled by Numba if possible.
-"""
+"""Tables of the loop for schemes with one compiled step of their own, of vectors and of matrices."""
 
 from __future__ import annotations
 
@@ -51,9 +48,9 @@ class StepTables(NamedTuple):
 
 
 class Stepping(NamedTuple):
-    """A compiled step, by address, and its tables; a step of the run consists of `substeps` of it. They have the
-    lengths `fraction`, at the moments `moment`, in units of the step. `serial` is the number that the loop assigns to
-    the tables when it first reads them.
+    """A compiled step by address, and its tables; `substeps` of it, of lengths `fraction` at `moment`, make a step.
+
+    `serial` is the number that the loop assigns to the tables when it first reads them.
     """
 
     step: NDArray[np.int64]
@@ -141,9 +138,10 @@ def wrapped_step_tables(system: System, step: str, inner: CompiledLoop, restored
 
 
 def inner_loop_integers(inner: CompiledLoop, system: System, representation: Any) -> tuple[list[int], tuple[Any, ...]]:
-    """Return the integers by which a step calls `inner`, a loop for one member, and the objects to keep alive. The
-    integers are the addresses of the loop, of its tables and of an empty watch, the size of its memory, and the address
-    of the tables that rotate the group element by the shift of the Hamiltonian, or 0.
+    """Return integers by which a step calls `inner`, a loop for one member, and the objects to keep alive.
+
+    These are addresses of the loop, its tables and an empty watch, the size of its memory, and the address of tables
+    that rotate the group element by the shift of H, or 0.
     """
     loop = ctypes.cast(getattr(kernels(), f"{inner.name}_inside"), ctypes.c_void_p).value
     no_invariants = invariants_table([], system.dim)
@@ -229,9 +227,8 @@ def blas_address(name: str) -> int:
 
 
 def stream_tables(system: Any) -> tuple[list[int], list[float], tuple[Any, ...]]:
-    """Return the integers (size, layers, the kinds of both streams, -1 for none, whether there is a constant `linear`,
-    address of a function) and the numbers (the constant, the tables of the maps) of a stream, and the owners of its
-    functions.
+    """Return integers (size, layers, kinds of both streams or -1, whether `linear` exists, address of a function),
+    numbers (the constant, the tables of the maps) and owners of functions of a stream.
     """
     kinds = codes("StreamKind")
     stream, second, linear, function = system.stream, system.second_stream, system.linear, None
@@ -264,9 +261,9 @@ def matrix_tables(
 
 
 def stream_function(stream: FunctionStream, shape: tuple[int, int], complex_entries: bool) -> Any:
-    """Return a stream function with the address of ``void(const double* W, double t, double* P)``, on matrices of this
-    `shape`, complex128 if `complex_entries`, else float64. A function that Numba cannot compile is called in Python, by
-    one thread at a time.
+    """Return a stream function with the address of ``void(const double* W, double t, double* P)``.
+
+    A function that Numba cannot compile is called in Python, by one thread at a time.
     """
     try:
         require_packages("a compiled stream", "numba")

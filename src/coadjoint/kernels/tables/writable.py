@@ -1,7 +1,4 @@
-"""Tables whose constants are written for given numbers, such as inputs, or the coefficients of members of a batch.
-
-The few arrays that depend on them are copied; the sources that the tables record say where.
-"""
+"""Tables whose constants are written for inputs or coefficients of members; only arrays that depend are copied."""
 
 from __future__ import annotations
 
@@ -99,9 +96,10 @@ class _Block:
 
 
 class WritableTables:
-    """The tables of a scheme and of the watched invariants for numbers (m,) given with each call: `indices` maps
-    sources to those that they are, `tangled` are sources that change with them, `values` the numbers as built. With
-    `separate_tables` members need tables of their own.
+    """Tables of a scheme and of watched invariants for numbers (m,) given with each call, `values` as built.
+
+    `indices`: coefficient -> input; `tangled`: coefficients that inputs change indirectly. With `separate_tables`
+    members need tables of their own.
     """
 
     def __init__(
@@ -183,10 +181,7 @@ class WritableTables:
         return [one for one in found if one[0] != WATCH]
 
     def derivatives(self, names: Sequence[str]) -> Multiples:
-        """Return the derivatives by the numbers of the entries of these fields of the scheme, one after the other.
-
-        Raise `NotWritable` if other fields depend on the numbers.
-        """
+        """Return derivatives of fields by the numbers, one after the other; NotWritable if other fields depend."""
         from coadjoint.program.sources import Multiples, concatenated
 
         sizes = (len(self._tables[0].value(name)) for name in names)
