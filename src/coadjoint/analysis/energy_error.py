@@ -217,7 +217,6 @@ def short_motion(system: LiePoissonSystem, start: Floats, count: int) -> tuple[F
 
 
 def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Floats) -> float:
-    """Return the largest speed of the flow of a function at some states."""
     slopes = np.asarray(function.gradient(points))
     return max(
         float(np.linalg.norm(system.algebra.structure_matrix(x) @ u)) for x, u in zip(points, slopes, strict=True)
@@ -225,7 +224,6 @@ def _largest_speed(system: LiePoissonSystem, function: Polynomial, points: Float
 
 
 def _monomials(n: int, degree: int) -> list[Polynomial]:
-    """Return all monomials of degree 1 to `degree` in n coordinates."""
     total = math.comb(n + degree, n) - 1
     if total > MAX_MONOMIALS:
         raise ValueError(
@@ -236,7 +234,6 @@ def _monomials(n: int, degree: int) -> list[Polynomial]:
 
 
 def _deviations(functions: list[Polynomial], points: Floats) -> Any:
-    """Return the values of functions at points of a motion minus their means, shape (k, functions)."""
     values = np.stack([np.asarray(f(points)) for f in functions], axis=1)
     return values - values.mean(axis=0)
 
@@ -310,7 +307,6 @@ def _largest_step(system: LiePoissonSystem, method: Method, start: Floats, bound
         return largest if math.isfinite(largest) and not run.state["status"].any() else math.inf
 
     def change(h: float) -> float:
-        """Return the largest change of the energy; infinite if a step fails, or half of it would be too large."""
         note_progress(f"the change of the energy at the step {h:.3g}")
         # Steps near the smallest one are tried in full, since those below are extrapolated from them.
         if h > 2.0 * shortest and change_in(h, FIRST_STEPS) > 2.0**order * bound:

@@ -242,7 +242,6 @@ def _field_scale(orbit: Orbit, x: Floats) -> float:
 
 
 def _sizes(orbit: Orbit, x: Floats) -> tuple[float, float]:
-    """Return the sizes of x and of J(x)."""
     return float(np.max(np.abs(x))), float(np.max(orbit.absolute_product(x, np.ones(orbit.dim))))
 
 

@@ -58,7 +58,6 @@ class Quantities:
 
     @staticmethod
     def names_of(ready: PreparedRun, observe: Mapping[str, Any]) -> tuple[str, ...]:
-        """Return the names that measurements of a run may have beside "x" and the "attitude" of group elements."""
         names = [*ready.observe, *observe]
         if not ready.system.is_batch:
             names += [name for name in MOTIONS if name not in names and _has(ready, name)]
@@ -160,7 +159,6 @@ class FitProblem(NamedTuple):
     weights: Mapping[str, Floats] = MappingProxyType({})
 
     def measuring(self, ready: PreparedRun, measured: Mapping[str, Any], observe: Mapping[str, Any]) -> FitProblem:
-        """Return the problem with the measured functions of the states among its outputs."""
         known = Quantities.names_of(ready, observe)
         names = [name for name in measured if name in known]
         if not names:
@@ -250,7 +248,6 @@ class FitProblem(NamedTuple):
         return value
 
     def entry(self, name: str, number: int) -> str:
-        """Describe an unknown entry by its indices in the array of this name, and by its number."""
         value = self.values[name]
         if name == "attitude0" or value.ndim < 2:
             return f"{name}[{number}]"
@@ -264,13 +261,11 @@ class FitProblem(NamedTuple):
         return np.tensordot(coordinates, self.generators, 1)
 
     def outputs(self, z: Floats | None = None) -> dict[str, Floats]:
-        """Return states, attitudes and measured quantities at the saved times."""
         values = self.values if z is None else self.moved(z)
         found = dict(zip(OUTPUTS, self.run.solve(values, False), strict=False))
         return found if self.quantities is None else found | self.quantities.values(found["x"], values)
 
     def tangents(self, z: Floats) -> dict[str, Floats]:
-        """Return their derivatives by z, with a first axis of unknowns."""
         from scipy.linalg import expm_frechet
 
         moved, directions, first = self.moved(z), {}, 0
@@ -295,7 +290,6 @@ class FitProblem(NamedTuple):
 
     @property
     def numbers(self) -> int:
-        """Number of residuals."""
         return sum(self._weighted(name, np.zeros(target.shape)).size for name, target in self.targets.items())
 
     @property
@@ -317,7 +311,6 @@ class FitProblem(NamedTuple):
         return np.einsum("...akj,...kj->...a", weights, differences)
 
     def residuals_of(self, outputs: Mapping[str, Floats]) -> Floats:
-        """Return the residuals of outputs, fitted minus measured."""
         parts = [self._weighted(name, outputs[name] - target).ravel() for name, target in self.targets.items()]
         return np.concatenate(parts)
 
@@ -334,7 +327,6 @@ class FitProblem(NamedTuple):
         return near, near.jacobian(zero)
 
     def residuals(self, z: Floats) -> Floats:
-        """Return the residuals after changes z of the unknowns."""
         try:
             return self.residuals_of(self.outputs(z))
         except (IntegrationError, ValueError):
@@ -343,7 +335,6 @@ class FitProblem(NamedTuple):
             return np.full(self.numbers, np.inf)  # the trial step is shortened
 
     def jacobian(self, z: Floats) -> Floats:
-        """Return their derivative."""
         tangents = self.tangents(z)
         columns = [self._weighted(name, tangents[name]).reshape(len(z), -1) for name in self.targets]
         return np.concatenate(columns, axis=1).T

@@ -51,7 +51,6 @@ class Orbit:
         return np.asarray(scatter(self._rows, self._constants * y[self._states] * v[self._factors], self.dim))
 
     def absolute_product(self, y: Floats, v: Floats) -> Floats:
-        """Return the sums of the absolute terms of `product`, the scale of its round-off."""
         terms = np.abs(self._constants * y[self._states] * v[self._factors])
         return np.asarray(scatter(self._rows, terms, self.dim))
 
@@ -60,7 +59,6 @@ class Orbit:
         return float(np.max(scatter(self._rows, np.abs(self._constants * v[self._factors]), self.dim), initial=0.0))
 
     def moved(self, y: Floats, v: Floats) -> Floats:
-        """Return exp(D_v) y, on the orbit of y."""
         substeps = max(1, int(np.ceil(self.norm(v))))
         for _ in range(substeps):
             term, change = y, np.zeros_like(y)
@@ -73,15 +71,12 @@ class Orbit:
         return y
 
     def energy(self, y: Floats) -> float:
-        """Return H."""
         return float(self.system.energy(self.units * y))
 
     def gradient(self, y: Floats, function: Any = None) -> Floats:
-        """Return the gradient of a function of x by y; by default of H."""
         return self.units * np.asarray(self._derivative("gradient", y, function), dtype=np.float64)
 
     def hessian(self, y: Floats, function: Any = None) -> Floats:
-        """Return the second derivatives of a function of x by y; by default of H."""
         return self.units[:, None] * np.asarray(self._derivative("hessian", y, function), np.float64) * self.units
 
     def _derivative(self, name: str, y: Floats, function: Any) -> Any:
@@ -90,11 +85,9 @@ class Orbit:
         return getattr(function, name)(self.units * y)
 
     def linearized(self, y: Floats) -> Floats:
-        """Return the derivative of the vector field."""
         return self._map(self.system.jacobian(self.units * y))
 
     def _map(self, matrix: Any) -> Floats:
-        """Return a linear map of x as one of y."""
         return np.asarray(matrix, dtype=np.float64) / self.units[:, None] * self.units
 
     def tangents(self, y: Floats) -> TangentSpace:

@@ -318,11 +318,9 @@ class _Motion:
         self.tolerance = ABSOLUTE_TOLERANCE * np.where(np.arange(len(y)) < self.n, size, 1.0)
 
     def distance_from_start(self, states: Floats) -> float:
-        """Return the largest distance from the start."""
         return float(np.max(np.linalg.norm(states[: self.n] - self.start[:, None], axis=0)))
 
     def plane(self, _: float, y: Floats) -> float:
-        """Return the signed distance from the plane."""
         return float(self.normal @ (y[: self.n] - self.start))
 
     def run(self, y: Floats, duration: float, crossings: bool = False) -> Any:

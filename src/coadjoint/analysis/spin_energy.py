@@ -28,7 +28,6 @@ class SpinEnergy:
 
     @property
     def sites(self) -> int:
-        """Number of spins."""
         return len(self.on_site)
 
     @cached_property
@@ -57,7 +56,6 @@ class SpinEnergy:
         return tuple(sets)
 
     def energy(self, S: Floats) -> Floats:
-        """Return H of spins (sites, 3, members)."""
         rows = S.reshape(3 * self.sites, -1)
         density = rows * (0.5 * product(self.coupling, rows) + self.linear[:, None])
         # Each member is summed on its own, in an order that does not depend on their number.

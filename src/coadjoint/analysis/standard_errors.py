@@ -50,7 +50,6 @@ class LowPower(NamedTuple):
 
     @property
     def factor(self) -> float:
-        """Student's factor of standard errors."""
         return student_factor(self.freedom)
 
 

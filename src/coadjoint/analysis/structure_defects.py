@@ -255,7 +255,6 @@ def round_off(solution: Any, early: int = 1) -> dict[str, RandomWalk]:
 
 
 def _check_unforced(solution: Any) -> None:
-    """Raise an error unless it is a solution without forces."""
     check_solution(solution)
     if solution.work:
         raise TypeError(f"{solution.system.name} has forces, which change its invariants; see solution.balance()")

@@ -189,7 +189,6 @@ def _sweep(energies: SpinEnergy, S: Floats, result: ThermalStates, chains: slice
 
 
 def _start(x0: Floats | None, key: int, sites: int, chains: slice) -> Floats:
-    """Return initial spins (sites, 3, members)."""
     if x0 is None:
         u = uniform_words(key, (0, 0), sites, chains)
         return directions(u[0], u[1])
@@ -199,7 +198,6 @@ def _start(x0: Floats | None, key: int, sites: int, chains: slice) -> Floats:
 
 
 def _members(members: Any, kT: Floats, start: Floats | None, dim: int, name: str) -> int:
-    """Return the number of members, after a check of the shapes."""
     if start is not None and (start.ndim not in (1, 2) or start.shape[-1] != dim or not start.size):
         raise ValueError(f"x0 has shape {start.shape}; {name} needs ({dim},) or (members, {dim})")
     if kT.ndim > 1 or not kT.size:

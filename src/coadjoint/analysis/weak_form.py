@@ -50,7 +50,6 @@ class TrajectorySamples(NamedTuple):
 
     @classmethod
     def of(cls, algebra: Any, t: Any, x: Any, sign: int) -> TrajectorySamples:
-        """Validate the samples."""
         if not isinstance(algebra, LieAlgebra):
             raise TypeError(f"algebra is {short(algebra)}; give a LieAlgebra, such as co.algebras.so(3)")
         times, states = read_numbers(t, "t"), read_numbers(x, "x")
@@ -80,7 +79,6 @@ class TrajectorySamples(NamedTuple):
 
     @property
     def step(self) -> float:
-        """The step between samples, positive."""
         return float((self.t[-1] - self.t[0]) / (len(self.t) - 1))
 
 

@@ -262,7 +262,6 @@ class ModifiedField:
             )
 
     def _loss(self, k: int) -> str:
-        """Format the size of grad H . f_k for a message."""
         state, values, _ = self._at_sample_point(0)
         change = np.asarray(self.system.hamiltonian.gradient(state)) @ values[k]
         return f"grad H . f is {change:.3g} at {short(state.tolist())}"
@@ -275,7 +274,6 @@ class ModifiedField:
         return np.atleast_2d(states), states.shape
 
     def _invariant(self, invariant: Any) -> Any:
-        """Return the function for an invariant given by name, or a validated function itself."""
         if isinstance(invariant, str):
             if invariant == "energy":
                 return self.system.hamiltonian

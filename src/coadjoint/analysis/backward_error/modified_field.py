@@ -202,7 +202,6 @@ class ExactField(ModifiedField):
             ) from reason
 
     def _changes(self, F: Exact) -> dict[int, Exact]:
-        """Return the non-zero derivatives of a polynomial along the terms, by power."""
         changes = {k: self._exact_system.ring.along(field, F) for k, field in enumerate(self._fields)}
         return {k: change for k, change in changes.items() if change != 0}
 

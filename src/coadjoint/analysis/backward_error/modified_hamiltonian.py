@@ -346,7 +346,6 @@ class ModifiedEnergyAtPoints:
 
     @property
     def dim(self) -> int:
-        """Number of coordinates."""
         return self._system.dim
 
     def __call__(self, x: Any, h: Any) -> Any:

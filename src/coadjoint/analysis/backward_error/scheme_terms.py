@@ -47,7 +47,6 @@ class SchemeTerms:
     names: Mapping[Exponents, str]
 
     def kernel(self) -> SchemeTerms:
-        """Return the terms of the kernel alone."""
         return replace(self, after=[])
 
     def below(self, order: int) -> tuple[dict[int, Term], float, float]:
@@ -82,11 +81,9 @@ class SchemeTerms:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Name -> the number that the symbol represents."""
         return {name: self.polynomial.monomials[e] * _divisor(e) for e, name in self.names.items()}
 
     def _hamiltonian(self) -> Term:
-        """Return the Hamiltonian with symbols."""
         positions = {e: k for k, e in enumerate(self.names)}
         monomials: dict[Exponents, Any] = {}
         for e, value in self.polynomial.monomials.items():
@@ -98,7 +95,6 @@ class SchemeTerms:
         return self._with_symbols(Polynomial(monomials, dim=self.polynomial.dim + len(positions)))
 
     def _with_symbols(self, polynomial: Polynomial) -> Term:
-        """Return a polynomial in coordinates and symbols as a `SymbolicPolynomial`, if there are symbols."""
         return SymbolicPolynomial(polynomial, tuple(self.names.values())) if self.names else polynomial
 
 

@@ -52,7 +52,6 @@ class ExactSystem:
 
     @cached_property
     def structure(self) -> list[Field]:
-        """J(x), a matrix of polynomials."""
         return [self._polynomials(row) for row in self.system.structure_matrix(self._point)]
 
     def polynomial(self, F: Exact) -> Polynomial:
@@ -60,7 +59,6 @@ class ExactSystem:
         return in_coordinates_of(self.system, self.ring.polynomial(F))
 
     def value_of(self, function: Callable[..., Any]) -> Exact:
-        """Return a function of the state as a polynomial."""
         return self._polynomials([function(self._point)])[0]
 
     def invariant(self, function: Any) -> Exact:
@@ -71,7 +69,6 @@ class ExactSystem:
 
     @cached_property
     def casimirs(self) -> dict[str, Exact]:
-        """The polynomial Casimirs by name."""
         polynomials = ("monomials", "form", "bind")
         found = self.system.casimirs.items()
         return {name: self.invariant(C) for name, C in found if any(hasattr(C, one) for one in polynomials)}
@@ -360,7 +357,6 @@ def _substitution(ring: ExactPolynomials, matrix: Any, origin: list[Any]) -> Cal
 
 
 def _by_degree(ring: ExactPolynomials, F: Exact, rank: int) -> dict[int, Exact]:
-    """Return the parts of a polynomial by their degree in the first coordinates."""
     parts: dict[int, dict[tuple[int, ...], Any]] = {}
     for exponents, value in F.to_dict().items():
         parts.setdefault(int(sum(exponents[:rank])), {})[exponents] = value

@@ -64,7 +64,6 @@ class Study:
 
     @property
     def steps(self) -> list[float]:
-        """Sizes of the steps."""
         return [abs(self.span) / count for count in self.counts]
 
     @property
@@ -124,7 +123,6 @@ def study(subject: Subject) -> Study | None:
     size = float(subject.norm(reference.states)) or 1.0
 
     def run(count: int) -> bool:
-        """Add the run with `count` steps to the study; return whether it succeeded."""
         if count in result.counts:
             return True
         try:

@@ -45,7 +45,6 @@ def force_rows(subject: Subject, forced: System) -> list[Row]:
 
 
 def _timed_states(subject: Subject) -> Iterator[tuple[Floats, float]]:
-    """Yield states, each at the start of another step."""
     return ((x, k * subject.h) for k, x in enumerate(subject.states))
 
 

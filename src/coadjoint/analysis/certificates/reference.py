@@ -58,7 +58,6 @@ class Norm:
 
     @property
     def plain(self) -> bool:
-        """Whether all units are one."""
         return bool(np.all(self._units == 1.0))
 
     def __call__(self, x: Any, axis: int | None = None) -> Any:
@@ -66,11 +65,9 @@ class Norm:
         return np.linalg.norm(self.scaled(x), axis=axis)
 
     def scaled(self, x: Any) -> Floats:
-        """Return y = x / units."""
         return np.asarray(x / self._units)
 
     def unscaled(self, y: Any) -> Floats:
-        """Return x = units y."""
         return np.asarray(y * self._units)
 
     def matrix(self, P: Any) -> Floats:
@@ -78,7 +75,6 @@ class Norm:
         return np.asarray(P * self._units / self._units[:, None])
 
     def unscaled_matrix(self, P: Any) -> Floats:
-        """Return linear maps of y as maps of x, the inverse of `matrix`."""
         return np.asarray(P * self._units[:, None] / self._units)
 
     def gradient(self, slope: Any) -> Floats:
@@ -86,7 +82,6 @@ class Norm:
         return np.asarray(slope * self._units)
 
     def function(self, step: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        """Return a map of x as a map of y."""
         return lambda y: np.asarray(step(y * self._units)) / self._units
 
     def with_matrix(self, n: int) -> Norm:

@@ -242,7 +242,6 @@ def _carried(method: Method, system: Any, x: Floats, t: float, h: float, vectors
 
 
 def _apply_structure(system: Any, x: Floats, vectors: Floats) -> Floats:
-    """Return J(x) applied to vectors in columns."""
     if system.has_structure_constants:
         return np.asarray(system.algebra.structure_operator(x) @ vectors)
     return np.asarray(system.structure_matrix(x) @ vectors)

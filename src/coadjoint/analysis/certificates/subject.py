@@ -82,7 +82,6 @@ class Subject:
         return self.seconds_with(None)
 
     def seconds_with(self, representation: Any) -> float:
-        """Return the estimate for a step with a group element in a representation; 0 if it is unknown."""
         if not self.compiled:
             return 0.0
         try:
@@ -94,7 +93,6 @@ class Subject:
 
     @property
     def expensive(self) -> bool:
-        """Whether steps are so expensive that fewer states and steps are used."""
         return self.seconds > EXPENSIVE_SECONDS
 
     def affordable(self, seconds: float) -> int:
@@ -104,18 +102,15 @@ class Subject:
 
     @cached_property
     def time(self) -> float:
-        """The shortest natural time over the given states."""
         times = [natural_time(self.system, x) for x in self.given]
         return min((time for time in times if time > 0.0), default=abs(self.h))
 
     @cached_property
     def at_equilibrium(self) -> bool:
-        """Whether every state is an equilibrium."""
         return all(natural_time(self.system, x) == 0.0 for x in self.given)
 
     @cached_property
     def span_time(self) -> float:
-        """The shortest natural time over all states."""
         times = [natural_time(self.system, x) for x in self.states]
         return min([self.time, *(time for time in times if time > 0.0)])
 
@@ -161,7 +156,6 @@ class Subject:
         return self.tangent_norm(x, h) * self.tangent_norm(end, -h)
 
     def tangent_norm(self, x: Floats, h: float) -> float:
-        """Return the norm of the derivative of a step, by differences along some directions."""
         moved = self._differences(x, h, directions(len(x)).T)
         return float(np.sqrt(len(x) * np.mean(np.sum(moved**2, axis=1))))
 
@@ -180,13 +174,11 @@ class Subject:
         return self.norm.scaled(self.step(x + moves, h) - self.step(x - moves, h)) / (2 * small)
 
     def tangents(self, h: float) -> StepTangents | None:
-        """Return the derivatives of a step of length h in the compiled loop; None if there is no such loop."""
         if h not in self._tangents:
             self._tangents[h] = compiled_tangents(self.method, self.system, h)
         return self._tangents[h]
 
     def step(self, x: Floats, h: float, t: float = 0.0) -> Floats:
-        """Return the states (k, n) after a step of length h from time t."""
         return np.asarray(self.run(x, h, 1, t=t).x[-1])
 
     def run(
@@ -199,7 +191,6 @@ class Subject:
         watch: bool = False,
         t: float = 0.0,
     ) -> Solution:
-        """Run `count` steps of length h from time t."""
         note_progress("a run of one step" if count == 1 else f"a run of {count} steps")
         key = (abs(h), attitude if is_attitude_kind(attitude) else "given", watch)
         if key not in self._prepared:
