@@ -54,7 +54,6 @@ earlier gradients; final combinations move the old state, in order.
 
 
 def _nodes(stages: Sequence[tuple[int, Sequence[Fraction]]]) -> list[Fraction]:
-    """Return the time of each stage, in units of the step."""
     nodes = [Fraction(0)]
     for start, combination in stages:
         nodes.append(nodes[start] + sum(combination))
@@ -125,7 +124,6 @@ class CommutatorFree(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """Name of the step in ``commutator_free.cpp``."""
         return "commutator_free"
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
@@ -139,7 +137,6 @@ class CommutatorFree(CompiledStepMethod):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps of vectors, or of matrices."""
         if not system.has_matrices:
             return super().loop_of_substeps(system, h, representation, fractions)
 
@@ -178,7 +175,6 @@ class CommutatorFree(CompiledStepMethod):
     def _advanced(
         self, orbit: VectorOrbit | MatrixOrbit, x: Any, t: Any, h: Any, tangent: Any, degree: int | None = None
     ) -> tuple[NDArray[Any], Any]:
-        """Return the new state, and its derivative if that of x is given."""
         (stages, out), point, h = SCHEMES[self.order], np.asarray(x), full_precision(h)
         number: Number = float if point.dtype != object else type(point[0])
         states: list[Any] = [(point if point.dtype.kind == "c" else array_of(number, point), tangent)]
@@ -199,7 +195,6 @@ class CommutatorFree(CompiledStepMethod):
         return end
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the products in its series."""
         stages, out = SCHEMES[self.order]
         products = TYPICAL_DEGREE * (len(stages) + len(out))
         if system.has_matrices:
@@ -267,11 +262,9 @@ class VectorOrbit:
         self._system, self.derivative_by = system, "formula"
 
     def gradient(self, y: Any, t: Any) -> Any:
-        """Return the gradient of H."""
         return self._system.hamiltonian.gradient(y, t)
 
     def gradient_change(self, y: Any, dy: Any, t: Any) -> Any:
-        """Return the changes of the gradient."""
         return self._system.hamiltonian.hessian(y, t) @ dy
 
     def generator(self, k: Any, dk: Any) -> Generator:
@@ -292,11 +285,9 @@ class MatrixOrbit:
         self._system, self.derivative_by = system, "formula" if system.linear_stream else "differences"
 
     def gradient(self, W: Any, t: Any) -> Any:
-        """Return the stream P."""
         return self._system.stream_of(W, t)
 
     def gradient_change(self, W: Any, dW: Any, t: Any) -> Any:
-        """Return the changes of P."""
         if has_layers(self._system):  # whose streams are linear, without a constant
             return self._system.stream_of(dW, t)
         return slope_along(self._system, W, dW, t)

@@ -94,11 +94,9 @@ class Composition(Composed):
 
     @cached_property
     def expanded(self) -> Method:
-        """The composition in the form of the family of the base: one table of flows, or substeps."""
         return self.base.composed(self.coefficients)
 
     def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
-        """Return the base and the fractions, with those of the base multiplied out."""
         base, fractions = self.base.steps_between_forces()
         return base, tuple(c * f for c in self.coefficients for f in fractions)
 

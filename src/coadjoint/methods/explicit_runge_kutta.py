@@ -71,7 +71,6 @@ class ExplicitRungeKutta(RungeKuttaMethod):
 
     @property
     def solver(self) -> str:
-        """``"explicit"``."""
         return "explicit"
 
     @property

@@ -139,12 +139,10 @@ class Forced(Wrapper):
 
     @property
     def inner(self) -> Method:
-        """The scheme of the Hamiltonian part in each substep."""
         return self._substeps[0]
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Fractions of the substeps."""
         return self._substeps[1]
 
     @property
@@ -177,7 +175,6 @@ class Forced(Wrapper):
         return Properties(False, False, "none" if breaking else inner.casimirs, inner.attitude, broken_by)
 
     def check_attitude(self, system: Any, representation: Any) -> None:
-        """Raise the error of the base, which moves the group element, for the Hamiltonian part."""
         self.base.check_attitude(system.unforced, representation)
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
@@ -187,7 +184,6 @@ class Forced(Wrapper):
         return stacks_with_forces(systems, self.base.split_jointly)
 
     def compiled(self, system: Any, h: float, representation: Representation) -> CompiledLoop:
-        """Return a loop with a step of the loop of the base in each step."""
         from coadjoint.kernels.tables.forces import forced_loop
 
         check_steps(system, 0.0, h)

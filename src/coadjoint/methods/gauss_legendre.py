@@ -112,7 +112,6 @@ class GaussLegendre(RungeKuttaMethod):
 
     @property
     def solver(self) -> str:
-        """``"implicit"``."""
         return "implicit"
 
     @property
@@ -129,14 +128,12 @@ class GaussLegendre(RungeKuttaMethod):
 
     @property
     def collocation(self) -> list[Fraction]:
-        """The Legendre polynomial of degree s on [0, 1]."""
         return node_polynomial(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
         return gauss_tableau(self.stages, number)
 
     def forecast(self, ratio: float) -> NDArray[np.float64]:
-        """Return the matrix that extrapolates the polynomial of the previous substep."""
         return extrapolation(self.stages, ratio)
 
 
@@ -196,12 +193,10 @@ class IteratedGaussLegendre(RungeKuttaMethod):
 
     @property
     def function_iterations(self) -> int:
-        """The number m of iterations."""
         return 2 * self.stages - 1 if self.iterations is None else self.iterations
 
     @property
     def solver(self) -> str:
-        """``"iterated"``."""
         return "iterated"
 
     @property
@@ -216,11 +211,9 @@ class IteratedGaussLegendre(RungeKuttaMethod):
 
     @property
     def collocation(self) -> list[Fraction]:
-        """The Legendre polynomial of degree s on [0, 1]."""
         return node_polynomial(self.stages)
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the tableau of the Gauss-Legendre method."""
         return gauss_tableau(self.stages, number)
 
 
@@ -294,7 +287,6 @@ class ModifiedGaussLegendre(IteratedGaussLegendre):
 
     @property
     def solver(self) -> str:
-        """The value of `freeze`."""
         return self.freeze
 
     def properties(self, system: System) -> Properties:

@@ -94,7 +94,6 @@ class IsospectralGauss(SubstepMethod):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps of this kind."""
         a, b = _coefficients(self.stages)
         tables = matrix_tables(system, "isospectral_gauss", self.stages, (*a.ravel(), *b, *a.sum(axis=1)), fractions)
         return loop_over(STEP_LOOP, tables)
@@ -118,7 +117,6 @@ class IsospectralGauss(SubstepMethod):
         return step.end, step.tangents(np.eye(len(step.end))).T
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
-        """Return one step with its derivative, which is applied to matrices; errors as in `tangent`."""
         matrices, (a, b) = matrices_of(system), _coefficients(self.stages)
         W = matrices.matrices(x)
         return linearized_step(matrices, W, stages_of(matrices, W, t, h, a, str(self)), t, h, a, b)

@@ -77,7 +77,6 @@ class Kahan(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """Name of the step in ``kahan.cpp``."""
         return "kahan"
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
@@ -95,7 +94,6 @@ class Kahan(CompiledStepMethod):
         return end, linear_solve(identity - before, identity + after)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the field, of its derivative, and of the linear system."""
         return work_of_evaluations(system, 1 + min(system.dim, TYPICAL_COLUMNS), self.explicit, substeps)
 
 

@@ -102,7 +102,6 @@ class LineSplitting(SubstepMethod):
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Lengths of the steps of order 2 that compose a step."""
         half = [float(c) for c in SCHEMES[DEFAULT_SCHEMES[self.order]].half]
         return (*half, *half[-2::-1])
 
@@ -114,7 +113,6 @@ class LineSplitting(SubstepMethod):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps of this kind."""
         torus = torus_of(system)
         factor, constant = stream_of_modes(torus)
         integers = [torus.algebra.N, int(constant is not None), *np.ravel(lines(torus.algebra.N)).tolist()]
@@ -124,7 +122,6 @@ class LineSplitting(SubstepMethod):
         return loop_over(STEP_LOOP, tables)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the Fourier transforms."""
         numbers = system.dim / 2  # N^2 numbers, transformed for each of N lines
         cost = substeps * len(self.fractions) * TRANSFORM_COST * numbers**1.5 * np.log2(1.0 + numbers)
         return Work(lambda iterations, evaluations: cost)

@@ -92,11 +92,9 @@ class Projected(Wrapper):
         return Properties(poisson=False, energy=True, casimirs=casimirs_restored(system), attitude="none")
 
     def restored(self, system: System) -> Mapping[str, Any]:
-        """Return the Casimirs that are polynomials."""
         return polynomial_casimirs(system)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return a loop with a step of the loop of the base in each step."""
         inner = self.base.loop(system, h)
         tables = wrapped_step_tables(system, "projected", inner, self.restored(system))
         return loop_over(STEP_LOOP, tables, referenced={INNER_LOOP_INDEX: inner})

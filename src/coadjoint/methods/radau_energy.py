@@ -84,7 +84,6 @@ class RadauEnergy(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """Name of the step in ``radau_energy.cpp``."""
         return "radau_energy"
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:

@@ -90,7 +90,6 @@ def forget(name: str) -> None:
 
 
 def _schemes() -> dict[str, type[Method]]:
-    """Return all schemes by name: built-in ones, those of entry points, and registered ones."""
     return dict(sorted((_built_in() | _entry_point_schemes() | _registered).items()))
 
 

@@ -119,7 +119,6 @@ class ReversibleSteps(Wrapper):
 
     @property
     def own_steps(self) -> bool:
-        """Always true."""
         return True
 
     @property
@@ -149,7 +148,6 @@ class ReversibleSteps(Wrapper):
         return _square_of_generators(system) if self.speed is None else _speed_of_system(system, self.speed)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop with variable steps around the loop of the base."""
         # Angles are scaled to the length of each step from a unit step, so that bits do not depend on output points.
         inner = self.base.loop(system, math.copysign(1.0, h), representation)
         integers, keepalive = inner_loop_integers(inner, system, representation)
@@ -205,7 +203,6 @@ class ReversibleSteps(Wrapper):
 
 
 def _speed_of_terms(terms: Sequence[Any]) -> Polynomial:
-    """Return the polynomial of a list of terms."""
     try:
         return Polynomial({tuple(powers): coefficient for coefficient, powers in terms})
     except (TypeError, ValueError) as error:

@@ -71,7 +71,6 @@ class SphericalMidpoint(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """Name of the step in ``spherical_midpoint.cpp``."""
         return "spherical_midpoint"
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> NDArray[Any]:
@@ -100,7 +99,6 @@ class SphericalMidpoint(CompiledStepMethod):
         raise TypeError("a step of SphericalMidpoint has square roots, and is no series in exact numbers")
 
     def _solve(self, system: System, x: Any, t: Any, h: Any) -> tuple[StageProblem, NDArray[Any]]:
-        """Return the step and its slope L = h f(y)."""
         self.properties(system)
         spins = spins_of(system)
         step = begin(_tableau, system, x, t, h)
@@ -108,7 +106,6 @@ class SphericalMidpoint(CompiledStepMethod):
         return step, slopes[0]
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the iterations."""
         return work_of_iterations(system, group)
 
 

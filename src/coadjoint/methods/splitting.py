@@ -297,11 +297,9 @@ class Splitting(FlowMethod):
         return "; of a first-order splitting take Splitting(order=2), its composition with its adjoint"
 
     def symmetrized(self) -> Method:
-        """Return the splitting of order 2 for a single sweep."""
         return super().symmetrized() if self.order != 1 or self.adjoint else replace(self, order=2)
 
     def with_compensation(self) -> Method | None:
-        """Return the same splitting, compensated; None if the choice was not left open."""
         return replace(self, compensated=True) if self.compensated is None else None
 
     @classmethod
@@ -338,7 +336,6 @@ class Splitting(FlowMethod):
         return [] if self.order == 1 else self._named.processor(number)
 
     def steps_between_forces(self) -> tuple[Method, tuple[float, ...]]:
-        """Return the splitting of order two and the fractions of its composition."""
         if self.order <= 2:
             return super().steps_between_forces()
         if not self._named.of_second_order or self._named.processed:

@@ -51,7 +51,6 @@ class CompiledSource:
 
     @property
     def address(self) -> int:
-        """Address of the compiled function in this process."""
         library = _LIBRARIES.get((self.path, self.digest))
         if library is None:
             # Pickled in another process, perhaps on another machine: machine code may differ, its source must not.

@@ -144,7 +144,6 @@ class Taylor(CompiledStepMethod):
 
     @property
     def own_steps(self) -> bool:
-        """Whether a tolerance is given."""
         return self.tolerance is not None
 
     @property
@@ -175,7 +174,6 @@ class Taylor(CompiledStepMethod):
 
     @property
     def compiled_step(self) -> str:
-        """Name of the step in ``taylor.cpp``, or in ``taylor_variable.cpp``."""
         return "taylor" if self.tolerance is None else "taylor_variable"
 
     @property
@@ -184,21 +182,17 @@ class Taylor(CompiledStepMethod):
         return {"UNDEFINED": TOO_FAR_MESSAGE if self.tolerance is None else TOO_SHORT_MESSAGE}
 
     def constants(self) -> tuple[Sequence[int], Sequence[float]]:
-        """Return the order; and the tolerance, if any."""
         return [self.order], [] if self.tolerance is None else [self.tolerance]
 
     def restored(self, system: System) -> Mapping[str, Any] | None:
-        """Return the Casimirs that are polynomials; None without projection."""
         return polynomial_casimirs(system) if self.projected else None
 
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps, with the series of the group element if requested."""
         return super().loop_of_substeps(system, h, representation, fractions)
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the products of series; for own steps, by the number of evaluations."""
         operations = self.operations(system)
         if group is not None:
             operations = operations._replace(vectors=operations.vectors + self._vectors_of_group(system, group))
@@ -233,7 +227,6 @@ class Taylor(CompiledStepMethod):
         return replace(self, order=min(ORDERS, key=cost), tolerance=bounded)
 
     def finer(self, steps: int, times: float) -> FinerRun | None:
-        """Return the same series with a much smaller tolerance; None without one."""
         if self.tolerance is None:
             return None
         tolerance = max(self.tolerance / (TOLERANCE_REDUCTION * times), MIN_TOLERANCE)
@@ -242,7 +235,6 @@ class Taylor(CompiledStepMethod):
 
     @property
     def fixed_steps(self) -> Taylor:
-        """The same series without a tolerance."""
         return self if self.tolerance is None else replace(self, tolerance=None)
 
     def next_length(self, system: System, x: NDArray[np.float64], h: float, memory: Any) -> tuple[float, Any]:
@@ -252,13 +244,11 @@ class Taylor(CompiledStepMethod):
         return length, memory
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the scheme whose step consists of these substeps; raise TypeError with a tolerance."""
         if self.tolerance is not None:
             raise TypeError(f"{self} chooses its own steps, which cannot be composed; give no tolerance")
         return super().composed(coefficients)
 
     def operations(self, system: System) -> Operations:
-        """Return the operations of a step: products of series, sparse sums for each coefficient, and the projection."""
         cached = _OPERATIONS.setdefault(system, {})
         if self.projected not in cached:
             cached[self.projected] = series_operations(system, 1, restored_invariants(system) if self.projected else ())

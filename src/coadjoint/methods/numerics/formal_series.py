@@ -43,12 +43,10 @@ class FormalNumber(PowerSeries):
 
     @classmethod
     def constant(cls, polynomial: Exact) -> Self:
-        """Return a polynomial that does not depend on the step."""
         return cls.from_coefficients([polynomial, *[cls.ring.zero] * (cls.count - 1)])
 
     @classmethod
     def step(cls) -> Self:
-        """Return the step itself."""
         zero = cls.ring.zero
         return cls.from_coefficients([zero, zero + 1, *[zero] * (cls.count - 2)][: cls.count])
 
@@ -153,27 +151,21 @@ class StagesOfCollocation:
             self._modulus += rational(coefficient) * node**power
 
     def start(self) -> NDArray[Any]:
-        """Return X = x."""
         return self.x[None]
 
     def fields(self, points: NDArray[Any]) -> NDArray[Any]:
-        """Return L = h f(X)."""
         return self._reduced(self.system.vector_field(points[0])) * self.h
 
     def gradients(self, points: NDArray[Any]) -> NDArray[Any]:
-        """Return grad H(X)."""
         return self._reduced(self.system.hamiltonian.gradient(points[0], 0.0))
 
     def products(self, momenta: NDArray[Any], gradients: NDArray[Any]) -> NDArray[Any]:
-        """Return h sign J(Z) u."""
         return self._reduced(self.system.structure_matrix(momenta[0]) @ gradients[0]) * (self.h * self.system.sign)
 
     def points(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        """Return X = x + int_0^c L."""
         return self.x + self._reduced(self._mapped(slopes[0], lambda term: term.integral(self._node)))
 
     def end(self, slopes: NDArray[Any]) -> NDArray[Any]:
-        """Return x + int_0^1 L."""
         return self.x + self._mapped(slopes[0], lambda term: term.integral(self._node).subs({NODE: 1}))
 
     def _reduced(self, values: Any) -> NDArray[Any]:

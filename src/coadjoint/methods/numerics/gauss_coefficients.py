@@ -24,7 +24,6 @@ Collocation = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 
 def _legendre(degree: int, z: Any) -> list[Any]:
-    """Return P_0(z), ..., P_degree(z) by their recurrence."""
     values = [z * 0 + 1, z]
     for k in range(1, degree):
         values.append(((2 * k + 1) * z * values[k] - k * values[k - 1]) / (k + 1))

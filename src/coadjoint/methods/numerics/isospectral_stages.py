@@ -264,14 +264,12 @@ def _transposed(
 
 
 def _as_blocks_transposed(of_blocks: Matrix) -> Matrix:
-    """Return the transpose of `as_blocks`."""
     N = of_blocks.shape[-1] // 2
     A, B = of_blocks[..., :N, :N] + of_blocks[..., N:, N:], of_blocks[..., :N, N:]
     return np.stack([A, B], axis=-3)
 
 
 def _of_blocks_transposed(of_layers: Matrix) -> Matrix:
-    """Return the transpose of `of_blocks`."""
     A, B = of_layers[..., 0, :, :], of_layers[..., 1, :, :]
     rows = np.concatenate([A, B], axis=-1)
     return np.concatenate([rows, np.zeros_like(rows)], axis=-2)

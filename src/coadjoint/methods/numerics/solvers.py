@@ -53,7 +53,6 @@ class StageProblem(NamedTuple):
         return np.asarray(self.x + self.coefficients.out @ slopes)
 
     def start(self) -> NDArray[Any]:
-        """Return X_i = x for every stage."""
         return np.stack([self.x] * len(self.times))
 
     def fields(self, points: NDArray[Any]) -> NDArray[Any]:

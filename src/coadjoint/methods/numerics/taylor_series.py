@@ -42,7 +42,6 @@ class PowerSeries:
 
     @classmethod
     def from_coefficients(cls, coefficients: Iterable[Any]) -> Self:
-        """Return the series with these coefficients; higher ones are unknown."""
         result = cls.__new__(cls)
         result.coefficients = list(coefficients)
         return result
@@ -53,7 +52,6 @@ class PowerSeries:
         return value
 
     def __add__(self, other: Any) -> Self:
-        """Return the sum with a series or with a constant."""
         if isinstance(other, PowerSeries):
             return self.from_coefficients(a + b for a, b in zip(self.coefficients, other.coefficients, strict=False))
         number = self._number(other)
@@ -68,7 +66,6 @@ class PowerSeries:
         return min(len(self.coefficients), len(other.coefficients))
 
     def __mul__(self, other: Any) -> Self:
-        """Return the product with a series or with a constant."""
         a = self.coefficients
         if not isinstance(other, PowerSeries):
             number = self._number(other)
@@ -81,7 +78,6 @@ class PowerSeries:
         return self.from_coefficients(reduce(add, products(k) or [0 * a[0]]) for k in range(self._known(other)))
 
     def __pow__(self, exponent: Any) -> Self | int:
-        """Return an integer power."""
         if isinstance(exponent, bool) or int(exponent) != exponent or exponent < 0:
             raise TypeError(f"the exponent of a power series is {exponent!r}; give an integer of at least 0")
         result: Any = 1
@@ -93,19 +89,15 @@ class PowerSeries:
         return self
 
     def __neg__(self) -> Self:
-        """Return the negative."""
         return self * -1
 
     def __sub__(self, other: Any) -> Self:
-        """Return the difference."""
         return self + other * -1
 
     def __rsub__(self, other: Any) -> Self:
-        """Return the difference of a constant and the series."""
         return self * -1 + other
 
     def __truediv__(self, other: Any) -> Self:
-        """Return the quotient by a constant."""
         return self.from_coefficients(c / other for c in self.coefficients)
 
     __radd__, __rmul__ = __add__, __mul__
@@ -120,13 +112,11 @@ class Dual:
         self.value, self.derivative = value, derivative
 
     def __add__(self, other: Any) -> Dual:
-        """Return the sum."""
         if isinstance(other, Dual):
             return Dual(self.value + other.value, self.derivative + other.derivative)
         return Dual(self.value + other, self.derivative)
 
     def __mul__(self, other: Any) -> Dual:
-        """Return the product."""
         if isinstance(other, Dual):
             return Dual(self.value * other.value, self.value * other.derivative + other.value * self.derivative)
         if isinstance(other, Fraction) and self.derivative.dtype == np.float64:
@@ -134,7 +124,6 @@ class Dual:
         return Dual(self.value * other, other * self.derivative)
 
     def __truediv__(self, other: Any) -> Dual:
-        """Return the quotient by a plain number."""
         return Dual(self.value / other, self.derivative / other)
 
     __radd__, __rmul__ = __add__, __mul__
@@ -238,7 +227,6 @@ def _time_of_change(field: Callable[[NDArray[Any]], NDArray[Any]], x: NDArray[An
 
 
 def _sum(terms: Sequence[NDArray[Any]], s: Any) -> NDArray[Any]:
-    """Return the sum of terms[k - 1] s^k, by Horner's scheme."""
     total = terms[-1] * s
     for term in reversed(terms[:-1]):
         total = (total + term) * s

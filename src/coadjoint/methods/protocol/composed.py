@@ -45,12 +45,10 @@ class Wrapper(Method):
     split_jointly = of("base.split_jointly")
 
     def tangent_by(self, system: System, x: Any, t: float, h: float) -> str:
-        """Return the way of the base, if this scheme does not leave it to the default."""
         own = type(self).tangent is not Method.tangent
         return self.base.tangent_by(system, x, t, h) if own else super().tangent_by(system, x, t, h)
 
     def settled(self, system: System, coordinates: Sequence[int]) -> Method:
-        """Return the scheme around the base with its choices fixed."""
         base = self.base.settled(system, coordinates)
         return self if base is self.base else self._around(base)
 
@@ -73,17 +71,14 @@ class Composed(Wrapper):
 
     @property
     def order(self) -> int:
-        """The order, from the order conditions in the free associative algebra."""
         return composition_order(self.coefficients, self.base.order)
 
     @property
     def symmetric(self) -> bool:
-        """Whether the base is symmetric and the coefficients are a palindrome."""
         return self.base.symmetric and self.coefficients == self.coefficients[::-1]
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Fractions of all substeps, with compositions in the base multiplied out."""
         return tuple(c * f for c in self.coefficients for f in self.base.fractions)
 
     @property
@@ -93,7 +88,6 @@ class Composed(Wrapper):
         return max(fraction_error, self.base.known_to)
 
     def with_compensation(self) -> Method | None:
-        """Return the composition of the base with compensated sums."""
         return self._with_compensated_base()
 
 
@@ -142,14 +136,12 @@ class SubstepMethod(Method):
         """Return the work of a step of this many substeps; iterations and evaluations are those of all substeps."""
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop without substeps."""
         return self.loop_of_substeps(system, h, representation, FULL_STEP)
 
     def work(self, system: System, group: Representation = None) -> Work:
         return self.work_of_substeps(system, group, 1)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop without substeps, with tangent vectors."""
         return self.tangent_loop_of_substeps(system, h, frame, FULL_STEP)
 
     def tangent_loop_of_substeps(
@@ -161,7 +153,6 @@ class SubstepMethod(Method):
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
     ) -> DerivativeTables:
-        """Return the tables without substeps."""
         return self.derivative_tables_of_substeps(system, h, representation, energies, FULL_STEP)
 
     def derivative_tables_of_substeps(
@@ -182,7 +173,6 @@ class SubstepMethod(Method):
         return vector(map(type(h), self.step(system, x, 0 * h, h)))
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the scheme whose step consists of these substeps."""
         return Substeps(self, tuple(coefficients))
 
 
@@ -200,21 +190,17 @@ class Substeps(Composed):
     took_newton = of("base.took_newton")
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return substeps with the products of both sets of fractions."""
         return Substeps(self.base, tuple(c * f for c in coefficients for f in self.coefficients))
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop of the base, with its substeps."""
         return self.base.loop_of_substeps(system, h, representation, self.coefficients)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop | None:
-        """Return the loop of the base with these substeps."""
         return self.base.tangent_loop_of_substeps(system, h, frame, self.coefficients)
 
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
     ) -> DerivativeTables:
-        """Return the tables of the base with these substeps."""
         return self.base.derivative_tables_of_substeps(system, h, representation, energies, self.coefficients)
 
     def step(self, system: System, x: Any, t: Any, h: Any) -> Any:
@@ -236,7 +222,6 @@ class Substeps(Composed):
         return x, product
 
     def linearized(self, system: System, x: Any, t: float, h: float) -> LinearizedStep:
-        """Return the substeps with their derivatives."""
         steps: list[LinearizedStep] = []
         for fraction in self.coefficients:
             steps.append(self.base.linearized(system, x, t, h * fraction))

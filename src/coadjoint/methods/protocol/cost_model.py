@@ -130,7 +130,6 @@ def iteration_work(system: System, stages: float, group: Any) -> float:
 
 
 def _fits_in_registers(system: System) -> bool:
-    """Return whether the stages of a system stay in registers."""
     return (
         system.has_quadratic_energy
         and system.has_structure_constants
@@ -326,7 +325,6 @@ def _count_factors(pairs: NDArray[np.float64], lengths: dict[Hashable, int]) -> 
 
 
 def _monomials_of(H: HamiltonianLike) -> Iterator[tuple[int, ...]]:
-    """Yield the exponents of the monomials in the polynomial terms of a Hamiltonian."""
     for term in H.terms():
         polynomial = getattr(term, "polynomial", None)
         yield from () if polynomial is None else polynomial.monomials

@@ -92,7 +92,6 @@ class FlowMethod(Method):
         return bool(self.compensated)
 
     def composed(self, coefficients: Sequence[float]) -> Method:
-        """Return the flows of all substeps as one table, in which adjacent flows of the same part are merged."""
         return ComposedFlows(self, tuple(coefficients))
 
     def symmetrized(self) -> Method:
@@ -116,7 +115,6 @@ class FlowMethod(Method):
         return build_program(cast(Any, system), self, group=group, number=number)
 
     def compiled(self, system: System, h: float, representation: Representation) -> CompiledLoop:
-        """Return the loop over the rows of the table."""
         return self._program_loop(self.program(system, group=representation), h)
 
     def _shared_loop(self, system: System, h: float, representation: Representation) -> CompiledLoop:
@@ -133,7 +131,6 @@ class FlowMethod(Method):
         return CompiledLoop(tables.tables, tables.keepalive, sources, name=FLOW_LOOP, shift=program.shift)
 
     def tangent_loop(self, system: System, h: float, frame: Frame) -> CompiledLoop:
-        """Return the loop over the rows of the table, with tangent vectors."""
         from coadjoint.kernels.tables.derivatives import check_differentiable, with_tangents
 
         check_differentiable(system)
@@ -148,7 +145,6 @@ class FlowMethod(Method):
     def derivative_tables(
         self, system: System, h: float, representation: Representation, energies: Mapping[str, EnergyDerivative]
     ) -> DerivativeTables:
-        """Return the tables of flows and of their transposes."""
         from coadjoint.methods.protocol.derivative_tables import flow_derivatives
 
         self.properties(system)
@@ -211,7 +207,6 @@ class FlowMethod(Method):
         return replace(self, parts=replace(choice, linear=tuple(coordinates)))
 
     def split_jointly(self, systems: Sequence[Any]) -> list[SystemStack]:
-        """Return systems whose parts are chosen alike."""
         from coadjoint.program.parts.joint_choice import joint_choices
 
         found: list[SystemStack] = []
@@ -258,7 +253,6 @@ class ComposedFlows(Composed, FlowMethod):
     rotation = of("base.rotation")
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:
-        """Return the sweeps of the base, scaled and shifted."""
         inner = self.base.sweeps(number)
         result, elapsed = [], number(0)
         for coefficient in map(number, self.coefficients):
@@ -291,11 +285,9 @@ class PairOfFlows(Wrapper, FlowMethod):
 
     @property
     def order(self) -> int:
-        """The order of the base, rounded up to an even number."""
         return self.base.order + self.base.order % 2
 
     def with_compensation(self) -> Method | None:
-        """Return the flows of the base with compensated sums."""
         return self._with_compensated_base()
 
     def sweeps(self, number: Callable[[Any], Any] = float) -> Sequence[Sweep]:

@@ -89,7 +89,6 @@ class RungeKuttaMethod(SubstepMethod):
 
     @property
     def known_to(self) -> float:
-        """Zero for rational coefficients, else their relative rounding error."""
         return 0.0 if self.collocation is not None else self._rational[1]
 
     @property
@@ -117,7 +116,6 @@ class RungeKuttaMethod(SubstepMethod):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over stages, for this tableau and solver."""
         from coadjoint.kernels.tables.runge_kutta import RUNGE_KUTTA_LOOP, runge_kutta_tables
 
         read_choice(self.solver, "solver", SOLVERS)
@@ -131,7 +129,6 @@ class RungeKuttaMethod(SubstepMethod):
     def tangent_loop_of_substeps(
         self, system: System, h: float, frame: Frame, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over stages and their derivatives."""
         from coadjoint.kernels.tables.derivatives import check_differentiable, with_tangents
         from coadjoint.kernels.tables.field import terms_of_field
 
@@ -141,7 +138,6 @@ class RungeKuttaMethod(SubstepMethod):
 
     @property
     def differentiable(self) -> bool:
-        """Whether the compiled stages are those of `step`."""
         return self._as_written
 
     def derivative_tables_of_substeps(
@@ -152,7 +148,6 @@ class RungeKuttaMethod(SubstepMethod):
         energies: Mapping[str, EnergyDerivative],
         fractions: Sequence[float],
     ) -> DerivativeTables:
-        """Return the tables of the stages and of their derivatives, with substeps of these fractions of the step."""
         from coadjoint.methods.protocol.derivative_tables import runge_kutta_derivatives
 
         self.properties(system)
@@ -160,11 +155,9 @@ class RungeKuttaMethod(SubstepMethod):
         return runge_kutta_derivatives(loop, system, energies)
 
     def took_newton(self, memory: NDArray[np.float64]) -> bool:
-        """Return whether the first number of the memory of a member is positive."""
         return bool(np.any(memory[:, :1] > 0.0))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the iterations of a step."""
         from coadjoint.methods.protocol.cost_model import work_of_iterations
 
         return work_of_iterations(system, group)
@@ -198,21 +191,17 @@ class PairOfTableaux(Wrapper, RungeKuttaMethod):
 
     @property
     def order(self) -> int:
-        """The order of the base, rounded up to an even number."""
         return self.base.order + self.base.order % 2
 
     @property
     def solver(self) -> str:
-        """``"implicit"``."""
         return "implicit"
 
     def properties(self, system: System) -> Properties:
-        """Return the properties of the base, without a group element."""
         declared = self.base.properties(system)
         return Properties(poisson=declared.poisson, energy=declared.energy, casimirs=declared.casimirs, attitude="none")
 
     def coefficients(self, number: Number = float) -> Coefficients:
-        """Return the combined tableau."""
         node, scale, mix, out = self.base.coefficients(number)
         s = len(node)
         both = np.concatenate([mix, 0 * mix], axis=1), np.concatenate([np.stack([out] * s), out - mix], axis=1)

@@ -86,7 +86,6 @@ class StepMethod(SubstepMethod):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps that are functions, for the momentum only."""
         if representation is not None:
             raise ValueError(
                 f"{type(self).__name__} is a StepMethod, which computes no group element, but its properties have "
@@ -116,7 +115,6 @@ class FunctionStep(StepMethod):
     compiles: ClassVar[bool] = False
 
     def __str__(self) -> str:
-        """Name the function."""
         return f"the function {getattr(self.function, '__name__', type(self.function).__name__)}"
 
     def properties(self, system: System) -> Properties:
@@ -191,11 +189,9 @@ class CompiledStepMethod(SubstepMethod):
     def loop_of_substeps(
         self, system: System, h: float, representation: Representation, fractions: Sequence[float]
     ) -> CompiledLoop:
-        """Return the loop over steps of this kind."""
         return loop_over(STEP_LOOP, step_tables(system, self, representation, fractions))
 
     def work_of_substeps(self, system: System, group: Representation, substeps: int) -> Work:
-        """Return the work of the operations of a step, or of its iterations."""
         operations = self.operations(system)
         return work_of_iterations(system, group) if operations is None else work_of_operations(operations, substeps)
 
