@@ -91,7 +91,6 @@ def _sharing_labels(blocks: BlockTable) -> Integers:
 
 
 def _kinds_with(test: Callable[[Rule], bool]) -> NDArray[np.bool_]:
-    """Return whether the rule of each kind passes a test."""
     return np.array([test(RULES[kind]) for kind in BlockKind])
 
 

@@ -101,7 +101,6 @@ def _position(program: Program, G: EnergyDerivative) -> int:
 
 
 def _rows(program: Program, method: Swept, position: int) -> ProgramRows:
-    """Return the rows with the added part at a position."""
     count = len(program.parts)
     rules = JoinRules.from_parts(program.parts, program.frequency)
     rules = JoinRules(*(np.insert(column, position, False) for column in rules))

@@ -36,7 +36,6 @@ class BlockTable(NamedTuple):
     constants: NDArray[Any]
 
     def take(self, chosen: NDArray[Any]) -> BlockTable:
-        """Select blocks, in the order given."""
         index = expand(self.begin[chosen], self.begin[chosen + 1])[1]
         constant = expand(self.constant_begin[chosen], self.constant_begin[chosen + 1])[1]
         return self._replace(

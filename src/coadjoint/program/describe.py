@@ -68,7 +68,6 @@ class Description:
 
 
 def _subtracted(name: str, factor: float) -> str:
-    """Return the text that subtracts a multiple of a Casimir, whose name may be a sum."""
     shown = f"({name})" if " + " in name or " - " in name else name
     return f" {'+' if factor < 0 else '-'} {abs(factor):.6g} {shown}"
 
@@ -93,7 +92,6 @@ def describe(system: LiePoissonSystem, method: Swept) -> Description:
 
 
 def _sum_found(names: Sequence[str], terms: Sequence[Term]) -> str:
-    """Return the text of the sum that a function of H was found to be."""
     pieces = []
     for term in terms:
         coordinates = sorted({int(k) for coupled in term.couplings() for k in coupled})

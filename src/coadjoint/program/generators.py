@@ -55,7 +55,6 @@ class BasisMatrices:
 
     @property
     def entries(self) -> tuple[Integers, Integers, Integers, NDArray[Any]]:
-        """Starts, rows, columns and values of all matrices."""
         return self._start, self._rows, self._columns, self._values
 
     @classmethod
@@ -131,7 +130,6 @@ class Components(NamedTuple):
     value: NDArray[Any]
 
     def take(self, chosen: Integers) -> Components:
-        """Select sets, in the order given."""
         member = expand(self.low[chosen], self.low[chosen + 1])[1]
         entry = expand(self.first[chosen], self.first[chosen + 1])[1]
         return Components(
@@ -146,17 +144,14 @@ class Components(NamedTuple):
 
     @property
     def width(self) -> Integers:
-        """The number of coordinates of each set."""
         return np.diff(self.low)
 
     @property
     def lengths(self) -> Integers:
-        """The number of entries of each set."""
         return np.diff(self.first)
 
     @property
     def owner(self) -> Integers:
-        """The set of each entry."""
         return np.repeat(np.arange(len(self.angle)), self.lengths)
 
 

@@ -163,13 +163,11 @@ def _components(size: int, generators: Generators) -> Iterator[Component]:
 
 
 def _cells(component: Component) -> Integers:
-    """Return the cells of the entries, column-major."""
     coordinates, entries = component
     return entries.column * len(coordinates) + entries.row
 
 
 def _is_skew(entries: Generators) -> bool:
-    """Test whether X^T = -X exactly, for every momentum."""
     order = order_by(entries.row, entries.column, entries.angle)
     return (
         np.array_equal(entries.row[order], entries.column)
@@ -246,7 +244,6 @@ def _cholesky(form: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
 
 def _inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Invert a lower triangular matrix, with sums in order."""
     m, inverse = len(lower), np.eye(len(lower))
     for k in range(m):
         inverse[k] /= lower[k, k]

@@ -78,7 +78,6 @@ class Interpreter:
                     tangent += np.multiply.outer(self._generator_on(part, angle, x), change)
 
     def _rational_angles(self, part: int, theta: list[Any], tangents: Any) -> tuple[list[Any], Any]:
-        """Replace angles of rational rotations, and their tangents."""
         base = int(self.program.terms.row[self.program.share[part]])
         w = self.program.frequency[base : base + len(theta)]
         if self._count is not None:

@@ -135,7 +135,6 @@ def _letters(coefficients: Mapping[int, Any], origin: str, highest: int) -> Seri
 
 
 def _inverse(series: Series) -> Series:
-    """Invert a series: 1/(1 + r) = 1 - r + r^2 - ..."""
     remainder: Series = [{}, *({word: -value for word, value in term.items()} for term in series[1:])]
     result = power = unit_series(len(series) - 1)
     for _ in series[1:]:
@@ -206,7 +205,6 @@ class Commutators:
         self.spent = 0
 
     def __call__(self, F: Exact, G: Exact) -> Exact:
-        """Return [F, G]."""
         return self.adjoint_operator(F)(G)
 
     def adjoint_operator(self, F: Exact) -> Callable[[Exact], Exact]:
@@ -312,7 +310,6 @@ def _transported(ad: Callable[[Exact], Exact], j: int, series: list[Exact]) -> l
 
 @cache
 def _bernoulli(k: int) -> Fraction:
-    """Return B_k, with B_1 = -1/2."""
     if k == 0:
         return Fraction(1)
     return -sum((comb(k + 1, j) * _bernoulli(j) for j in range(k)), Fraction(0)) / (k + 1)

@@ -34,7 +34,6 @@ class Multiples(NamedTuple):
 
     @classmethod
     def of_triplets(cls, triplets: Sequence[tuple[int, int, float]]) -> Multiples:
-        """Construct from (position, number, factor)."""
         table = np.array(triplets, dtype=object).reshape(-1, 3)
         return cls(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2].astype(np.float64))
 
@@ -50,7 +49,6 @@ class Multiples(NamedTuple):
         return filled
 
     def take(self, chosen: NDArray[Any]) -> Multiples:
-        """Select entries."""
         return Multiples(*(column[chosen] for column in self))
 
     def among(self, numbers: Integers, renumbered: Integers) -> Multiples:
@@ -118,7 +116,6 @@ class Sums(NamedTuple):
     rules: Sequence[tuple[Integers, ExactSums | ReductionSteps]]
 
     def of(self, values: Floats) -> list[list[float]]:
-        """Return these constants, by each rule, for the values (m,) of the sources."""
         linear = self.linear.copy()
         linear[self.coordinate] = values[self.number]
         return [rule.at(linear) for _, rule in self.rules]
@@ -149,7 +146,6 @@ class Sources(NamedTuple):
         return Sources(*({**own, **more} for own, more in pairs))
 
     def renumbered(self, numbers: Integers) -> Sources:
-        """Return the sources with other numbers."""
         multiples = {name: one._replace(number=numbers[one.number]) for name, one in self.multiples.items()}
         sums = {name: one._replace(number=numbers[one.number]) for name, one in self.sums.items()}
         return Sources(multiples, sums, {name: numbers[one] for name, one in self.computed.items()})
@@ -165,7 +161,6 @@ class CoefficientNumbers(NamedTuple):
 
     @classmethod
     def of(cls, terms: Sequence[Term]) -> CoefficientNumbers:
-        """Return the numbers of the coefficients of these terms."""
         starts = np.cumsum([0, *counts_of(terms)]).tolist()
         coordinates, numbers, values = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
         for start, term in zip(starts, terms, strict=False):
@@ -186,12 +181,10 @@ class CoefficientNumbers(NamedTuple):
 
     @property
     def size(self) -> int:
-        """The number of coefficients with the constant of the energy, which is the last one."""
         return self.starts[-1] + 1
 
     @property
     def others(self) -> Integers:
-        """The coefficients of other degrees."""
         return np.setdiff1d(np.arange(self.starts[-1]), self.number)
 
     def of_coordinates(self, chosen: Integers) -> Integers:

@@ -35,7 +35,6 @@ class SparseRows(NamedTuple):
 
     @classmethod
     def of_lists(cls, coordinates: Sequence[Sequence[int]], values: Sequence[Sequence[Any]]) -> SparseRows:
-        """Construct rows from lists; fractions among the values make all of them objects."""
         start = starts_of([len(row) for row in coordinates])
         flat = [value for row in values for value in row]
         flat_values = np.array(flat, dtype=np.float64 if all(isinstance(value, float) for value in flat) else object)
@@ -43,14 +42,12 @@ class SparseRows(NamedTuple):
 
     @classmethod
     def units(cls, coordinates: NDArray[Any]) -> SparseRows:
-        """Construct one row per coordinate, with the value one."""
         size = len(coordinates)
         start: Any = np.arange(size + 1, dtype=np.int32 if MANY_ROWS < size < 2**31 - 1 else np.int64)
         return cls(start, coordinates.astype(np.uint32, copy=False), np.broadcast_to(1.0, size))
 
     @classmethod
     def empty(cls, count: int) -> SparseRows:
-        """Construct rows without entries."""
         return cls(np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.uint32), np.zeros(0))
 
     @classmethod
@@ -66,11 +63,9 @@ class SparseRows(NamedTuple):
 
     @property
     def owner(self) -> Integers:
-        """The row of each entry."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
     def take(self, rows: NDArray[Any]) -> SparseRows:
-        """Select rows, in the order given."""
         if len(self.coordinate) == len(self.start) - 1 == self.start[-1] and np.all(np.diff(self.start) == 1):
             units = SparseRows.units(self.coordinate[rows])
             return units._replace(value=values_at(self.value, rows))

@@ -76,11 +76,9 @@ class Flows(NamedTuple):
     turn: NDArray[np.bool_]
 
     def take(self, chosen: Any) -> Flows:
-        """Select flows."""
         return Flows(*(column[chosen] for column in self))
 
     def followed_by(self, other: Flows) -> Flows:
-        """Append other flows."""
         return Flows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 

@@ -59,7 +59,6 @@ class Program:
 
     @cached_property
     def terms(self) -> Terms:
-        """The terms of all shares."""
         return self.table.table(self.number)
 
     @property

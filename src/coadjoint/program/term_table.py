@@ -82,7 +82,6 @@ class TermTable:
         self._weights.append(weights)
 
     def add_linear(self, target: Any, offset: Any, indptr: Any, column: Any, weight: Any) -> None:
-        """Add rows offset + weight . x in compressed sparse form."""
         self._add_rows(LINEAR, target, offset, SparseRows(np.asarray(indptr), np.asarray(column), np.asarray(weight)))
 
     def _add_empty_rows(self, kind: int, coordinates: Sequence[int]) -> None:
@@ -107,11 +106,9 @@ class TermTable:
         self._add_empty_rows(FUNCTION, coordinates)
 
     def add(self, term: Term) -> None:
-        """Add a whole term of a Hamiltonian, over all coordinates."""
         term.describe_to(self)
 
     def quadratic(self, term: QuadraticTerm) -> None:
-        """Add a quadratic term, with one row per coordinate."""
         offset, weights = term.linear, rows_of_form(term)
         target: NDArray[Any] = np.arange(len(offset), dtype=np.uint32)
         if self._used_rows and not (used := (offset != 0) | (np.diff(weights.start) > 0)).all():
@@ -120,12 +117,10 @@ class TermTable:
         self._add_rows(LINEAR, target, offset, weights)
 
     def polynomial(self, term: PolynomialTerm) -> None:
-        """Add a polynomial, with one row per variable in it."""
         used = sorted({k for exponents in term.polynomial.monomials for k, e in enumerate(exponents) if e})
         self.add_polynomial(used, term.polynomial)
 
     def function(self, term: FunctionTerm) -> None:
-        """Add a term that calls user functions."""
         self.functions[len(self)] = term
         self._add_empty_rows(FUNCTION, term.coordinates.tolist())
 

@@ -45,7 +45,6 @@ class QuadraticCasimir(NamedTuple):
 
     @property
     def diagonal(self) -> bool:
-        """Whether A is diagonal."""
         return bool(np.array_equal(self.rows, self.columns))
 
 

@@ -88,7 +88,6 @@ class ChosenParts:
         return cls(mapping["order"], tuple(shift.items()), mapping.get("linear", ()))
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the mapping accepted by `from_mapping`."""
         present = {"linear": list(self.linear)} if self.linear else {}
         return {"order": list(self.order), "shift": dict(self.shift), **present}
 

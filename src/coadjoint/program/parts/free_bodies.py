@@ -283,7 +283,6 @@ def _shares(
 def _remainder_of_bonds(
     form: QuadraticTerm, ends: NDArray[np.int64], spins: Triples, axes: Sequence[Triple]
 ) -> list[Term]:
-    """Return the quadratic term without the bonds and the fixed axes."""
     triple_of, _ = _triple_of_coordinates(spins, len(form.linear))
     count = len(spins)
     bonded = np.concatenate([ends @ [count, 1], ends @ [1, count]])

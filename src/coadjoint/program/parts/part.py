@@ -99,7 +99,6 @@ class Parts(Sequence[tuple[Form, ...]]):
 
     @classmethod
     def single(cls, share: GradientShare, timed: bool = False) -> Parts:
-        """Construct one part of one nonlinear share."""
         size, ends = len(share.coordinates), np.array([0, 1])
         forms = SparseRows.units(np.array(share.coordinates, dtype=np.int64))
         rest = size * ends, {0: share}, ends, np.array([timed]), np.zeros(1, dtype=np.int64)
@@ -107,7 +106,6 @@ class Parts(Sequence[tuple[Form, ...]]):
 
     @classmethod
     def concatenate(cls, pieces: Sequence[Parts]) -> Parts:
-        """Concatenate parts."""
         if len(pieces) == 1:
             return pieces[0]
         if not pieces:
@@ -135,7 +133,6 @@ class Parts(Sequence[tuple[Form, ...]]):
 
     @property
     def nonlinear(self) -> list[int]:
-        """The shares that are gradients or bodies."""
         return [*self.gradients, *self.bodies]
 
     def of_term(self, number: int) -> Parts:
@@ -154,7 +151,6 @@ class Parts(Sequence[tuple[Form, ...]]):
 
     @property
     def part_of_angle(self) -> Integers:
-        """The part of each angle."""
         return np.repeat(np.arange(len(self)), np.diff(self.angle))
 
     @property
@@ -163,7 +159,6 @@ class Parts(Sequence[tuple[Form, ...]]):
         return np.minimum.reduceat(self.forms.coordinate, self.forms.start[self.angle[:-1]])
 
     def take(self, chosen: NDArray[Any]) -> Parts:
-        """Select parts, each at most once, in the order given."""
         if np.array_equal(chosen, np.arange(len(self))):
             return self
         first, last = self.share[chosen], self.share[chosen + 1]
@@ -205,7 +200,6 @@ class Parts(Sequence[tuple[Form, ...]]):
     def __getitem__(self, index: slice) -> Sequence[tuple[Form, ...]]: ...
 
     def __getitem__(self, index: int | slice) -> tuple[Any, ...]:
-        """Return the forms of a part, or of several."""
         if isinstance(index, slice):
             return tuple(self[p] for p in range(len(self))[index])
         p = range(len(self))[index]

@@ -48,7 +48,6 @@ def part_polynomials(ring: ExactPolynomials, parts: Parts) -> list[Exact]:
 
 
 def _linear_angle(ring: ExactPolynomials, parts: Parts, angle: int) -> Exact:
-    """Return (l.x) (offset + weights.x / 2) of an angle."""
     form = linear_form(ring, *sparse_row(parts.forms, angle))
     weights = linear_form(ring, *sparse_row(parts.weights, angle))
     return form * (weights / 2 + to_rational(parts.offset[angle]))

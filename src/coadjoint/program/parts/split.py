@@ -104,7 +104,6 @@ def _read(
 
 
 def _atoms_of_term(system: LiePoissonSystem, term: Term, separate: bool) -> Parts:
-    """Return the parts of a term, before they are joined."""
     found: list[Parts] = []
     _read(
         system,
@@ -214,7 +213,6 @@ def check_splits(system: LiePoissonSystem) -> None:
 
 
 def _check_monomial(system: LiePoissonSystem, exponents: tuple[int, ...], coefficient: Any) -> None:
-    """Raise NotSplittable if the coordinates of a monomial do not commute."""
     noncommuting = first_noncommuting(system.algebra, [k for k, power in enumerate(exponents) if power])
     if noncommuting is not None:
         shown = short(in_coordinates_of(system, Polynomial({exponents: coefficient})))

@@ -163,7 +163,6 @@ class _Reduction:
         self._choose(np.ones(len(linear), dtype=bool) if central is None else ~central)
 
     def _choose(self, chosen: Mask) -> None:
-        """Take pivots among these coordinates."""
         self.chosen, rows = chosen, [(i, self.rows[i]) for i in np.flatnonzero(chosen).tolist()]
         self.diagonal = [(-abs(row[i]), i) for i, row in rows if i in row]
         self.entries = [(-abs(v), i, j) for i, row in rows for j, v in row.items() if i <= j and chosen[j]]
@@ -273,7 +272,6 @@ class ExactSums(NamedTuple):
 
     @property
     def used(self) -> Integers:
-        """The coordinates whose coefficients are added."""
         return np.array(self.coordinates)
 
     def at(self, b: NDArray[np.float64]) -> list[float]:
@@ -300,7 +298,6 @@ class ReductionSteps(NamedTuple):
 
     @property
     def used(self) -> Integers:
-        """The coordinates whose coefficients are added."""
         return np.array(sorted({k for _, forms in self.steps for form in forms for k in form}))
 
     def at(self, b: NDArray[np.float64]) -> list[float]:
