@@ -48,7 +48,6 @@ class Crossings(NamedTuple):
     direction: Integers
 
     def select(self, selection: Any) -> Crossings:
-        """Select crossings by mask, slice or indices."""
         return Crossings(*(array[selection] for array in self))
 
 
@@ -155,7 +154,6 @@ class _Search:
         return result.momenta, result.groups
 
     def values(self, rows: Integers, events: Integers, theta: Floats) -> Floats:
-        """Evaluate one event for each row."""
         states, _ = self.states_at(rows, theta)
         return self.watched.values(states, self.begin[rows] + theta * self.h)[np.arange(len(rows)), events]
 

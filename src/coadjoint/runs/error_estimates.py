@@ -246,7 +246,6 @@ class LostInvariant(NamedTuple):
 
     @property
     def large(self) -> bool:
-        """Whether the run is wrong."""
         return self.ratio > OVER_RUN
 
 

@@ -47,7 +47,6 @@ class EventRun:
         self._checkpoint = run.state.copy(), self.arrays.copy()  # state before the steps not yet searched
 
     def advance(self, progress: bool = False) -> None:
-        """Take steps until all members have ended."""
         run, chunk = self.run, min(FIRST_CHUNK, self._max_chunk)
         steps, first = run.times.steps, 0
         with progress_bar(steps, progress) as bar:
@@ -65,7 +64,6 @@ class EventRun:
         self._store_events()
 
     def _store_events(self) -> None:
-        """Store the events in the run; for a single member that an event ended, also its last point."""
         run, crossings = self.run, self.found
         attitude = None
         if run.start.representation is not None:

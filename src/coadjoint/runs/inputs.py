@@ -96,7 +96,6 @@ class Inputs:
         self._check_forces()
 
     def _check_forces(self) -> None:
-        """Raise TypeError if a force is compiled with a coefficient that is an input."""
         if not len(self.in_energy) or not self.system.forces:
             return
         from coadjoint.kernels.tables.forces import linear_coefficients_in

@@ -181,7 +181,6 @@ class MeasuredSteps:
 
     @property
     def lossy(self) -> bool:
-        """Whether a step loses many digits of a group."""
         return bool(np.any(self.rounding > EXCESS * self.sizes))
 
     def _weights(self) -> Floats:
@@ -260,7 +259,6 @@ class MeasuredSteps:
         return self.t[known], self._path[known, m]
 
     def step_count(self, m: int) -> float:
-        """Return the number of steps of a chosen member."""
         solution = self.solution
         end = float(ends_by_events(solution)[self.members[m]])
         return abs((solution.t_span[1] if math.isnan(end) else end) - solution.t_span[0]) / solution.step

@@ -47,7 +47,6 @@ def reject_noise(system: Any) -> None:
 
 @cache
 def _no_values(dim: int) -> Any:
-    """Return the tables of no invariants."""
     from coadjoint.kernels.tables.invariants import invariants_table
 
     return as_structure(invariants_table([], dim).tables)
@@ -205,7 +204,6 @@ def resample(run: Run, moments: OutputTimes) -> None:
 
 
 def _with_ending(times: Times, ending: TerminalEvent) -> Times:
-    """Append the time of the terminal event to the output times."""
     assert times.marks is not None and times.between is not None and times.elapsed is not None
     return times._replace(
         marks=np.append(times.marks, ending.steps),

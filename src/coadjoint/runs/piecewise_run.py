@@ -65,7 +65,6 @@ class PiecewiseRun:
 
     @property
     def number(self) -> int:
-        """Number of steps taken."""
         return self.run.state.number
 
     @property
@@ -75,7 +74,6 @@ class PiecewiseRun:
 
     @property
     def points_held(self) -> int:
-        """Number of saved points in memory."""
         numbers, state = self.run.times.saved, self.run.state
         if self.run.start.single and state["status"][0] not in (codes("Status")["DONE"], codes("Status")["ENDED"]):
             return int(np.searchsorted(numbers, state["step"][0]))

@@ -79,7 +79,6 @@ class Plan:
         return self.rounds[0][0].whole_run(self.layout, schedule)
 
     def with_times(self, times: Times) -> Plan:
-        """Return the plan of the same runs for other times."""
         options = self.groups, self.watching, self.workers, self.inside
         plan = Plan(self.system, self.method, self.loops, times, *options)
         plan.shared["_system_of_run"] = self.shared["_system_of_run"]
@@ -103,7 +102,6 @@ class Plan:
         return plan
 
     def with_rounds(self, rounds: list[list[MemberBatch]]) -> Plan:
-        """Return the plan with other calls of the loops."""
         plan = self._copy()
         plan.rounds = rounds
         return plan
@@ -188,7 +186,6 @@ class State:
         return f"<state of {members} member{'s' if members > 1 else ''} after step {self.number}>"
 
     def copy(self) -> State:
-        """Return a deep copy."""
         return State(self.arrays.copy(), self.number)
 
     def to_mapping(self) -> dict[str, Any]:

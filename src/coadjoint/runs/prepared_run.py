@@ -231,7 +231,6 @@ class PreparedRun(Immutable):
 
     @property
     def takes_inputs(self) -> bool:
-        """Whether runs take inputs."""
         return self.inputs is not None
 
     def values_of(self, inputs: Mapping[str, Any], x0: Any = None) -> NDArray[np.float64] | None:

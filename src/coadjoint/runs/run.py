@@ -74,12 +74,10 @@ class Run:
 
     @property
     def times(self) -> Times:
-        """The times of the plan."""
         return self.plan.times
 
     @property
     def loops(self) -> Loops:
-        """The loops of the plan."""
         return self.plan.loops
 
     def release_points(self, max_points: int) -> None:
@@ -182,7 +180,6 @@ class Run:
                 return failed_count
 
     def solution(self, observed: Observed | None) -> Solution:
-        """Return the solution, or raise the failure with the partial solution."""
         saved_points = self.saved.offsets.shapes["x"][0] if self.ending is None else self.ending.points
         if not self.failed_count:
             solution = solution_of_run(self, saved_points, observed)
@@ -230,7 +227,6 @@ class Run:
         stopped.add_note("The solution so far is the attribute partial of the error; archive= stores it on disk")
 
     def failure(self, partial: Any) -> IntegrationError:
-        """Return the error of a failed run with its partial solution."""
         failed = self.state["status"].nonzero()[0]
         if len(failed):
             return self._error(int(failed[0]), len(failed), partial)

@@ -85,7 +85,6 @@ class FinalStateRun:
         return self._end.copy()
 
     def _prepare_span(self, t_span: Any) -> None:
-        """Prepare the call for another span."""
         self._span = self._advance = None
         times = times_between(span_of(t_span), self._prepared.step, ENDS_ONLY)
         check_steps(self._prepared.system, times.t0, times.h)

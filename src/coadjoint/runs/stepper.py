@@ -299,7 +299,6 @@ class Stepper(Immutable):
         return method.tangent_by(system, *self._read_point(x, t), self.h)
 
     def _read_values(self, inputs: Mapping[str, Any]) -> NDArray[np.float64] | None:
-        """Validate the inputs of a step; return their values, None if none were prepared."""
         values = self._prepared_with(False).values_of(inputs)
         if values is not None and values.ndim > 1:
             raise ValueError(f"{next(iter(inputs))} has values for members; a tangent is taken at one state, with one")

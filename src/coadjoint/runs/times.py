@@ -52,17 +52,14 @@ class Times(NamedTuple):
     @property
     @in_standard_mode
     def end(self) -> float:
-        """Time after the last step."""
         return self.t0 + self.steps * self.h
 
     @property
     def total_points(self) -> int:
-        """Number of saved steps of the whole run."""
         return -(-self.steps // self.save_every) + 1 if self.marks is None else len(self.marks)
 
     @property
     def points(self) -> int:
-        """Number of saved steps in memory."""
         left = self.total_points - self.passed
         return left if self.max_points is None else min(left, self.max_points)
 
@@ -112,11 +109,9 @@ class Times(NamedTuple):
     @property
     @in_standard_mode
     def saved_times(self) -> NDArray[np.float64]:
-        """Times of the saved points."""
         return self.at(self.saved) if self.between is None else self.between
 
     def at(self, numbers: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return t0 + j h."""
         return np.asarray(self.t0 + numbers * self.h, dtype=np.float64)
 
 

@@ -66,7 +66,6 @@ class Cotangents(NamedTuple):
     events: dict[str, Any]
 
     def check_finite(self) -> None:
-        """Raise ValueError for a number that is not finite."""
         series = {"x": self.x, "attitude": self.attitude, "energy": self.energy}
         series |= {f"observed {name}": one for name, one in self.observed.items()}
         series |= {f"{name} of events": one for name, one in self.events.items()}
@@ -105,7 +104,6 @@ def read_cotangents(
 
 
 def _read(given: Any, series: Any, name: str) -> Any:
-    """Validate the shape of the cotangents of a series."""
     if given is None:
         return None
     numbers = read_like(series, given, name)

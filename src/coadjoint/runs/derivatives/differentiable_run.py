@@ -59,7 +59,6 @@ class Arguments(NamedTuple):
 
     @property
     def keywords(self) -> dict[str, Any]:
-        """Keywords of `PreparedRun.run`."""
         own = {name: value for name, value in self._asdict().items() if name not in ("inputs", "fixed")}
         return own | dict(self.inputs)
 
@@ -150,7 +149,6 @@ class Trajectory:
         prepared.check_first_step(self.solution)
 
     def _integrate(self, run: DifferentiableRun, given: Arguments, moments: OutputTimes | None) -> None:
-        """Take all steps, and store the solution and the outputs."""
         if moments is None:
             self._take_steps(run.prepared, self.times)
             moments = OutputTimes(self.times.saved_times, self.steps, np.zeros(len(self.steps)))
@@ -210,13 +208,11 @@ class Trajectory:
         return stored.reshape(len(stored), self.members, self.side, self.side).copy()
 
     def partial(self, k: int) -> Stretch:
-        """Return the partial step to output k."""
         point = self.point[k]
         momenta = np.ascontiguousarray(self.states[point, :, : self.n])
         return Stretch.of_step(float(self.started[point]), float(self.length[k]), momenta, self.groups[point])
 
     def with_members(self, series: Any) -> Floats:
-        """Return a series of the solution with an axis of members."""
         return np.asarray(series[:, None] if self.start.single else series)
 
     def forward(

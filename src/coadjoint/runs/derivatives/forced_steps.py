@@ -50,7 +50,6 @@ class HalfFlows:
         self._members, self._t, self._h, self._order, self._scheme_order = members, t, h, order, scheme_order
 
     def apply(self, x: Floats) -> Floats:
-        """Return the states (members, n) after the flows."""
         return np.array([self._apply(member, state) for member, state in zip(self._members, x, strict=True)])
 
     def push(self, x: Floats, dx: Floats, directions: Floats) -> tuple[Floats, Floats]:
@@ -114,7 +113,6 @@ class HalfFlows:
         return of_x
 
     def _flow(self, system: System, j: int, x: Floats) -> Floats:
-        """Return the flow j of a system."""
         end = system.flows[j][1].flow_of_order(system.unforced, x, self._t, self._h, self._scheme_order)
         return np.asarray(end, dtype=np.float64)
 
@@ -184,7 +182,6 @@ class ForcedSteps:
 
     @np.errstate(over="ignore", invalid="ignore")
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
-        """Carry tangent vectors of members, as the compiled kernels do."""
         some, members, mark = slice(first, last), self._members(first, last), 0
         x, dx, dg = run.momenta[some], run.tangents[some], run.group_tangents[some]
         groups, directions = run.groups[some].reshape(len(x), *dg.shape[2:]), run.coefficients[:, self._flows]
@@ -204,7 +201,6 @@ class ForcedSteps:
 
     @np.errstate(over="ignore", invalid="ignore")
     def backward(self, run: BackwardRun, first: int, last: int) -> None:
-        """Carry cotangents of members, as the compiled kernels do."""
         some, members, mark = slice(first, last), self._members(first, last), run.marked
         x, groups = run.momenta[some], run.groups[some].reshape(run.group_cotangents[some].shape)
         starts, steps = [], []
@@ -248,7 +244,6 @@ class ForcedSteps:
         return before, after
 
     def _step(self, x: Floats, groups: Floats, t: float, h: float) -> _Base:
-        """Take a step of the Hamiltonian part."""
         count, side = len(x), groups.shape[1]
         elements = groups if self._attitudes is None else np.array(np.broadcast_to(np.eye(side), groups.shape))
         step = Stretch.of_step(t, h, np.ascontiguousarray(x), np.ascontiguousarray(elements))

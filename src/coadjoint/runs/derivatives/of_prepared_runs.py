@@ -62,7 +62,6 @@ def _derivatives_of(prepared: PreparedRun) -> DifferentiableRun:
 
 
 def _trajectory(run: DifferentiableRun, given: Arguments, reverse: str | None) -> Trajectory:
-    """Integrate a run to be differentiated."""
     if not given.events and not run.prepared.method.own_steps:
         return Trajectory(run, given, reverse)
     if run.inputs is not None:

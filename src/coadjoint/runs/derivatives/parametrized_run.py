@@ -175,14 +175,12 @@ class ParametrizedRun:
         return [np.array(one) for one in zip(*found, strict=True)]
 
     def prepared_at(self, values: Mapping[str, Floats]) -> PreparedRun:
-        """Return the prepared run at values of parameters."""
         return self._run_at(values).prepared
 
     def _at(self, values: Mapping[str, Floats]) -> Arguments:
         return Arguments(values["x0"], *self._times, values.get("attitude0"))
 
     def _run_at(self, values: Mapping[str, Floats]) -> DifferentiableRun:
-        """Return the run at values of parameters."""
         # Copies: a cached run may not share memory with arrays that change.
         given = {name: np.array(value) for name, value in values.items() if name in self._shapes}
         if all(np.array_equal(value, self._run.parameters[name].value) for name, value in given.items()):
@@ -197,7 +195,6 @@ class ParametrizedRun:
         return run
 
     def _trajectory(self, values: Mapping[str, Floats]) -> Trajectory:
-        """Integrate for a gradient."""
         key, last = _key(values), self._last_trajectory
         if last is not None and last[0] == key:
             return last[1]

@@ -44,7 +44,6 @@ class Stretch(NamedTuple):
 
     @classmethod
     def of_step(cls, t0: float, h: float, momenta: Floats, groups: Floats, before: int | None = None) -> Stretch:
-        """Return a single step from finished states."""
         return cls(t0, h, 0, 1, momenta, np.zeros_like(momenta), groups, np.zeros_like(groups), before=before)
 
     def forward(
@@ -140,7 +139,6 @@ class StepwiseDerivatives:
         self._steps: dict[int, tuple[Any, PartialSteps]] = {}
 
     def step(self, x: Floats, t: float, h: float) -> LinearizedStep:
-        """Return a step with its derivative by the state."""
         return self._method.linearized(self._system, x, t, h)
 
     def element(self, x: Floats, t: float, h: float) -> tuple[Floats, Floats]:
@@ -185,7 +183,6 @@ class StepwiseDerivatives:
 
     @np.errstate(over="ignore", invalid="ignore")
     def forward(self, run: ForwardRun, first: int, last: int) -> None:
-        """Carry tangent vectors of members, as the compiled kernels do."""
         directed = bool(run.coefficients.any())
         for member in range(first, last):
             x, vectors, mark = run.momenta[member], run.tangents[member], 0
@@ -210,7 +207,6 @@ class StepwiseDerivatives:
 
     @np.errstate(over="ignore", invalid="ignore")
     def backward(self, run: BackwardRun, first: int, last: int) -> None:
-        """Carry cotangents of members, as the compiled kernels do."""
         for member in range(first, last):
             x, group, states, groups = run.momenta[member], _matrix_of(run, member), [], []
             steps: list[LinearizedStep] = []

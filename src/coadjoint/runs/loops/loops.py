@@ -135,7 +135,6 @@ class Loops:
         return self.groups[0].members is None and not self.groups[0].stride
 
     def layout(self, members: int, points: int, square: int) -> Layout:
-        """Return the layout of the arrays of a run, with `square` entries of a group element."""
         return layout_of(Extent(members, points, self.size, square, self.tracked, self.memory))
 
     def rounds(self, members: int, workers: int) -> list[list[MemberBatch]]:
@@ -226,7 +225,6 @@ class Loops:
         return max(corrections, key=lambda correction: correction.most).may_overflow(start, times)
 
     def build_all(self) -> None:
-        """Build everything that would be built lazily."""
         for correction in self.corrections:
             if correction is not None:
                 correction.build()

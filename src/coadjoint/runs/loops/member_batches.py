@@ -138,7 +138,6 @@ class Columns:
         self._writable: tuple[Any, WritableTables] | None = None
 
     def take(self, columns: Integers) -> Columns:
-        """Select systems by their numbers."""
         chosen = Columns(self.numbers, self.values[columns], self._first, self._recorded)
         chosen._writable = self._writable
         return chosen

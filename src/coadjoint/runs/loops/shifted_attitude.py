@@ -128,7 +128,6 @@ class ShiftCorrection:
         return ShiftCorrection, (self._system, self.shift, self._representation, self._tables)
 
     def build(self) -> None:
-        """Build the tables."""
         _ = self._unshift
 
     def may_overflow(self, start: Start, times: Times) -> bool:
@@ -206,7 +205,6 @@ class AttitudeDerivatives:
 
     @property
     def shifted(self) -> bool:
-        """Whether a Casimir was subtracted."""
         return self.factors.shape[-1] > 0
 
     def _generator(self, x0: Floats, factors: Floats) -> Floats:

@@ -166,12 +166,10 @@ class MemorySolution(Solution):
         return self._state["worst"][0] if self._start.single else self._state["worst"]
 
     def _points(self, name: str) -> NDArray[Any]:
-        """Return an array of the loops at the saved points."""
         points = self._saved[name]
         return points if len(points) == self._saved_points else points[: self._saved_points]
 
     def _without_member_axis(self, series: NDArray[Any]) -> NDArray[Any]:
-        """Drop the axis of members for a single run."""
         return series[:, 0] if self._start.single else series
 
     def _states(self, rows: Floats) -> NDArray[Any]:

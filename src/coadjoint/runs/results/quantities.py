@@ -50,7 +50,6 @@ class NamedValues(dict[str, Value]):
         return f"{{{', '.join(f'{name!r}: {compact(value)}' for name, value in self.items())}}}"
 
     def __missing__(self, name: Any) -> Value:
-        """Raise the KeyError."""
         text = f"there is no {short(name)}"
         if not isinstance(name, str):
             raise KeyError(f"{text}; give a name: {', '.join(self)}")
@@ -186,7 +185,6 @@ def check_observe(observe: Any, system: Any) -> dict[str, Any]:
 
 
 def _value_at(quantity: Any, name: str, x0: Floats) -> Any:
-    """Evaluate a quantity at the start; NaN if it is undefined there, as in the run."""
     try:
         function = quantity.value if isinstance(quantity, Invariant) else quantity
         return 0.0 if is_formula(quantity) or takes_time(function, name) else quantity(x0)

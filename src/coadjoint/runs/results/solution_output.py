@@ -370,7 +370,6 @@ def extent_text(solution: Solution) -> str:
 
 
 def _seconds_text(stats: Statistics) -> str:
-    """Return the time of the call, and that in the loop, as text."""
     loop = f"{stats.seconds:.3g} s in the loop"
     return loop if math.isnan(stats.elapsed) else f"{stats.elapsed:.3g} s, {loop}"
 
