@@ -91,7 +91,6 @@ def _coordinates(columns: Any, generators: Any) -> tuple[list[list[int]], Any]:
 
 
 def _bond_quaternion(m: Any, z: Any) -> Any:
-    """Return the quaternion of the rotation about z by the angle m |z|."""
     vector = 0.5 * m[0] * z
     square = vector @ vector
     near = square < 1e-4  # where the terms that the series leave out are below the round-off

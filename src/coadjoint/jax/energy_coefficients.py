@@ -43,7 +43,6 @@ class CoefficientsAtParameters:
         return found
 
     def __call__(self, values: Mapping[str, Any]) -> Any:
-        """Return the coefficients at values of parameters, or of inputs."""
         known, energy = self._table["parameters"], self._table["energy"]["coefficients"]
         if self._inputs is not None:
             return self._of_inputs(energy, values)

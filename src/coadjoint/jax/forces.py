@@ -140,12 +140,10 @@ class ForceReaders:
         return extrapolated if columns else of_state
 
     def flow(self, function: Any) -> Flow:
-        """Return a flow that is given."""
         traced = self._traced(function, "x, t, tau").at
         return lambda _, x, t, tau, member: traced(jnp.append(x, tau), t)
 
     def mode_rates(self, *_: Any) -> Flow:
-        """Refuse forces on modes of a matrix."""
         raise TypeError(f"JAX takes states that are vectors, and {self.what} acts on modes of a matrix")
 
     mode_noise = mode_rates
@@ -215,7 +213,6 @@ def philox(*counter: Any, key: Any) -> Any:
 
 
 def _high(a: Any, b: Any) -> Any:
-    """Return the upper half of a product of 64 bits."""
     low, half = jnp.uint64(2**32 - 1), jnp.uint64(32)
     a0, a1, b0, b1 = a & low, a >> half, b & low, b >> half
     middle = a1 * b0 + (a0 * b0 >> half)

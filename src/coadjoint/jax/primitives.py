@@ -198,12 +198,10 @@ def _at(axis: int, array: Any, batched: int | None, size: int) -> Any:
 
 
 def _merged(array: Any, axis: int) -> Any:
-    """Join an axis and the next one."""
     return array.reshape(*array.shape[:axis], -1, *array.shape[axis + 2 :])
 
 
 def _split(array: Any, axis: int, size: int) -> Any:
-    """Undo `_merged`, with `size` entries of the first axis."""
     return array.reshape(*array.shape[:axis], size, -1, *array.shape[axis + 1 :])
 
 
@@ -228,7 +226,6 @@ class _Members:
         return array if self.single else _merged(array, axis)
 
     def split(self, array: Any, axis: int) -> Any:
-        """Undo `merged`."""
         return array if self.single else _split(array, axis, self.size)
 
 

@@ -31,7 +31,6 @@ class Sparse(NamedTuple):
     columns: Any
 
     def times(self, x: Any) -> Any:
-        """Multiply a vector."""
         if self.columns is None:
             return (self.values * x).sum(-1)
         return (self.values * x[self.columns]).sum(-1)
@@ -94,11 +93,9 @@ class StageField:
 
     @property
     def functions(self) -> tuple[TracedFunction, ...]:
-        """The functions of the user."""
         return tuple(gradient for _, gradient in self._gradients)
 
     def at(self, energy: Any, x: Any, t: Any) -> Any:
-        """Return sign J(x) grad H(x, t)."""
         padded = jnp.append(x, 1.0)
         slopes = jnp.zeros_like(x)
         if len(self.monomials):

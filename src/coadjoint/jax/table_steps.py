@@ -333,6 +333,5 @@ def _entries(table: Table, b: int) -> slice:
 
 
 def _coordinates(table: Table, b: int) -> Any:
-    """Return the coordinates of a block."""
     entries = _entries(table, b)
     return np.union1d(table["row"][entries], table["column"][entries])

@@ -50,7 +50,6 @@ class Numbers(NDArrayOperatorsMixin):
 
     @property
     def value(self) -> Any:
-        """The array of JAX."""
         whole = self._memory[0]
         return whole if self._places is None else _entries(whole, self._places)
 
@@ -123,11 +122,9 @@ class Numbers(NDArrayOperatorsMixin):
         return (self[i] for i in range(len(self)))
 
     def sort(self, axis: int = -1) -> None:
-        """Sort in place."""
         self._set(jnp.sort(self.value, axis))
 
     def fill(self, value: Any) -> None:
-        """Set all entries."""
         self._set(plain(value))
 
     def __getattr__(self, name: str) -> Any:
