@@ -124,7 +124,6 @@ def corner_name(q: Any) -> str:
 
 
 def _edges(centres: Any) -> Any:
-    """Return the borders between cells around values; a single value has a width of one."""
     if len(centres) < 2:
         return np.array([centres[0] - 0.5, centres[0] + 0.5])
     middle = 0.5 * (centres[1:] + centres[:-1])

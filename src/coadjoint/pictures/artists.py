@@ -142,7 +142,6 @@ def _column_width(axes: Axes, figure: Figure) -> float:
 
 
 def _corners(figure: Figure) -> Floats:
-    """Return the corners of all axes in pixels, (axes, 4)."""
     return np.array([axes.get_position(original=True).transformed(figure.transFigure).extents for axes in figure.axes])
 
 
@@ -175,7 +174,6 @@ class FadingLine(Line3D):  # type: ignore[misc]
         self._hides, self._faint, self._hollow = hides, faint, hollow
 
     def draw(self, renderer: Any) -> None:
-        """Draw the hidden part and the visible one."""
         data, alpha, face = self.get_data_3d(), self.get_alpha(), self.get_markerfacecolor()
         points = np.stack([np.asarray(values, dtype=np.float64) for values in data], axis=-1)
         hidden = self._hides(points, self.axes) if len(points) else np.zeros(0, dtype=bool)

@@ -189,7 +189,6 @@ class MemberColours:
             self._shades = colour_scale(finite, LinearSegmentedColormap.from_list("members", part))
 
     def __getitem__(self, m: int) -> Any:
-        """Return the colour of a drawn member."""
         if self._shades is None or not np.isfinite(self._values[m]):
             return colour(0)
         return self._shades.to_rgba(self._values[m])

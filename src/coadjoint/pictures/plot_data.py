@@ -159,7 +159,6 @@ class PlottedRun:
 
     @cached_property
     def changes(self) -> Mapping[str, Floats]:
-        """The invariants less their values at the start of the run."""
         return {name: values - self.at_start(name)[:, None] for name, values in self.invariants.items()}
 
     @cached_property
@@ -199,7 +198,6 @@ class PlottedRun:
         return coordinate_names(self.unforced, self.n)
 
     def label(self, i: int) -> str:
-        """Return the name of a coordinate as mathematical text."""
         return coordinate(self.names[i])
 
     def index_of(self, chosen: Any) -> int:
@@ -275,7 +273,6 @@ class PlottedRun:
         return np.ascontiguousarray(x).view(self._type).reshape(self.system.shape)
 
     def system_of(self, m: int) -> Any:
-        """Return the system of a drawn member; those of a batch differ."""
         return self.solution.system.of_member(int(self.chosen[m]))
 
     def slope(self, x: Floats, t: float, m: int = 0) -> Floats:

@@ -54,7 +54,6 @@ class Kind:
 
     @property
     def options(self) -> Mapping[str, inspect.Parameter]:
-        """The options by name, with their default values."""
         return MappingProxyType(dict(list(inspect.signature(self.prepare).parameters.items())[1:]))
 
     @property
@@ -72,7 +71,6 @@ class Kind:
         return "at" in self.options
 
     def is_low(self, drawn: Any) -> bool:
-        """Whether the picture of a `PlottedRun` is low."""
         return self.low(drawn) if callable(self.low) else self.low
 
     def check(self, picture: Picture) -> None:

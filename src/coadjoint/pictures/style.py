@@ -99,7 +99,6 @@ def _unchanged_settings(width: float | None) -> dict[str, Any]:
 
 
 def _parameters() -> tuple[Any, Any]:
-    """Return the settings of Matplotlib, and their default values."""
     from matplotlib import rcParams, rcParamsDefault
 
     return rcParams, rcParamsDefault
@@ -235,7 +234,6 @@ def legend(axes: Axes, beside: bool = False, **options: Any) -> None:
 
 
 def _is_drawn(artist: Any) -> bool:
-    """Whether a line or a band has any finite point."""
     if hasattr(artist, "get_xydata"):
         xy = np.asarray(artist.get_xydata(), dtype=np.float64)
         return bool(np.isfinite(xy).all(axis=-1).any())

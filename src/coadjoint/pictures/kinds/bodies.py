@@ -100,7 +100,6 @@ def body(
 
 
 def _sides(system: Any) -> Floats:
-    """Return the half sides of a homogeneous box with the principal moments of a system, scaled to the picture."""
     moments = np.asarray((system.parameters or {}).get("inertia", ()), dtype=np.float64)
     sides = np.array(DEFAULT_SIDES)
     if moments.shape == (3,) and np.all(moments > 0.0):

@@ -142,7 +142,6 @@ def _surface(casimir: Any, level: float, members: Floats) -> tuple[Any, Any]:
 
 
 def _box_of(members: Floats) -> Floats:
-    """Return a box with margins around the orbits."""
     low, high = np.nanmin(members, axis=(0, 1)), np.nanmax(members, axis=(0, 1))
     widest = float(np.max(high - low)) or 1.0
     half = np.maximum(0.7 * (high - low), 0.05 * widest)

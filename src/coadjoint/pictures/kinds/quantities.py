@@ -216,7 +216,6 @@ def _draw_dotted(axes: Any, drawn: PlottedRun, members: Floats, shade: str, labe
 
 
 def _worst(deviations: dict[str, Floats]) -> dict[str, Floats]:
-    """Return all Casimirs, or of many those with the largest deviations."""
     if len(deviations) <= MAX_CASIMIRS:
         return dict(deviations)
     size = {name: float(np.nanmax(values, initial=0.0)) for name, values in deviations.items()}
