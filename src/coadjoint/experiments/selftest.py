@@ -134,7 +134,6 @@ class Finding:
 
     @property
     def passed(self) -> bool:
-        """Whether the measurement satisfies its bound; skipped checks pass."""
         if self.skipped:
             return True
         return self.measured >= self.allowed if self.least else self.measured <= self.allowed

@@ -57,7 +57,6 @@ def reproduce(
 def _experiments(
     folder: Path, echo: Callable[[str], None], phase_end: float, steps: int
 ) -> tuple[list[Statement], list[Path]]:
-    """Measure the statements and draw the figures."""
     rows = measured_statements(echo, phase_end)
     echo("figures 1 to 5, and one of section 6")
     figures = write_figures(folder)
