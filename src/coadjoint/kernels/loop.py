@@ -63,7 +63,6 @@ class NamedArrays:
         return (numbers.view(np.int64) if name in offsets.int64_names else numbers).reshape(offsets.shapes[name])
 
     def address_of(self, name: str) -> int:
-        """Return the memory address of an array."""
         return ctypes.addressof(as_c_double(self.numbers)) + 8 * self.offsets.slices[name].start
 
     def take(self, members: NDArray[np.int64], axis: int) -> NamedArrays:
@@ -74,7 +73,6 @@ class NamedArrays:
         return copies
 
     def subset(self, names: Iterable[str]) -> NamedArrays:
-        """Return a copy of some of the arrays."""
         offsets = self.offsets
         copies = NamedArrays(ArrayOffsets({name: offsets.shapes[name] for name in names}, offsets.int64_names))
         for name in copies.offsets.shapes:
@@ -82,7 +80,6 @@ class NamedArrays:
         return copies
 
     def copy(self) -> NamedArrays:
-        """Return an independent copy."""
         copies = NamedArrays(self.offsets)
         copies.numbers[:] = self.numbers
         return copies
@@ -104,12 +101,10 @@ class Layout:
         self.momenta = slice(self.saved.size + momenta.start, self.saved.size + momenta.stop)
 
     def saved_in(self, numbers: NDArray[np.float64]) -> NamedArrays:
-        """Return the saved arrays in one allocation of `size` numbers."""
         # An array of no numbers has no address; nothing is then read at that of the state.
         return NamedArrays(self.saved, numbers[: self.saved.size or 1])
 
     def state_in(self, numbers: NDArray[np.float64]) -> NamedArrays:
-        """Return the state in one allocation of `size` numbers."""
         return NamedArrays(self.state, numbers[self.saved.size :])
 
     def _offsets(self, kind: str) -> ArrayOffsets:

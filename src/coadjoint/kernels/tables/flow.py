@@ -154,7 +154,6 @@ def _turns_directly(action: Action, part: int) -> bool:
 
 
 def _constants(share: BodyShare) -> list[float]:
-    """Return principal moments, principal axes row by row, and the scale."""
     scaled = [[v / (share.scale[a] * share.scale[b]) for b, v in enumerate(row)] for a, row in enumerate(share.matrix)]
     moments, axes = principal_axes(scaled)
     return [*moments, *(entry for row in axes for entry in row), *share.scale]

@@ -95,11 +95,9 @@ class FlaggedSteps(NamedTuple):
     after: NDArray[np.float64]
 
     def sorted(self) -> FlaggedSteps:
-        """Return the rows sorted by member and step."""
         return self.select(np.lexsort((self.steps, self.members)))
 
     def select(self, rows: NDArray[Any]) -> FlaggedSteps:
-        """Return some of the rows, by a mask or by indices."""
         return FlaggedSteps(*(array[rows] for array in self))
 
 
@@ -168,7 +166,6 @@ class EventArrays:
         return [array.copy() for array in self._changing]
 
     def restore_arrays(self, copies: list[NDArray[Any]]) -> None:
-        """Restore the arrays from `copy`."""
         for array, copied in zip(self._changing, copies, strict=True):
             array[...] = copied
         self._recorded[0] = 0

@@ -47,7 +47,6 @@ class RungeKuttaTables(NamedTuple):
         return self.field.terms
 
     def at_step(self, h: float) -> RungeKuttaTables:
-        """Return the tables of another step: they do not depend on it."""
         return self
 
 

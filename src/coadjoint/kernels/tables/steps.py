@@ -204,7 +204,6 @@ def _tables(
 def _stepping(
     step: int, fractions: Sequence[float], tables: CompiledTables, more: Callable[[], Sources] = Sources
 ) -> CompiledTables:
-    """Return a step with its tables; `more` returns further sources of these."""
     lengths, moments = substeps(fractions)
     stepping = Stepping(np.array([step], dtype=np.int64), len(lengths), lengths, moments, tables.tables)
     return CompiledTables(stepping, tables.keepalive, lambda: tables.sources().and_of(more()).within("tables."))

@@ -41,7 +41,6 @@ class _Table:
         self.sources = sources
 
     def value(self, name: str) -> Any:
-        """Return the array of a field."""
         return self.fields[name].of(self.structure.source)
 
 
