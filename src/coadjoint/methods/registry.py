@@ -8,18 +8,19 @@ import inspect
 import warnings
 from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from coadjoint.keyword_hints import suggest_keywords
-from coadjoint.methods.gauss_legendre import GaussLegendre
 from coadjoint.methods.protocol.method import Method
 from coadjoint.methods.splitting import Splitting
 from coadjoint.short_repr import plain, short
-from coadjoint.systems.matrices.matrix_system import MatrixSystem
 from coadjoint.systems.system import System
 from coadjoint.systems.system_checks import check_one_system
 from coadjoint.validation import classes_in, construct, read_choice
 from coadjoint.validation import from_description as described
+
+if TYPE_CHECKING:
+    from coadjoint.systems.matrices.matrix_system import MatrixSystem
 
 Scheme = TypeVar("Scheme", bound=type[Method])
 
@@ -217,8 +218,6 @@ def description_of(method: Method) -> dict[str, Any]:
     return {"name": type(method).__name__, "parameters": plain(values)}
 
 
-PREFERRED_SCHEMES: tuple[Method, ...] = (Splitting(order=4), GaussLegendre(stages=3))
-"""Tried in this order."""
 DEFAULT_SCHEME: Method = Splitting()
 """For systems of vectors that it supports."""
 ANY_TOLERANCE = 1e-9
@@ -226,11 +225,11 @@ ANY_TOLERANCE = 1e-9
 
 
 def default_scheme(system: Any) -> Method:
-    """Return the scheme of a run or a batch for which none is given: the first of `PREFERRED_SCHEMES` with support."""
+    """Return the scheme of a run or a batch for which none is given."""
     if system.has_matrices:
         return suggested_scheme(system.unforced)
-    *first, last = DEFAULT_SCHEME, *PREFERRED_SCHEMES[1:]
-    return next((method for method in first if all(_supports(method, one.unforced) for one in system.distinct)), last)
+    supported = all(_supports(DEFAULT_SCHEME, one.unforced) for one in system.distinct)
+    return DEFAULT_SCHEME if supported else reference_scheme(6)
 
 
 def _supports(method: Method, system: Any) -> bool:
@@ -243,6 +242,8 @@ def _supports(method: Method, system: Any) -> bool:
 
 def reference_scheme(order: int) -> Method:
     """Return the scheme of this even order for numerical references: symplectic, symmetric, and for every system."""
+    from coadjoint.methods.gauss_legendre import GaussLegendre
+
     return GaussLegendre(order // 2)
 
 
@@ -254,22 +255,22 @@ def candidate_schemes(processed: bool = False) -> tuple[Method, ...]:
     return (
         Taylor(tolerance=ANY_TOLERANCE),
         *(Taylor(p) for p in (16, 8, 20, 12, 24, 14, 10, 6)),
-        *(GaussLegendre(s) for s in (8, 6, 12, 10, 4, 3, 2)),
+        *(reference_scheme(2 * s) for s in (8, 6, 12, 10, 4, 3, 2)),
         *(Splitting(order=p) for p in (10, 8, 6, 4, 2)),
         *(Splitting(scheme=f"blanes_casas_murua{p}") for p in (10, 8, 6) if processed),
     )
 
 
 def suggested_scheme(system: System) -> Method:
-    """Return the suggested scheme for a system: the first preferred one, and for matrices one that is a Poisson map."""
+    """Return the suggested scheme for a system; for matrices preferably one that is a Poisson map."""
     check_one_system(system)
-    *first, last = PREFERRED_SCHEMES
     if system.has_matrices:
         matrices = cast(Any, system)
-        first = sorted(_supporting_schemes(matrices), key=lambda method: not method.properties(matrices).poisson)
-    for method in first:
-        if _supports(method, system):
+        for method in sorted(_supporting_schemes(matrices), key=lambda method: not method.properties(matrices).poisson):
             return method
+    elif _supports(splitting := Splitting(order=4), system):
+        return splitting
+    last = reference_scheme(6)
     last.properties(system)
     return last
 

@@ -23,10 +23,11 @@ MAX_CHUNK_BYTES = 2**28
 
 
 class EventRun:
-    """Steps of a run with location of events; `run` is at its start, and `parts` takes its partial steps."""
+    """Steps of a run, which is at its start, with location of events."""
 
-    def __init__(self, run: Run, watched: WatchedEvents, parts: PartialSteps) -> None:
-        self.run, self.watched, self.parts = run, watched, parts
+    def __init__(self, run: Run, watched: WatchedEvents) -> None:
+        self.run, self.watched = run, watched
+        self.parts = PartialSteps(run.plan.system, run.plan.method, run.loops, run.plan.workers)
         members, extent = len(run.start.momenta), run.plan.layout.extent
         count = len(watched.events)
         per_step = EventArrays.bytes_per_step(members, count, extent.size, extent.square)

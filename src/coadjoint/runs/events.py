@@ -14,7 +14,7 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.short_repr import record_repr, short
 from coadjoint.shortcuts import shortcut
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
-from coadjoint.systems.hamiltonians.split_hamiltonian import MAX_COORDINATES
+from coadjoint.systems.hamiltonians.terms import MAX_COORDINATES
 from coadjoint.systems.user_functions import takes_time
 from coadjoint.validation import is_integer, read_bool, read_choice, read_integer, read_list, read_title
 

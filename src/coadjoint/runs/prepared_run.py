@@ -20,12 +20,8 @@ from coadjoint.methods.forced import check_steps, effective_scheme
 from coadjoint.methods.protocol.method import Method, Representation
 from coadjoint.methods.registry import default_scheme, read_method
 from coadjoint.rounding import in_standard_mode
-from coadjoint.runs.crossings import WatchedEvents
-from coadjoint.runs.event_run import EventRun
 from coadjoint.runs.events import Event, read_events
-from coadjoint.runs.inputs import Inputs
 from coadjoint.runs.loops.loops import Loops, loops_of_batch, loops_of_system
-from coadjoint.runs.partial_steps import PartialSteps, check_partial_steps, noises_of, resample
 from coadjoint.runs.plan_and_state import Plan, State, bytes_of_run
 from coadjoint.runs.results.quantities import Observed, check_observe, observed_quantities
 from coadjoint.runs.results.solution import Solution, set_elapsed
@@ -61,8 +57,10 @@ from coadjoint.systems.system_checks import check_system
 from coadjoint.validation import FLOAT64, Immutable, read_bool, read_integer
 
 if TYPE_CHECKING:
+    from coadjoint.runs.crossings import WatchedEvents
     from coadjoint.runs.derivatives.backward import Pullback
     from coadjoint.runs.derivatives.forward import Tangents
+    from coadjoint.runs.inputs import Inputs
 
 ONE_VECTOR = 1, 0, 0  # shape of the group elements of a run of one vector without any
 MAX_THREADS_INSIDE = 1024  # most threads that share one member
@@ -134,9 +132,13 @@ class PreparedRun(Immutable):
         scheme = default_scheme(system) if method is None else read_method(method)
         watching = read_bool(watch, "watch")
         workers = None if threads is None else read_integer(threads, "threads (None is all cores)", floats=True)
-        self.inputs = None if inputs is None or inputs is False else Inputs(system, inputs)
         self.given_method = scheme  # whose parts may depend on the system
-        if self.inputs is not None:
+        if inputs is None or inputs is False:
+            self.inputs: Inputs | None = None
+        else:
+            from coadjoint.runs.inputs import Inputs
+
+            self.inputs = Inputs(system, inputs)
             scheme = self.inputs.settled(scheme)
         self.system: Any = system
         self.method, self.step = scheme, read_step(step)
@@ -213,10 +215,10 @@ class PreparedRun(Immutable):
         check_steps(self.system, times.t0, times.h)
         if t_eval is None:
             return times, None
-        moments = output_times_of(t_eval, times, save_every, whole_steps=bool(noises_of(self.system)))
+        noisy = any(force.random for force in self.system.forces)
+        moments = output_times_of(t_eval, times, save_every, whole_steps=noisy)
         if self.method.own_steps:
-            # Saved points do not alter adaptive steps; save as often as states are wanted, so that partial steps are
-            # short.
+            # Saved points do not alter adaptive steps; many of them keep partial steps short.
             times = times.refined_times(len(moments.t))
             moments = output_times_of(t_eval, times)
         return times, moments
@@ -225,9 +227,6 @@ class PreparedRun(Immutable):
     def representation(self) -> Representation:
         """Matrices of the group element, (n, d, d), "coadjoint", or None; for a batch those of its first member."""
         return self._representations[0]
-
-    def check_differentiable(self) -> None:
-        """Raise TypeError if runs have no derivatives."""
 
     @property
     def takes_inputs(self) -> bool:
@@ -311,6 +310,8 @@ class PreparedRun(Immutable):
         """Return the compiled events; those of the last run are cached."""
         with self.cache.lock:
             if self.cache.events is None or self.cache.events.events != events:
+                from coadjoint.runs.crossings import WatchedEvents
+
                 self.cache.events = WatchedEvents(self.system, events, x0, t0)
             return self.cache.events
 
@@ -673,6 +674,8 @@ class PreparedRun(Immutable):
     ) -> Solution:
         """Take the steps of `times` from a validated state; `moments`, if given, replace the saved points."""
         if moments is not None:
+            from coadjoint.runs.partial_steps import check_partial_steps, resample
+
             check_partial_steps(self.system, moments)
             times = times.with_saved_steps(moments.marks)
         plan = self._plan_of(times, start, values)
@@ -685,8 +688,9 @@ class PreparedRun(Immutable):
         observed = self.observed(start)
         try:
             if events:
-                parts = PartialSteps(self.system, self.method, run.loops, run.plan.workers)
-                EventRun(run, self._watched(events, start.momenta[0], times.t0), parts).advance(progress)
+                from coadjoint.runs.event_run import EventRun
+
+                EventRun(run, self._watched(events, start.momenta[0], times.t0)).advance(progress)
             else:
                 run.advance(progress)
         except KeyboardInterrupt as stopped:

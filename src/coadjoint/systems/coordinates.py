@@ -11,9 +11,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coadjoint.algebra.families.phase_space import heisenberg
-from coadjoint.algebra.families.products import direct_sum
-from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.monomials import coordinate_names as default_names
 from coadjoint.algebra.polynomials.monomials import names_of_basis, numbers_by_name
 from coadjoint.keyword_hints import suggest_keywords
@@ -245,16 +242,6 @@ def _stem(names: Sequence[str]) -> str:
 
 def _listed(names: Sequence[str]) -> str:
     return ", ".join(names) if len(names) <= 3 else f"{names[0]}, ..., {names[-1]}"
-
-
-def with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
-    """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g."""
-    # At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time.
-    algebra = direct_sum(heisenberg(pairs), g)
-    casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in algebra.casimirs_known.items()}
-    return LieAlgebra._from_valid(
-        algebra.triples, algebra.dim, algebra.basis, algebra.name, algebra.representation, casimirs
-    )
 
 
 @suggest_keywords

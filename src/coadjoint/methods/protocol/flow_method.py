@@ -29,7 +29,7 @@ from coadjoint.program.parts.decompose import (
 from coadjoint.program.sweeps import Sweep as Sweep  # re-exported by coadjoint.methods
 from coadjoint.shortcuts import of
 from coadjoint.systems.coefficients import with_placeholders
-from coadjoint.systems.hamiltonians.split_hamiltonian import MAX_COORDINATES
+from coadjoint.systems.hamiltonians.terms import MAX_COORDINATES
 from coadjoint.systems.system import System
 from coadjoint.validation import read_bool, read_choice, read_integer, read_list
 

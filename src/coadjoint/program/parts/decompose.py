@@ -22,7 +22,6 @@ from coadjoint.program.parts.casimir_shifts import (
     quadratic_casimirs,
     shifted_terms,
 )
-from coadjoint.program.parts.free_bodies import bonds, free_bodies
 from coadjoint.program.parts.part import Parts
 from coadjoint.program.parts.second_order import IMPROVEMENT_FACTOR, best_orders
 from coadjoint.program.parts.split import check_splits, split
@@ -113,6 +112,8 @@ def decompose(system: LiePoissonSystem, choice: Any) -> Decomposition:
     if choice in BODY_FLOW_CHOICES:
         known = _BODY_FLOW_CACHE[choice]
         if system not in known:
+            from coadjoint.program.parts.free_bodies import bonds, free_bodies
+
             parts, shift = bonds(system) if choice == "bonds" else (free_bodies(system), ())
             known[system] = Decomposition(parts, shift, ChosenParts(tuple(range(len(parts)))))
         return known[system]

@@ -54,7 +54,6 @@ def _pullback(prepared: PreparedRun, given: Arguments, reverse: str) -> Pullback
 
 def _derivatives_of(prepared: PreparedRun) -> DifferentiableRun:
     """Return the tables of the derivatives of a run, which it keeps."""
-    prepared.check_differentiable()
     cache = prepared.cache
     if cache.derivatives is None:
         cache.derivatives = DifferentiableRun(prepared)

@@ -25,7 +25,6 @@ from coadjoint.runs.loops.member_batches import (
     individual_groups,
     split_members,
 )
-from coadjoint.runs.loops.shifted_attitude import ShiftCorrection, corrected_groups_each, uncorrected_groups
 from coadjoint.runs.results.quantities import invariants_of_matrices
 from coadjoint.runs.start import Start, unit_groups
 from coadjoint.runs.times import Times
@@ -36,6 +35,7 @@ from coadjoint.systems.system import System
 if TYPE_CHECKING:
     from coadjoint.kernels.tables.compiled import CompiledTables
     from coadjoint.kernels.tables.writable import WritableTables
+    from coadjoint.runs.loops.shifted_attitude import ShiftCorrection
     from coadjoint.systems.system_stacks import SystemStack
 
 UNTRACKED = Quadratic(0.0)
@@ -80,11 +80,11 @@ class Loops:
         self.matrices = matrices  # the system, whose invariants the loops do not track, if states are matrices
         # Members with the same tables that are advanced side by side.
         self.block = limit("MOST_LANES") if dim <= limit("WIDEST") else 1
-        self.corrected_groups = (
-            partial(corrected_groups_each, self.corrections, self._corrected)
-            if any(self.corrections)
-            else uncorrected_groups
-        )
+        self.corrected_groups = uncorrected_groups
+        if any(self.corrections):
+            from coadjoint.runs.loops.shifted_attitude import corrected_groups_each
+
+            self.corrected_groups = partial(corrected_groups_each, self.corrections, self._corrected)
         self._set_tables(compiled, watches)
 
     def _set_tables(self, compiled: Sequence[CompiledLoop], watches: Sequence[CompiledTables]) -> None:
@@ -370,7 +370,16 @@ def _watch_of(system: System, loop: CompiledLoop, tracked: Mapping[str, Any], co
 
 
 def _correction_of(system: System, loop: CompiledLoop, representation: Representation) -> ShiftCorrection | None:
-    return ShiftCorrection(system, loop.shift, representation) if loop.shift and representation is not None else None
+    if not loop.shift or representation is None:
+        return None
+    from coadjoint.runs.loops.shifted_attitude import ShiftCorrection
+
+    return ShiftCorrection(system, loop.shift, representation)
+
+
+def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
+    """Return the group elements (points, members, d, d) saved by the loops, transposed back."""
+    return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
 def as_rows(groups: NDArray[np.float64]) -> NDArray[np.float64]:

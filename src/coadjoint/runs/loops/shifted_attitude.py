@@ -22,6 +22,7 @@ from coadjoint.program.generators import given_matrices
 from coadjoint.program.group_correction import UnshiftTables, unshift_tables
 from coadjoint.program.parts.casimir_shifts import quadratic_entries
 from coadjoint.rounding import in_standard_mode
+from coadjoint.runs.loops.loops import uncorrected_groups
 from coadjoint.runs.start import Start, matrices_of
 from coadjoint.runs.times import Times
 from coadjoint.systems.system import System
@@ -76,11 +77,6 @@ def unshifting(tables: UnshiftTables) -> Callable[..., None]:
             kernel(address, packed(*numbers), schedule)
 
     return fill
-
-
-def uncorrected_groups(start: Start, times: Times, saved: NamedArrays, points: int) -> NDArray[np.float64]:
-    """Return the group elements (points, members, d, d) saved by the loops, transposed back."""
-    return np.swapaxes(saved["group"][:points].reshape(points, *start.groups.shape), 2, 3)
 
 
 class ShiftCorrection:

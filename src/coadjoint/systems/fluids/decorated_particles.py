@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from coadjoint.algebra.families.phase_space import moments
-from coadjoint.algebra.families.products import copies
+from coadjoint.algebra.families.phase_space import heisenberg, moments
+from coadjoint.algebra.families.products import copies, direct_sum
+from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.algebra.polynomials.polynomial import Polynomial
 from coadjoint.rounding import UNIT_ROUNDOFF
 from coadjoint.short_repr import short
 from coadjoint.systems.closed_forms.closed_form import move_state, oscillator_solutions
-from coadjoint.systems.coordinates import with_canonical_pairs
 from coadjoint.systems.gallery_entry import GalleryEntry, Picture
 from coadjoint.systems.hamiltonians.hamiltonian import Hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
@@ -33,6 +33,16 @@ DerivativeFunctions = tuple[Callable[..., Any], ...]  # a function of one number
 MAX_POTENTIAL_DEGREE = 20  # degree of a potential
 MAX_COEFFICIENT = 1e50
 MAX_DENSE_SQUARE = 64  # largest number of particles for which the dense energy of the centre is given
+
+
+def _with_canonical_pairs(pairs: int, g: LieAlgebra) -> LieAlgebra:
+    """Return the direct sum of `heisenberg(pairs)` and g, with coordinates q1, ..., qn, p1, ..., pn, z, g."""
+    # At z = 1 and sign +1 it gives ``q' = dH/dp``, ``p' = -dH/dq`` and the equations on g*; sign -1 reverses time.
+    algebra = direct_sum(heisenberg(pairs), g)
+    casimirs = {name.rpartition(" [")[0]: casimir for name, casimir in algebra.casimirs_known.items()}
+    return LieAlgebra._from_valid(
+        algebra.triples, algebra.dim, algebra.basis, algebra.name, algebra.representation, casimirs
+    )
 
 
 def _position_and_width_coordinates(dim: int) -> list[int]:
@@ -125,7 +135,7 @@ def decorated_particles(
     """
     w = _weights(weights)
     n = len(w)
-    algebra = with_canonical_pairs(n, copies(moments(2), n))
+    algebra = _with_canonical_pairs(n, copies(moments(2), n))
     functions = validate_potential(external, "external"), validate_potential(pair, "pair")
     W, U = (
         None if f else _coefficients(c, what) for f, c, what in zip(functions, (external, pair), _NAMES, strict=True)

@@ -19,11 +19,9 @@ from coadjoint.systems.evaluation import read_point
 from coadjoint.systems.hamiltonians.hamiltonian import HamiltonianLike, as_hamiltonian
 from coadjoint.systems.hamiltonians.quadratic import Quadratic
 from coadjoint.systems.hamiltonians.summable import Summable
-from coadjoint.systems.hamiltonians.terms import FunctionTerm, Term
+from coadjoint.systems.hamiltonians.terms import MAX_COORDINATES, FunctionTerm, Term
 from coadjoint.systems.user_functions import all_take_time, check_derivative, multiple_of
 from coadjoint.validation import read_integer, read_list
-
-MAX_COORDINATES = 2**32 - 1  # the largest unsigned number of 32 bits, the type of indices in compiled loops
 
 
 @suggest_keywords

@@ -16,6 +16,8 @@ from coadjoint.keyword_hints import suggest_keywords
 from coadjoint.systems.hamiltonians.repeated_rows import RepeatedRows, polynomial_of_entries, rows_of, starts_of_rows
 from coadjoint.systems.hamiltonians.traced_function import picklable_state, restore_state
 
+MAX_COORDINATES = 2**32 - 1  # the largest unsigned number of 32 bits, the type of indices in compiled loops
+
 
 class Term(Protocol):
     """Interface of all terms of Hamiltonians."""
