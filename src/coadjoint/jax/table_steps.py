@@ -16,7 +16,7 @@ import numpy as np
 from jax import lax
 from jax.scipy.linalg import expm
 
-from coadjoint.jax.body_angles import Angles, body_angles
+from coadjoint.jax.body_motion import Angles, body_angles
 from coadjoint.jax.stage_steps import Steps, sparse
 from coadjoint.jax.traced_functions import TracedFunction, gradient_of
 from coadjoint.program.blocks import MOST_SUBSTEPS, RULES, TAYLOR_DEGREE, BlockKind

@@ -688,7 +688,7 @@ class PreparedRun(Immutable):
         observed = self.observed(start)
         try:
             if events:
-                from coadjoint.runs.event_run import EventRun
+                from coadjoint.runs.crossings import EventRun
 
                 EventRun(run, self._watched(events, start.momenta[0], times.t0)).advance(progress)
             else:

@@ -8,7 +8,7 @@ import pytest
 import coadjoint as co
 from coadjoint.algebra.invariants.sampled_checks import sample_points
 from coadjoint.algebra.polynomials.exact_polynomials import ExactPolynomials
-from coadjoint.analysis.backward_error.scheme_terms import names_of
+from coadjoint.analysis.backward_error.modified_hamiltonian import names_of
 from coadjoint.analysis.backward_error.step_series import bracket_change, hamiltonian_of, skew_factor
 from coadjoint.analysis.energy_error import short_motion
 from refusals import refused

@@ -5,8 +5,8 @@ import pytest
 
 import coadjoint as co
 from coadjoint.analysis import structure_factor, thermal_states
-from coadjoint.analysis.spin_energy import spin_energy
 from coadjoint.analysis.structure_factor import reciprocal_path
+from coadjoint.analysis.thermal_states import spin_energy
 from coadjoint.pictures.analysis_figures import corner_name
 from coadjoint.systems.forces.base import random_words
 from coadjoint.systems.lattices import geometry

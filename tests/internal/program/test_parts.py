@@ -13,10 +13,9 @@ from catalogue_cases import EXAMPLES
 from coadjoint.algebra.catalogue import entries
 from coadjoint.program.commutation import coupled_pairs, first_fit
 from coadjoint.program.interpreter import Interpreter
-from coadjoint.program.parts import quadratic_atoms
 from coadjoint.program.parts.decompose import decompose
 from coadjoint.program.parts.part import Parts
-from coadjoint.program.parts.split import split
+from coadjoint.program.parts.split import _colors, split
 from coadjoint.program.parts.squares import MAX_RATIONAL_SIZE
 from coadjoint.program.sparse_rows import SparseRows
 from coadjoint.program.table import build_program
@@ -298,4 +297,4 @@ def test_colors_are_the_groups_of_first_fit():
         first, second = coupled_pairs(algebra, pairs)
         distinct = first != second
         expected = first_fit(len(i), first[distinct], second[distinct])
-        np.testing.assert_array_equal(quadratic_atoms._colors(i, j, algebra), expected)
+        np.testing.assert_array_equal(_colors(i, j, algebra), expected)

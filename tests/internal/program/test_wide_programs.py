@@ -12,8 +12,7 @@ from coadjoint.program.generators import NotSplittable, check_products
 from coadjoint.program.logarithms import Commutators
 from coadjoint.program.modified_series import estimated_products
 from coadjoint.program.parts import decompose
-from coadjoint.program.parts.quadratic_atoms import quadratic_atoms
-from coadjoint.program.parts.split import split
+from coadjoint.program.parts.split import quadratic_atoms, split
 from coadjoint.systems.energy_derivatives import EnergyDerivative
 from coadjoint.systems.parameters import parameters_of
 from refusals import refused

@@ -113,7 +113,7 @@ class SolutionOutput(SolutionAttributes):
         >>> sol.at([0.5, 9.99]).energy.shape
         (2,)
         """
-        from coadjoint.runs.state_at import state_at
+        from coadjoint.runs.partial_steps import state_at
 
         return state_at(cast("Solution", self), t)
 
