@@ -143,8 +143,7 @@ class PreparedRun(Immutable):
         self.system: Any = system
         self.method, self.step = scheme, read_step(step)
         self.scheme = effective_scheme(system, scheme)
-        # Loops do not track invariants of matrices.
-        self._watching = watching and not system.has_matrices
+        self._watching = watching and not system.has_matrices  # whose invariants loops do not track
         self._representations = representations_of(cast(Any, system), self.scheme, attitude)
         self.initial_attitude = read_attitude(attitude, self.system)
         self.observe = check_observe({} if observe is None else observe, self.system)

@@ -49,18 +49,22 @@ def _root(degree: int, radau: bool, z: Any) -> Any:
         z = z - change
 
 
-def _collocation(roots: Sequence[Any]) -> Collocation:
+def _collocation(roots: Sequence[Any], in_integers: bool = False) -> Collocation:
     """Return the method with points of [-1, 1] for which P_0, ..., P_{s-1} are discretely orthogonal."""
     # l_j = b_j sum_k (2k+1) P_k(z_j) P_k, 1/b_j = sum_k (2k+1) P_k(z_j)^2: no linear system and no cancellation.
     s = len(roots)
     values = [_legendre(s, z) for z in roots]
+    sums = _sums_in_integers(values) if in_integers else None
     nodes, weights, mu = np.empty(s, dtype=object), np.empty(s, dtype=object), np.empty((s, s), dtype=object)
     for i in range(s):
         nodes[i] = (1 + roots[i]) / 2
         weights[i] = 1 / sum((2 * k + 1) * values[i][k] ** 2 for k in range(s))
         for j in range(s):
-            terms = (values[j][k] * (values[i][k + 1] - values[i][k - 1]) for k in range(1, s))
-            mu[i, j] = (1 + roots[i] + sum(terms)) / 2
+            if sums is None:
+                total = sum(values[j][k] * (values[i][k + 1] - values[i][k - 1]) for k in range(1, s))
+            else:
+                total = decimal.Decimal(int(sums[i, j])).scaleb(-2 * DIGITS)
+            mu[i, j] = (1 + roots[i] + total) / 2
     return nodes, weights, mu
 
 
@@ -70,30 +74,21 @@ def _symmetric(mu: NDArray[np.float64]) -> NDArray[np.float64]:
     return below + np.triu(1.0 - below.T, 1) + 0.5 * np.eye(mu.shape[0])
 
 
-def _in_integers(roots: Sequence[decimal.Decimal]) -> Collocation:
-    """Return `_collocation` of decimals a hundred times faster, as integers in units of 10^-DIGITS (|P_k| <= 1)."""
+def _sums_in_integers(values: list[list[decimal.Decimal]]) -> Any:
+    """Return the sums over k of `_collocation` a hundred times faster, in units of 10^(-2 DIGITS); |P_k| <= 1."""
     from flint import fmpz_mat
 
-    s = len(roots)
-    values = [_legendre(s, z) for z in roots]
-    unit = decimal.Decimal(10) ** DIGITS
+    s, unit = len(values), decimal.Decimal(10) ** DIGITS
     integers = [[int((value * unit).to_integral_value()) for value in row] for row in values]
     left = fmpz_mat([[row[k + 1] - row[k - 1] for k in range(1, s)] for row in integers])
-    sums = left * fmpz_mat([row[1:s] for row in integers]).transpose()
-    nodes, weights, mu = np.empty(s, dtype=object), np.empty(s, dtype=object), np.empty((s, s), dtype=object)
-    for i in range(s):
-        nodes[i] = (1 + roots[i]) / 2
-        weights[i] = 1 / sum((2 * k + 1) * values[i][k] ** 2 for k in range(s))
-        for j in range(s):
-            mu[i, j] = (1 + roots[i] + decimal.Decimal(int(sums[i, j])).scaleb(-2 * DIGITS)) / 2
-    return nodes, weights, mu
+    return left * fmpz_mat([row[1:s] for row in integers]).transpose()
 
 
 @functools.lru_cache(maxsize=64)
 def _in_floats(stages: int, radau: bool) -> Collocation:
     with decimal.localcontext(decimal.Context(prec=DIGITS)):
         roots = (_radau_roots if radau else _gauss_roots)(stages, decimal.Decimal)
-        exact = _collocation(roots) if stages <= MAX_DECIMAL_STAGES else _in_integers(roots)
+        exact = _collocation(roots, in_integers=stages > MAX_DECIMAL_STAGES)
         nodes, weights, mu = (np.array(part, dtype=np.float64) for part in exact)
     mu = mu if radau else _symmetric(mu)
     for part in (nodes, weights, mu):

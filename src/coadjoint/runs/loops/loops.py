@@ -298,8 +298,7 @@ def loops_of_system(
     watch = _watch_of(system, loop, tracked, compact)
     correction = _correction_of(system, loop, representation)
     matrices, rows = system.unforced if system.has_matrices else None, matrix_rows(system)
-    loops = Loops(system.dim, ["energy", *tracked], [loop], [watch], [correction], matrices=matrices, rows=rows)
-    return loops
+    return Loops(system.dim, ["energy", *tracked], [loop], [watch], [correction], matrices=matrices, rows=rows)
 
 
 def loops_of_batch(batch: Batch, method: Method, h: float, representations: Sequence[Representation]) -> Loops:
