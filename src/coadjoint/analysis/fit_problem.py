@@ -139,7 +139,6 @@ def _reader(system: Any, name: str) -> Callable[[Any], Floats]:
 
 
 def _value(function: Callable[[Floats, float], Any], name: str, x: Floats, t: float) -> Floats:
-    """Return real numbers at a copy of a state."""
     return read_numbers(function(x.copy(), t), f"what observe[{short(name)}] returns at t = {t:g}")
 
 

@@ -164,7 +164,6 @@ def predicted_drift(
 
 
 def _at_step(system: Any, modified: Any, step: Any) -> tuple[Function | None, Function | None]:
-    """Return the gradient (or None) and the field (or None) at a step."""
     if not isinstance(modified, ModifiedHamiltonian | ModifiedField):
         raise TypeError(
             f"modified is {short(modified)}; give a ModifiedHamiltonian, which has a gradient, or a ModifiedField"

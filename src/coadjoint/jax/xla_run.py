@@ -154,7 +154,6 @@ class XlaRun:
         return self._t0 + k * self._h if self._moments is None else jnp.asarray(self._moments)[k]
 
     def _trajectory(self, constants: Any, x0: Any, attitude: Any, member: Any) -> Any:
-        """Return the states, and the attitudes, of one member."""
         steps, h, every, start = self._steps, self._h, self._every, (x0, attitude)
 
         def step(state: Any, k: Any) -> Any:

@@ -213,7 +213,6 @@ def _speed_of_terms(terms: Sequence[Any]) -> Polynomial:
 
 
 def _speed_of_system(system: System, speed: Any) -> Any:
-    """Return a given speed in the coordinates of a system."""
     if isinstance(speed, Quadratic):
         return speed.bind(system.dim)
     if speed.dim != system.dim:

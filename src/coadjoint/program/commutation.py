@@ -265,7 +265,6 @@ def _few_groups(count: int, noncommuting_pairs: Pairs, coupled_pairs: Pairs) -> 
 
 
 def _first_fit_in_order(order: Integers, first: Integers, second: Integers) -> Integers:
-    """Return the groups of first fit in the given order."""
     rank = np.argsort(order)
     low, high = np.minimum(rank[first], rank[second]), np.maximum(rank[first], rank[second])
     groups = first_fit(len(order), low, high)

@@ -188,7 +188,6 @@ class CoefficientNumbers(NamedTuple):
         return np.setdiff1d(np.arange(self.starts[-1]), self.number)
 
     def of_coordinates(self, chosen: Integers) -> Integers:
-        """Return the coefficients of degree one of these coordinates."""
         return self.number[np.isin(self.coordinate, chosen)]
 
     def present(self) -> CoefficientNumbers:

@@ -149,7 +149,6 @@ def warn_of_blocks(solution: Solution, prepared: PreparedRun, found: list[list[A
 
 
 def _motion(solution: Solution, worst: Wrong | LostInvariant) -> str:
-    """Describe the members whose motion is wrong."""
     others = f" (and of at least {worst.members - 1} others)" if worst.members > 1 else ""
     return "this motion" if solution.failed is None else f"the motion of member {worst.member}{others}"
 
@@ -293,7 +292,6 @@ def lost_invariant(
 
     @cache
     def motion(m: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return some times and states of a member."""
         if measured is not None and m in measured.members:
             return measured.some_states(m, SIZED)
         points = np.unique(np.linspace(0, len(solution.t) - 1, SIZED).astype(int)) if solution._in_memory else [0]

@@ -246,7 +246,6 @@ class PreparedRun(Immutable):
         return None
 
     def system_at(self, values: NDArray[np.float64] | None) -> Any:
-        """Return the system of a run with the values from `values_of`."""
         return self.system if values is None or self.inputs is None else self.inputs.system_of(values)
 
     def start(

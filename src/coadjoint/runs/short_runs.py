@@ -156,6 +156,5 @@ def solution_of_short_run(
 def _run_of(
     plan: Plan, start: Start | None, momenta: NDArray[np.float64], numbers: NDArray[np.float64], steps: int = 0
 ) -> Run:
-    """Return the run whose arrays are in one allocation."""
     start = start or start_without_groups(plan.system, momenta[None], True)
     return Run.of_arrays(plan, start, plan.layout.saved_in(numbers), State(plan.layout.state_in(numbers), steps))

@@ -138,7 +138,6 @@ class EventArrays:
 
     @staticmethod
     def bytes_per_step(members: int, count: int, size: int, square: int) -> int:
-        """Return the bytes needed for each step of a chunk."""
         return 8 * ROWS_PER_STEP * members * (size + square + 3 * count + 2)
 
     def take(self) -> FlaggedSteps:

@@ -171,7 +171,6 @@ class WritableTables:
 
     @property
     def has_sums(self) -> bool:
-        """Whether numbers of the scheme are sums of those given."""
         return bool(self._of(self._sums))
 
     @staticmethod

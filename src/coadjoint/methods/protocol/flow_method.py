@@ -88,7 +88,6 @@ class FlowMethod(Method):
 
     @property
     def compensates(self) -> bool:  # type: ignore[override]
-        """As `compensated`, with None as False."""
         return bool(self.compensated)
 
     def composed(self, coefficients: Sequence[float]) -> Method:

@@ -163,7 +163,6 @@ class Trajectory:
         self.outputs = self.with_members(self.start.system.rows_of(self.solution.x)), np.swapaxes(elements, 2, 3)
 
     def _take_steps(self, prepared: PreparedRun, times: Times) -> None:
-        """Take whole steps, in stretches."""
         self.times, self._run = times, prepared.begun(times, self.start, self.values)
         self.workers, self.threads_inside = self._run.plan.workers, self._run.plan.inside
         distance = self._stretch_length(prepared.scheme) if self.reverse == "exact" else max(1, times.steps)
@@ -180,7 +179,6 @@ class Trajectory:
         self.elapsed = number * self.times.h + length
 
     def _integrated(self, step: int, distance: int) -> Stretch:
-        """Take the steps of a stretch."""
         state, last = self._run.state, min(step + distance, self.times.steps)
         # Behind the coordinates are the accounts of forces.
         momenta, errors = (state[name][:, : self.n].copy() for name in ("momenta", "errors"))

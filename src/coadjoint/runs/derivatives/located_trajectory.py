@@ -186,7 +186,6 @@ class CrossingDerivatives:
 
 
 def _gradient(system: Any, g: Any, x: Floats, t: float) -> Floats:
-    """Return the gradient of the function of an event."""
     number = coordinate_of(g, "", coordinates_of(system), len(x))
     if number is not None:
         return np.asarray(np.eye(len(x))[number])

@@ -91,7 +91,6 @@ _Piece = tuple[Any, PreparedRun, Arguments]
 
 
 def _pieces(prepared: PreparedRun, given: Arguments) -> tuple[Solution, list[_Piece]]:
-    """Return the solution of all members, and the pieces."""
     solution, start = prepared.run(**given.keywords), prepared.start(given.x0, given.attitude)
     attitudes: Any = None if prepared.representation is None else start.groups
 

@@ -105,7 +105,6 @@ class ParametrizedRun:
                 raise ValueError(f"{name} has the shape {shape}; it must be {must_be}, as prepared")
 
     def output_shapes(self, x0: Shape) -> list[Shape]:
-        """Return the shapes of the outputs for that of x0."""
         leading = (self._points, *x0[:-1])
         return [(*leading, x0[-1]), *([(*leading, self._side, self._side)] if self._side else [])]
 
@@ -141,7 +140,6 @@ class ParametrizedRun:
         return bool(self._prepared.system.is_batch)
 
     def is_parameter(self, name: str) -> bool:
-        """Return whether this is the name of a parameter, which all members share."""
         return name in self._shapes
 
     def solve(self, values: Mapping[str, Floats], for_gradient: bool) -> list[Floats]:

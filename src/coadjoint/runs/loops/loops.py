@@ -126,12 +126,10 @@ class Loops:
 
     @property
     def tracked(self) -> int:
-        """Number of values tracked for each member."""
         return len(self.names) * (2 if self.accounts else 1)
 
     @property
     def shares_tables(self) -> bool:
-        """Whether all members share their tables."""
         return self.groups[0].members is None and not self.groups[0].stride
 
     def layout(self, members: int, points: int, square: int) -> Layout:

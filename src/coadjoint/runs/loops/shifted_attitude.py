@@ -102,7 +102,6 @@ class ShiftCorrection:
 
     @cached_property
     def _unshift(self) -> Callable[..., None]:
-        """The kernel with the tables."""
         return unshifting(self._tables)
 
     @cached_property
@@ -120,7 +119,6 @@ class ShiftCorrection:
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the arguments and the tables."""
         return ShiftCorrection, (self._system, self.shift, self._representation, self._tables)
 
     def build(self) -> None:
