@@ -49,9 +49,10 @@ pages: kernels
 	$(ONE_THREAD) $(BIN)/python docs/site/write_sources.py --blank build/pages
 	$(SPHINX) --builder dummy --doctree-dir build/pages-doctrees build/pages build/pages-none
 
-# More seeds, schemes and compilers than `make test` has time for.
+# More seeds, schemes and compilers than `make test` has time for, in about an hour. A process takes over tests of the
+# other one when it has none left, since some files take half an hour.
 long: kernels
-	$(ONE_THREAD) $(BIN)/pytest -n 2 --dist loadfile -m long
+	$(ONE_THREAD) $(BIN)/pytest -n 2 --dist worksteal -m long
 
 # The sensitive tests again, and digests of runs, as on machines with other instructions, and on one that is busy.
 variants: kernels

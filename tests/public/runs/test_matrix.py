@@ -63,10 +63,10 @@ def test_members_on_workers():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(2, 6))
+@pytest.mark.parametrize("seed", [2, 3])  # other ones, and as many as one likes, by `make soak`
 @pytest.mark.parametrize("method", schemes())
 def test_schemes_on_other_systems(method, seed):
-    assert check_drawn(drawn(method, seed, each=6, catalogue=3, workers=0.1))
+    assert check_drawn(drawn(method, seed, each=4, catalogue=2, workers=0.1))
 
 
 @pytest.mark.thinned(1)
