@@ -67,7 +67,6 @@ def parse_brackets(dim: int, brackets: Any, basis: Sequence[str] | None = None) 
 
 
 def _basis_index(argument: Any, names: Sequence[str]) -> Any:
-    """Return the index of a basis element given by name."""
     if not isinstance(argument, str):
         return argument
     if argument not in names:

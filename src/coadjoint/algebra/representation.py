@@ -1,7 +1,4 @@
-"""Matrix representations: validation, invariant forms, intertwiners with the coadjoint action, elements of the group.
-
-Group elements are read from matrices, SciPy rotations and quaternions, and tested: forms, fixed vectors, brackets.
-"""
+"""Matrix representations: validation, invariant forms, intertwiners, and whether matrices belong to the group."""
 
 from __future__ import annotations
 
@@ -52,10 +49,8 @@ def read_representation(representation: Any, dim: int | None = None) -> Floats:
 def commutator_products(
     matrices: Triples, count: int, further_cost: float | NDArray[Any] = 0.0
 ) -> Iterator[tuple[slice, tuple[Integers, Integers], tuple[Integers, Integers]]]:
-    """Yield the pairs of entries (p, q) in X_a X_b and (r, s) in X_b X_a, a < b, of sparse matrices, in runs of a.
-
-    `matrices` has entries (a, row, column, value), matrix after matrix; p and r are those of X_a.
-    """
+    """Yield runs of a with the entries (p, q) in X_a X_b and (r, s) in X_b X_a, a < b, of sparse matrices."""
+    # `matrices` has entries (a, row, column, value), matrix after matrix; p and r are those of X_a.
     i, row, column, _ = matrices
     by_row, _ = groups(row, i)
     by_column, _ = groups(column, i)
@@ -249,11 +244,9 @@ def _element_violation(
     generator: Floats,
     span: Floats | None,
 ) -> str | None:
-    """Return why a regular matrix is not in a group, or None.
-
-    Elements have the `determinant` "1" or "positive", None if it is known, and preserve `fixed` (d, r), `covectors`
-    (r, d), and the `span` (d^2, n) of the generators, an orthonormal basis, of which `generator` is a random one.
-    """
+    """Return why a regular matrix is not in a group, or None."""
+    # Elements have the `determinant` "1" or "positive", None if it is known, and preserve `fixed` (d, r), `covectors`
+    # (r, d), and the `span` (d^2, n) of the generators, orthonormal, of which `generator` is a random one.
     largest = float(np.abs(g).max())
     unit = g / largest
     inverse = np.linalg.inv(unit)

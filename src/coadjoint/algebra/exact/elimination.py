@@ -148,10 +148,7 @@ def jacobi_exact(triples: Triples, integers: NDArray[Any], dim: int) -> bool:
 def rational_constants(
     triples: Triples, dim: int, exact: Callable[[float], Fraction | None] = as_fraction
 ) -> NDArray[Any] | None:
-    """Return integers in the ratios of the fractions that `exact` makes of the constants, by default simple ones.
-
-    None if a constant is no such fraction, or if the integers do not fulfil the Jacobi identity exactly.
-    """
+    """Return integers in the ratios of the constants as fractions; None if one is none, or Jacobi's identity fails."""
     # A common factor changes neither Casimirs nor ranks.
     distinct, inverse = np.unique(triples.c, return_inverse=True)
     fractions = [exact(value) for value in distinct.tolist()]
@@ -163,11 +160,8 @@ def rational_constants(
 
 
 def generic_rank(triples: Triples, dim: int) -> int:
-    """Return the rank of J(x) at a generic x: the implementation of `LieAlgebra.generic_rank`.
-
-    Rounded constants treated as exact violate the Jacobi identity and give too large a rank, so the exact rank is used
-    only if simple fractions or the exact floats fulfil it; otherwise singular values decide.
-    """
+    """Return the rank of J(x) at a generic x: the implementation of `LieAlgebra.generic_rank`."""
+    # Rounded constants treated as exact violate the Jacobi identity and give too large a rank.
     integers = rational_constants(triples, dim)
     if integers is None:
         integers = rational_constants(triples, dim, Fraction)

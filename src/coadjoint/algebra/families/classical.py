@@ -1,7 +1,4 @@
-"""The matrix algebras gl(n), sl(n), sp(2n), su(n), u(n), so(n) and so(p, q), and the Euclidean algebras e(n) = se(n).
-
-Those of complex matrices, su(n) and u(n), have real ones of twice the size.
-"""
+"""The algebras gl, sl, sp, su, u, so(n), so(p, q) and e(n) = se(n); complex matrices as real ones of twice the size."""
 
 from __future__ import annotations
 

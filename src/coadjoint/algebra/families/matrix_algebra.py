@@ -25,11 +25,10 @@ Matrix = npt.NDArray[Any]
 
 
 class MatrixFamily(NamedTuple):
-    """A family of matrix Lie algebras: A with ``adjoint(A) = -A``, of trace zero if `traceless`.
+    """A family of matrix Lie algebras: A with ``adjoint(A) = -A``, of trace zero if `traceless`."""
 
-    `form` is "diagonal" (signs on the diagonal), "symplectic", or "" for all matrices; `conjugate`: the adjoint
-    conjugates entries; `complex`: entries are complex; `description`: for messages.
-    """
+    # `form` is "diagonal" (signs on the diagonal), "symplectic", or "" for all matrices. With `conjugate` the adjoint
+    # conjugates entries.
 
     complex: bool
     form: str
@@ -48,7 +47,6 @@ class MatrixFamily(NamedTuple):
         return self.complex and not self.conjugate
 
     def dim(self, N: int) -> int:
-        """Return the real dimension."""
         count = N * N - self.traceless
         if self.even:
             count = N * (N - 1) // 2 if self.form == "diagonal" else N * (N + 1) // 2

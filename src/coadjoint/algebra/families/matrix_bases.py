@@ -86,18 +86,9 @@ def matrix_algebra(
     forms: Mapping[str, Form],
     sums: Mapping[str, Iterable[int]] | None = None,
 ) -> LieAlgebra:
-    """Return the algebra spanned by matrices, given as sparse entries (number, row, column, value).
-
-    `coordinates` are those of `commutator_constants`; `forms` quadratic Casimirs, name -> (i, j, c) for sums of c x_i
-    x_j; `sums` linear ones, name -> indices (both omitted above 2^22 exponents). The matrices are the representation up
-    to 128 MB.
-
-    Examples
-    --------
-    >>> affine = [(0, 0, 0, 1.0), (1, 0, 1, 1.0)]
-    >>> matrix_algebra("affine", affine, affine, 2, {})
-    LieAlgebra('affine', dim=2: [e1, e2] = e2)
-    """
+    """Return the algebra spanned by matrices, given as sparse entries (number, row, column, value)."""
+    # `coordinates` are those of `commutator_constants`; `forms` quadratic Casimirs, name -> (i, j, c) for sums of c x_i
+    # x_j; `sums` linear ones, name -> indices. Casimirs and representations above 32 and 128 MB are omitted.
     sparse = sparse_matrices(basis)
     dim = int(sparse.i.max()) + 1
     casimirs = {}
@@ -129,24 +120,12 @@ def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
 
 
 def pairs(n: int) -> list[tuple[int, int]]:
-    """Return all (i, j) with i < j < n in lexicographic order.
-
-    Examples
-    --------
-    >>> pairs(3)
-    [(0, 1), (0, 2), (1, 2)]
-    """
+    """Return all (i, j) with i < j < n in lexicographic order."""
     return [(i, j) for i in range(n) for j in range(i + 1, n)]
 
 
 def traceless(n: int, begin: int, scale: int) -> Form:
-    """Return the inverse of the trace form on E_kk - E_(k+1)(k+1), the Cartan matrix of sl(n), times `scale`.
-
-    Examples
-    --------
-    >>> traceless(2, 5, 2)
-    [(5, 5, Fraction(1, 1))]
-    """
+    """Return the inverse of the trace form on E_kk - E_(k+1)(k+1), the Cartan matrix of sl(n), times `scale`."""
     return [
         (begin + a, begin + b, Fraction(scale * (min(a, b) + 1) * (n - 1 - max(a, b)), n))
         for a in range(n - 1)

@@ -64,41 +64,10 @@ def heisenberg(n: int = 1) -> LieAlgebra:
 
 
 def moments(degree: int = 4) -> LieAlgebra:
-    """Return the algebra of the moments ``x_ij`` of ``q^i p^j`` of degrees i + j = 2, 4, ..., truncated above `degree`.
-
-    ``[x_ij, x_kl] = (i l - j k) x_(i+k-1)(j+l-1)``, zero if i + j + k + l - 2 exceeds the degree. The truncation is a
-    Lie algebra, since products of higher degrees are an ideal. Degree 2 is sp(2, R).
-
-    Parameters
-    ----------
-    degree : int
-        Highest degree, even, from 2 to 100.
-
-    Returns
-    -------
-    LieAlgebra
-        In the order x20, x11, x02, x40, x31, ... Known Casimirs are invariants of the highest moments as a binary form:
-        the quadratic ``"(form, form)_N"`` and, from degree 4 to 10, the determinant ``"catalecticant"``. For degree 2
-        the first one is ``"emittance^2"``, <qq><pp> - <qp>^2.
-
-    Raises
-    ------
-    ValueError
-        The degree is not an even number from 2 to 100.
-
-    Notes
-    -----
-    Holm, Lysenko and Scovel, J. Math. Phys. 31, 1610 (1990). The highest moments commute with all others except those
-    of degree 2, which transform them as the coefficients of a binary form; invariants of that form are Casimirs.
-
-    Examples
-    --------
-    >>> g = moments(4)
-    >>> g.basis
-    ('x20', 'x11', 'x02', 'x40', 'x31', 'x22', 'x13', 'x04')
-    >>> g.casimirs_known["(form, form)_4"]
-    x40*x04 - 4*x31*x13 + 3*x22^2
-    """
+    """Return the algebra of the moments ``x_ij`` of ``q^i p^j`` of degrees i + j = 2, 4, ... up to `degree`."""
+    # [x_ij, x_kl] = (i l - j k) x_(i+k-1)(j+l-1), zero above the degree: products of higher degrees are an ideal.
+    # Degree 2 is sp(2, R). The highest moments commute with all but those of degree 2, which transform them as the
+    # coefficients of a binary form: its invariants are Casimirs. Holm, Lysenko, Scovel, J. Math. Phys. 31, 1610 (1990).
     degree = read_integer(degree, "degree", 2, MAX_MOMENT_DEGREE)
     if degree % 2:
         raise ValueError(f"degree is {degree}; it must be even")

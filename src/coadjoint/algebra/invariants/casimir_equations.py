@@ -82,19 +82,9 @@ def monomial_positions(basis: Integers, dim: int) -> Integers:
 
 
 def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int) -> CasimirEquations:
-    """Assemble J(x) grad C(x) = 0, sum_jk c_ij^k x_k dC/dx_j = 0 for all i, monomial by monomial.
-
-    Indices are those of `triples` (i < j), constants `values` (integer objects or floats), `basis` (N, degree) from
-    `monomials`. A sum of floats below 64 u times its absolute terms counts as zero (u = 2^-53), each constant taken as
-    the largest in its bracket, as in the Jacobi check.
-
-    Examples
-    --------
-    >>> heisenberg = Triples(np.array([0]), np.array([1]), np.array([2]), np.array([1.0]))
-    >>> found = equations(heisenberg, heisenberg.c, monomials(3, 1), 3)  # [e1, e2] = e3
-    >>> [part.tolist() for part in found[1:]]
-    [[0, 1], [2, 2], [1, 0], [1.0, -1.0]]
-    """
+    """Assemble J(x) grad C(x) = 0, sum_jk c_ij^k x_k dC/dx_j = 0 for all i, monomial by monomial."""
+    # `values` are the constants, integer objects or floats. A sum of floats below 64 u times its absolute terms counts
+    # as zero (u = 2^-53), each constant taken as the largest in its bracket, as in the Jacobi check.
     count, degree = basis.shape
     acting, removed = np.concatenate([triples.i, triples.j]), np.concatenate([triples.j, triples.i])
     added, constants = np.concatenate([triples.k, triples.k]), np.concatenate([values, -values])
@@ -127,18 +117,9 @@ def equations(triples: Triples, values: NDArray[Any], basis: Integers, dim: int)
 
 
 def blocks(linear_equations: CasimirEquations) -> Iterator[tuple[Integers, CasimirEquations]]:
-    """Yield the independent blocks: their sorted unknowns, and their equations renumbered from 0.
-
-    Unknowns that one equation sets to zero are eliminated repeatedly; the remaining equations split into connected
-    blocks. This finds every grading visible in the basis: weights of diagonal elements, reflection signs of so(n).
-
-    Examples
-    --------
-    >>> sl2 = Triples(*np.array([[0, 0, 1], [1, 2, 2], [0, 1, 2]]), np.array([1.0, -2.0, 1.0]))
-    >>> found = blocks(equations(sl2, sl2.c, monomials(3, 2), 3))
-    >>> [unknowns.tolist() for unknowns, _ in found]  # x1 x3 and x2^2
-    [[2, 3]]
-    """
+    """Yield the independent blocks: their sorted unknowns, and their equations renumbered from 0."""
+    # Unknowns that one equation sets to zero are eliminated repeatedly; the remaining equations split into connected
+    # blocks. This finds every grading visible in the basis: weights of diagonal elements, reflection signs of so(n).
     names, rows = np.unique(
         linear_equations.along * linear_equations.unknowns + linear_equations.target, return_inverse=True
     )
@@ -168,10 +149,8 @@ def blocks(linear_equations: CasimirEquations) -> Iterator[tuple[Integers, Casim
 def solutions(
     linear_equations: CasimirEquations, largest: int, one: Any, block_kernel: Callable[[CasimirEquations], list[Vector]]
 ) -> list[Vector]:
-    """Return the solutions in reduced row echelon form, {unknown: value}, by leading unknown, from those of each block.
-
-    ValueError for a block above `largest` unknowns, which is solved as a dense matrix. `one` is a free coefficient.
-    """
+    """Return the solutions in reduced row echelon form, {unknown: value}, by leading unknown, from those of blocks."""
+    # Blocks of at most `largest` unknowns are solved as dense matrices; `one` is a free coefficient.
     found: list[Vector] = []
     for unknowns, part in blocks(linear_equations):
         if part.unknowns > largest and part.values.size:
@@ -369,11 +348,9 @@ def _numerical_block_kernel(linear_equations: CasimirEquations) -> list[Vector]:
 
 
 def numerical_kernel(linear_equations: CasimirEquations, largest: int = MAX_NUMERICAL_UNKNOWNS) -> list[Vector]:
-    """Return the solutions of floating-point equations.
-
-    With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
-    zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off. ValueError without a clear gap.
-    """
+    """Return the solutions of floating-point equations; ValueError if singular values leave no clear gap."""
+    # With F the Frobenius norm of entry errors of 64 u times the largest entry (u = 2^-53), singular values up to F are
+    # zero and the others must exceed 2^10 F; pivots must exceed 2^-20 or be round-off.
     return solutions(linear_equations, largest, 1.0, _numerical_block_kernel)
 
 

@@ -101,10 +101,7 @@ class SummandCasimirs(NamedTuple):
 
 
 def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> SummandCasimirs:
-    """Return generators of the polynomial Casimirs of one summand up to a degree, by degree and leading monomial.
-
-    If fewer than the corank are independent, others are sought among functions of semi-invariants.
-    """
+    """Return the Casimirs of one summand up to a degree: generators of the polynomials, and others if these are few."""
     corank = dim - generic_rank(triples, dim)
     if corank == 0:
         return SummandCasimirs([], [], [], 0)
@@ -129,23 +126,8 @@ def summand_casimirs(triples: Triples, dim: int, max_degree: int) -> SummandCasi
 
 
 class Casimirs(dict[str, Any]):
-    """Casimirs by name, with the number of independent ones that exist and the names of those that are here.
+    """Casimirs by name, with those that are missing, as `LieAlgebra.casimirs` describes.
 
-    The repr of an incomplete or empty result ends with `sentence`.
-
-    Attributes
-    ----------
-    corank : int
-        Number of independent Casimirs of any kind, ``dim - generic_rank()``.
-    independent : tuple of str
-        Names of functionally independent ones among those found; all others are functions of them.
-    missing : int
-        ``corank - len(independent)``.
-    sentence : str
-        What is missing and how to give it, or why there is none; empty if nothing is missing.
-
-    Examples
-    --------
     >>> Casimirs({}, 1, (), 4, ["log C"])
     {} (found 0 of 1 independent Casimirs up to degree 4; casimirs_known has: log C)
     """

@@ -106,13 +106,11 @@ class Invariant:
 
 
 class Forms(NamedTuple):
-    """A formula as flat arrays for the kernels: a `LogarithmicSum`, or a sum with hyperbolic functions.
+    """A formula as flat arrays for the kernels: a `LogarithmicSum`, or a sum with hyperbolic functions."""
 
-    Form f is the sum over m in first[f]:first[f + 1] of coefficient[m] * prod of x[coordinate[q]], q in
-    begin[m]:begin[m + 1]. The role HOLD stores the first polynomial of the next form; other roles are the second
-    polynomial of a term of that kind: weight * sinh(second)/first (SINH), weight * (sinh(second)/first)^2
-    (SINH_SQUARED), weight * cosh(second) (COSH).
-    """
+    # Form f is the sum over m in first[f]:first[f + 1] of coefficient[m] * prod of x[coordinate[q]], q in
+    # begin[m]:begin[m + 1]. The role HOLD stores the first polynomial of the next form, which is the second one:
+    # weight * sinh(second)/first (SINH), weight * (sinh(second)/first)^2 (SINH_SQUARED), weight * cosh(second) (COSH).
 
     size: int
     role: NDArray[np.int64]
@@ -144,12 +142,10 @@ class LogarithmicSum:
 
     @classmethod
     def quotient(cls, numerator: Polynomial, denominator: Polynomial) -> LogarithmicSum:
-        """Return numerator/denominator."""
         return cls(numerator.dim, (InvariantTerm(QUOTIENT, 1, numerator, denominator),) if numerator.monomials else ())
 
     @classmethod
     def logarithm(cls, p: Polynomial) -> LogarithmicSum:
-        """Return log|p|."""
         return cls(p.dim, (InvariantTerm(LOGARITHM, 1, p, p),))
 
     @classmethod
@@ -179,11 +175,7 @@ class LogarithmicSum:
 
     @property
     def period(self) -> float | None:
-        """Period of the multivalued function; 0 for a single-valued one, None without a common period.
-
-        It is None if the ratio of two angle weights is no fraction with denominator <= 1000: the values at a point are
-        then dense.
-        """
+        """Period of the multivalued function; 0 for a single-valued one, None if its values at a point are dense."""
         weights = [abs(Fraction(term.weight)) for term in self.terms if term.kind == ANGLE]
         if not weights:
             return 0.0
@@ -213,11 +205,7 @@ class LogarithmicSum:
         return slope
 
     def invariant(self) -> LogarithmicInvariant:
-        """Convert to an `Invariant` whose functions Numba compiles and which is NaN where undefined.
-
-        `value` and `gradient` of the result use floats; `LogarithmicSum.gradient` any number type. ValueError if
-        `period` is None.
-        """
+        """Convert to an `Invariant` of floats for Numba, NaN where undefined; ValueError without a period."""
         if self.period is None:
             raise ValueError("the angles of this sum have no common period; give them weights in a simple ratio")
         forms = self.forms()
@@ -226,13 +214,7 @@ class LogarithmicSum:
         return LogarithmicInvariant(value, gradient, self.period, self)
 
     def forms(self) -> Forms:
-        """Return the flat arrays for the kernels, with rounded coefficients.
-
-        Examples
-        --------
-        >>> LogarithmicSum.angle(Polynomial.variable(0, 2), Polynomial.variable(1, 2)).forms().coordinate
-        array([0, 1])
-        """
+        """Return the flat arrays for the kernels, with rounded coefficients."""
         forms: list[tuple[int, float, Polynomial]] = []
         for kind, weight, first, second in self.terms:
             if kind != LOGARITHM:
@@ -257,7 +239,6 @@ def _format_weight(value: Number) -> str:
 
 
 def _format_term(term: InvariantTerm) -> str:
-    """Format one term."""
     weight = "" if term.weight == 1 else "-" if term.weight == -1 else f"{_format_weight(term.weight)} "
     if term.kind == QUOTIENT:
         return f"{weight}({term.first!r})/({term.second!r})"

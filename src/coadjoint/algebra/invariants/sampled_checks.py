@@ -56,10 +56,8 @@ def difference_along(
     *,
     vector: bool = True,
 ) -> tuple[Any, float] | None:
-    """Return the central difference of a function along a unit vector and its error; None if it is not finite.
-
-    `value` is that at x; without `vector` the argument is the first component.
-    """
+    """Return the central difference of a function along a unit vector and its error; None if it is not finite."""
+    # `value` is that at x; without `vector` the argument is the first component.
     # The difference of the central differences for steps e and e/2 estimates 3/4 of the truncation error; round-off is
     # u |f| / e. Factors 16 and 2^10 allow for higher orders and a loss of ten bits.
     step = UNIT_ROUNDOFF ** (1.0 / 3.0) * float(np.linalg.norm(x)) / np.sqrt(x.size)
@@ -82,10 +80,8 @@ def difference_along(
 
 @np.errstate(all="ignore")
 def rate_along(function: Callable[..., Any], x: Floats, field: Floats, sizes: Floats) -> tuple[float, float] | None:
-    """Return the rate of a function of x along a field at x, by differences, and its error; None where undefined.
-
-    `sizes` are the sums of the absolute products in the components of the field.
-    """
+    """Return the rate of a function of x along a field at x, by differences, and its error; None where undefined."""
+    # `sizes` are the sums of the absolute products in the components of the field.
     value, length = evaluate(function, x, False), float(np.linalg.norm(field))
     if value is None or value.shape or not np.isfinite(value) or not np.isfinite(length):
         return None
@@ -124,10 +120,8 @@ def check_casimir(
     product: Callable[[Floats, Floats], Floats],
     absolute_product: Callable[[Floats, Floats], Floats],
 ) -> None:
-    """Raise ValueError unless J(x) grad C(x), or the rate of C along J(x) w without a gradient, vanishes at samples.
-
-    `product` returns J(x) u for x and u, `absolute_product` the sums of the absolute values of its terms.
-    """
+    """Raise ValueError unless J(x) grad C(x), or the rate of C along J(x) w without a gradient, vanishes at samples."""
+    # `product` returns J(x) u for x and u, `absolute_product` the sums of the absolute values of its terms.
     # The tolerance is u times the number of operations times the sum of absolute products in each component for
     # polynomials; gradients of an `Invariant` may lose 20 bits.
     draws = np.random.default_rng(SEED + 3).standard_normal((DIRECTIONS, dim))

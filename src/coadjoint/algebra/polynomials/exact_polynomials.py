@@ -46,12 +46,10 @@ class ExactPolynomials:
 
     @cached_property
     def symbol_elements(self) -> dict[str, Exact]:
-        """The symbols by name."""
         return dict(zip(self.symbols, self._context.gens()[self.dim :], strict=True))
 
     @property
     def zero(self) -> Exact:
-        """The polynomial 0."""
         return self._context.from_dict({})
 
     def monomial(self, exponents: Sequence[int]) -> Exact:

@@ -62,7 +62,6 @@ class Monomial(NamedTuple):
 
     @property
     def degree(self) -> int:
-        """Sum of the powers."""
         return sum(self.powers.values())
 
     def __neg__(self) -> Monomial:
@@ -96,10 +95,7 @@ def factors(node: ast.expr) -> list[tuple[bool, ast.expr]]:
 
 
 class FormulaTree:
-    """A parsed formula: signed terms of a sum, and the numbers and coordinates that placeholders in them stand for.
-
-    With `conditions` it is comparisons joined by ``and`` and ``or``, as a single term.
-    """
+    """A parsed formula: signed terms, and numbers and coordinates by placeholder; with `conditions`, comparisons."""
 
     # The tokens are checked first: alternation of operands and operators, brackets, and bounds. `value_of` returns the
     # number or the coordinate of a name, or None; `notation` ends messages.

@@ -238,7 +238,6 @@ class Expansion:
         raise self.not_polynomial("divides by a coordinate, which is no polynomial")
 
     def call(self, name: str, arguments: Sequence[Monomial | Polynomial]) -> Monomial:
-        """Return a function of arguments."""
         if len(arguments) != 1:
             raise self.tree.refused(f"has {name} of {len(arguments)} arguments; it takes one")
         number = number_of(arguments[0])
@@ -277,7 +276,6 @@ class ExactExpansion(Expansion):
         self._coordinates, self._functions = dim, list[LogarithmicSum]()
 
     def value(self) -> Any:
-        """Return the value of the whole formula."""
         value = self._sum(self.tree.terms)
         total = LogarithmicSum(self._coordinates, ())
         rest: dict[Exponents, Constant] = {}

@@ -108,13 +108,7 @@ def read_monomials(monomials: Any, dim: Any) -> tuple[dict[Exponents, Coefficien
 def differentiated(
     terms: Iterable[tuple[int, Coefficient, dict[int, int]]], dim: int
 ) -> list[tuple[int, Coefficient, dict[int, int]]]:
-    """Differentiate products by each of their coordinates; target t maps to t * dim + i.
-
-    Examples
-    --------
-    >>> differentiated([(0, 5, {0: 3, 1: 1})], 2)
-    [(0, 15, {0: 2, 1: 1}), (1, 5, {0: 3})]
-    """
+    """Differentiate products by each of their coordinates; target t maps to t * dim + i."""
     result: list[tuple[int, Coefficient, dict[int, int]]] = []
     for target, value, factors in terms:
         for i, e in factors.items():
@@ -155,10 +149,7 @@ class ProductSum:
         return result
 
     def along(self, x: NDArray[Any]) -> NDArray[Any]:
-        """Return the sums at points (..., n), shape (..., size), in their number type.
-
-        Powers and shared products are computed once: much faster than point by point, and equal up to rounding.
-        """
+        """Return sums at points (..., n), shape (..., size): faster than point by point, and equal up to rounding."""
         points = x.reshape(-1, x.shape[-1])
         result = np.zeros((len(points), self._size), dtype=x.dtype)
         if len(self._targets):
@@ -225,10 +216,8 @@ def names_clash(first: Sequence[str], second: Sequence[str]) -> bool:
 
 
 def numbers_by_name(names: Sequence[str], numbered: bool = True) -> dict[str, int]:
-    """Return the number of a coordinate by its name, or that of its basis element; `numbered`, also by x1, x2, ...
-
-    Names of a kind of which one is that of another coordinate are left out.
-    """
+    """Return the number of a coordinate by its name, or that of its basis element; `numbered`, also by x1, x2, ..."""
+    # Names of a kind of which one is that of another coordinate are left out.
     elements = [re.sub(r"^x(?=\d)", "e", name) for name in names]
     known: dict[str, int] = {}
     for kind in (names, names_of_basis(names), elements, coordinate_names(len(names)) if numbered else ()):
@@ -278,13 +267,7 @@ def special_names(names: tuple[str, ...]) -> tuple[str, ...] | None:
 
 
 def plain(monomials: Monomials, names: Sequence[str]) -> str:
-    """Format a polynomial in the notation that `Polynomial` parses.
-
-    Examples
-    --------
-    >>> plain({(2, 0): 0.5, (1, 1): -1}, ["x", "y"])
-    '0.5*x^2 - x*y'
-    """
+    """Format a polynomial in the notation that `Polynomial` parses."""
     return _format_sum(monomials, names, "{0}^{1}", "*", "({0}/{1})", str)
 
 
