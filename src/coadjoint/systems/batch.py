@@ -83,11 +83,9 @@ class Batch:
 
     @property
     def in_numbers(self) -> Batch:
-        """The same batch, whose states are vectors."""
         return self
 
     def of_member(self, member: int) -> Any:
-        """Return the system of a member."""
         return self.systems[member]
 
     def among(self, first: int, last: int) -> Batch:

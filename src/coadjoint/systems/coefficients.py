@@ -53,7 +53,6 @@ class Monomials(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of monomials."""
         return len(self.codes) + len(self.others)
 
     @property
@@ -70,7 +69,6 @@ class Monomials(NamedTuple):
         return np.concatenate([np.searchsorted(self.codes, part.codes), of_others])
 
     def where(self, chosen: NDArray[np.bool_]) -> Monomials:
-        """Return the chosen monomials."""
         count = len(self.codes)
         others = zip(self.others, chosen[count:].tolist(), strict=True)
         return Monomials(self.codes[chosen[:count]], tuple(key for key, one in others if one))
@@ -98,7 +96,6 @@ class EnergyCoefficients(NamedTuple):
         return cls(Monomials(codes[order]), values[order])
 
     def equal(self, other: EnergyCoefficients) -> bool:
-        """Test whether the monomials and their coefficients are equal."""
         return (
             np.array_equal(self.monomials.codes, other.monomials.codes)
             and self.monomials.others == other.monomials.others
@@ -110,7 +107,6 @@ class EnergyCoefficients(NamedTuple):
         return self.where(self.values != 0.0)
 
     def where(self, chosen: NDArray[np.bool_]) -> EnergyCoefficients:
-        """Return the chosen monomials with their coefficients."""
         return EnergyCoefficients(self.monomials.where(chosen), self.values[chosen])
 
     def at(self, x: Floats) -> Any:

@@ -176,10 +176,8 @@ class CoordinateGroups:
         return np.sqrt(np.add.reduceat(ordered**2, self._starts, axis=-1))
 
     def sizes(self, motion: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the sizes (..., count) of the groups in a motion (times, ..., dim): their largest norms.
-
-        What starts at zero has at least the size of groups with its name: p2 that of p1.
-        """
+        """Return the sizes (..., count) of the groups in a motion (times, ..., dim): their largest norms."""
+        # What starts at zero has at least the size of groups with its name: p2 that of p1.
         norms = self.norms(motion)
         sizes = np.max(norms, axis=0)
         if self.count > 1:
@@ -213,14 +211,7 @@ class CoordinateGroups:
         return np.asarray(np.exp2(np.round(np.log2(np.where(sizes > 0.0, sizes, 1.0))))[self.labels])
 
     def names(self) -> tuple[str, ...]:
-        """Return the names of the groups, by those of their coordinates: L for L1, L2, L3; x for all coordinates.
-
-        Examples
-        --------
-        >>> from coadjoint.systems.bodies.satellite import satellite
-        >>> CoordinateGroups(satellite()).names()
-        ('L', 'p', 'r', 'z')
-        """
+        """Return the names of the groups, by those of their coordinates: L for L1, L2, L3; x for all coordinates."""
         if self.count == 1:
             return ("x",)
         all_names = np.array(coordinate_names(self._system), dtype=object)[self._order]

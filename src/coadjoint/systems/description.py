@@ -21,33 +21,8 @@ _HEADING = re.compile(r"^(\w[\w ]*)\n-+\n", re.MULTILINE)
 
 
 def description(name: str) -> dict[str, Any]:
-    """Describe a ready-made system with its default parameters.
-
-    Parameters
-    ----------
-    name : str
-        One of ``co.systems.names()``.
-
-    Returns
-    -------
-    dict
-        ``"summary"``, ``"equations"`` (the text below it), ``"parameters"`` (name to its default, kind and meaning),
-        ``"state"``, ``"source"``; ``"sign"``, ``"algebra"``, ``"dimension"``, ``"rank"`` of J(x) at a generic point,
-        ``"coordinates"`` (their names), ``"casimirs"`` and ``"integrals"`` (name to formula, or to None if they are
-        not polynomials), ``"exact"`` (whether there is a closed form) and ``"attitude"`` ("representation", "coadjoint"
-        "matrices" or "none": the group element that runs carry); serializable by `json`.
-
-    Raises
-    ------
-    ValueError
-        Unknown system; the message suggests the nearest name.
-
-    Examples
-    --------
-    >>> d = description("rigid_body")
-    >>> d["algebra"], d["dimension"], d["rank"], d["casimirs"], d["parameters"]["inertia"]["default"]
-    ('so(3)', 3, 2, {'|x|^2': 'x1^2 + x2^2 + x3^2'}, [1.0, 2.0, 3.0])
-    """
+    """Describe a ready-made system with its default parameters by plain numbers and text, which `json` serializes."""
+    # Invariants that are no polynomials have the formula None; "attitude" is the group element that runs carry.
     system = importlib.import_module("coadjoint.systems").get(name)
     builder = ready_made_systems()[name]
     sections = _sections(inspect.getdoc(builder) or "")

@@ -140,7 +140,6 @@ class EnergyDerivative(NamedTuple):
 
     @property
     def of_functions(self) -> EnergyDerivative:
-        """The functions alone."""
         return self.of_monomials(self.size)._replace(functions=self.functions)
 
     @property

@@ -21,9 +21,7 @@ MethodT = TypeVar("MethodT", bound=Callable[..., Any])
 
 
 def ignore_overflow(method: MethodT) -> MethodT:
-    """Decorate a method to compute in the standard floating-point mode, where the overflow of float64 gives infinity or
-    NaN without a warning.
-    """
+    """Decorate a method: in the standard floating-point mode overflow gives infinity or NaN, without a warning."""
     quiet = in_standard_mode(np.errstate(over="ignore", invalid="ignore", divide="ignore")(method))
 
     @functools.wraps(method)
@@ -109,7 +107,6 @@ class ProductSums:
 
     @property
     def size(self) -> int:
-        """Number of coefficients."""
         return len(self._rows)
 
     def __call__(self, *factors: tuple[npt.NDArray[Any], npt.NDArray[Any]]) -> npt.NDArray[Any]:

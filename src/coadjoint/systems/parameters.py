@@ -317,7 +317,6 @@ def _is_made_by_builder(system: Any) -> bool:
 
 
 def _declared_coefficients(declared: DeclaredEnergy, arguments: Mapping[str, Any]) -> EnergyCoefficients:
-    """Return the declared energy at arguments of the builder."""
     return coefficients_in(declared.function(**declared.chosen(arguments)))
 
 

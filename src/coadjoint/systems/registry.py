@@ -35,7 +35,6 @@ class DeclaredEnergy(NamedTuple):
     potential: Callable[..., FunctionOfConstants] | None
 
     def chosen(self, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the arguments of the function."""
         return {name: arguments[name] for name in (*self.parameters, *self.others)}
 
 

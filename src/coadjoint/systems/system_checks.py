@@ -202,10 +202,7 @@ def read_integrals(integrals: Any, system: Any) -> Mapping[str, Any]:
 
 
 def check_structure(system: Any) -> None:
-    """Raise an error unless `structure_function` is a function whose values at sample points are skew (n, n).
-
-    Warn if they violate the Jacobi identity, unless `jacobi` of the system is False.
-    """
+    """Check that `structure_function` returns skew (n, n) at sample points; warn unless the Jacobi identity holds."""
     function = system.structure_function
     if function is None or function is system._checked_function:
         return

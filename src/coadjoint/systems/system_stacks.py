@@ -21,14 +21,13 @@ MAX_DIMENSION = 1024  # of larger systems, tables of which each takes long, no s
 
 
 class SystemStack(NamedTuple):
-    """Some of the `systems`: of one algebra, with the same Casimirs, and energies of one structure.
+    """Some of the `systems`: of one algebra, with the same Casimirs, and energies of one structure."""
 
-    `numbers` (k,) are their numbers. `coefficients` (count, k) are those of all terms of the energy: of a quadratic
-    term the linear part and the entries of M, of a polynomial those of its monomials, and at the end the constant. The
-    same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those of
-    the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `torques` are
-    the numbers of constant torques, of as many as coordinates for each force; all other forces are equal.
-    """
+    # `numbers` (k,) are their numbers. `coefficients` (count, k) are those of all terms of the energy: of a quadratic
+    # term the linear part and the entries of M, of a polynomial those of its monomials, and at the end the constant.
+    # The same linear coefficients are zero, no products of the field cancel, and functions are equal. `split` are those
+    # of the terms that a scheme reads, from which Casimirs may be subtracted, with `factors` (casimirs, k). `torques`
+    # are the numbers of constant torques, of as many as coordinates for each force; all other forces are equal.
 
     systems: Sequence[Any]
     numbers: Integers
@@ -39,12 +38,10 @@ class SystemStack(NamedTuple):
 
     @property
     def first(self) -> Any:
-        """The first system."""
         return self.systems[int(self.numbers[0])]
 
     @property
     def size(self) -> int:
-        """Number of systems."""
         return len(self.numbers)
 
     @property
@@ -54,7 +51,6 @@ class SystemStack(NamedTuple):
         return terms
 
     def take(self, members: Integers) -> SystemStack:
-        """Select systems of the stack."""
         columns: Any = self[1:]
         return SystemStack(self.systems, *(column[..., members] for column in columns))
 

@@ -47,13 +47,11 @@ class MultipleOf:
 
     @property
     def kernel_forms(self) -> Forms | None:
-        """The tables of the multiple; None if the function has none."""
         forms = forms_of(self.function)
         return None if forms is None else forms._replace(weight=self.factor * forms.weight)
 
     @property
     def called_in_python(self) -> bool:
-        """Whether the function is."""
         return is_called_in_python(self.function)
 
 
@@ -83,7 +81,6 @@ class SumOfShares:
     shares: int
 
     def __call__(self, x: Any) -> Any:
-        """Return the sum of all shares at x."""
         total = self.share(x, 0.0)
         for k in range(1, self.shares):
             total = total + self.share(x, float(k))
@@ -257,10 +254,8 @@ def numbers_at_samples(function: Callable[..., Any], n: int, timed: bool) -> lis
 def first_difference(
     reference: Callable[[Any, Any], Any], found: Any, y: npt.NDArray[np.float64], t: float, is_flow: bool = False
 ) -> str | None:
-    """Return how values differ from those of a function at numbers y and a time, but for rounding; None if they do not.
-
-    Of a flow, a function of a state with the length of a step behind it, the changes of the state are compared.
-    """
+    """Return how values differ from those of a function at numbers y and a time beyond rounding; None if not."""
+    # Of a flow, a function of a state with the length of a step behind it, the changes of the state are compared.
     # Values differ by rounding if they are those at arguments that are moved by this part of themselves. One that is
     # not finite, as that of a compiled function that raises, may be finite if it is so there.
     states = y[: len(y) - 1] if is_flow else np.zeros(np.shape(found))

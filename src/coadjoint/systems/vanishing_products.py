@@ -119,10 +119,8 @@ def derivatives_of(
 def divided_gradient(
     term: FunctionTerm, products: Mapping[int, Product]
 ) -> tuple[FunctionTerm, tuple[frozenset[int], ...]]:
-    """Separate a function where products of a part of its gradient vanish, as those of a central force do.
-
-    Return it with its gradient as several vectors that add up to it, and the products that each one omits.
-    """
+    """Separate a function where products of a part of its gradient vanish, as those of a central force do."""
+    # It is returned with its gradient as several vectors that add up to it, and the products that each one omits.
     # The parts of the gradient are those by different polynomials of the coordinates, found by recording the function.
     index = {int(k): a for a, k in enumerate(term.coordinates)}
     own = {q: each for q, each in products.items() if each.state in index and each.column in index}

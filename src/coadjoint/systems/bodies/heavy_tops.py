@@ -250,7 +250,6 @@ def _energy_off_axis(ratio: float, equatorial: Any, lever: Any) -> tuple[npt.NDA
 
 
 def _read_off_axis(ratio: float, equatorial: Any, lever: Any) -> dict[str, Any]:
-    """Validate the parameters of such a top."""
     moment = read_moment(equatorial, "equatorial", ratio)
     u, v = read_vector(lever, "lever", 2).tolist()
     return {"equatorial": moment, "lever": (u, v)}

@@ -81,7 +81,6 @@ def manakov_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
 
 
 def _quadratic_integrals(a: npt.NDArray[Any]) -> dict[str, Quadratic | Polynomial]:
-    """Return the integrals of degree 2."""
     n = len(a)
     integrals: dict[str, Quadratic | Polynomial] = {}
     with np.errstate(over="ignore", invalid="ignore"):

@@ -227,11 +227,9 @@ def _equivalent_motion(constants: Floats, masses: Floats, start: Floats, times: 
 
 
 def amplitude(u: Floats, complement: float) -> Floats:
-    """Return Jacobi's amplitude am(u), u (k,), continuous over all periods, by the arithmetic-geometric mean.
-
-    The arcsine of (c/a) sin phi (DLMF 22.20.6) is computed as an arctangent with 1 - (c/a)^2 = (b/a)^2, without
-    cancellation near c = a. `complement` is k'^2 in (0, 1].
-    """
+    """Return Jacobi's amplitude am(u), u (k,), continuous over all periods; `complement` is k'^2 in (0, 1]."""
+    # By the arithmetic-geometric mean. The arcsine of (c/a) sin phi (DLMF 22.20.6) is computed as an arctangent with
+    # 1 - (c/a)^2 = (b/a)^2, without cancellation near c = a.
     a, b = 1.0, math.sqrt(complement)
     means = []
     while abs(a - b) > 2.0**-50 * a:

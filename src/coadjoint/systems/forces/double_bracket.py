@@ -342,7 +342,6 @@ class HeatBath(DoubleBracketDamping):
         return {**super().scalings(), "temperature": (0.5 / self.temperature if self.temperature else 0.0, 0.0)}
 
     def _apply_noise(self, system: Any, x: NDArray[Any], t: float, tau: float, half: int) -> NDArray[Any]:
-        """Apply half of the noise, set by set."""
         for v in self._noise_directions(system, t, tau, half):
             x = exponential(system, v, x)
         return x

@@ -69,10 +69,7 @@ class ModeBasis(ABC):
         return np.asarray(np.conj(self.vectors(d, numbers)) @ W[self.indices(d)], dtype=np.complex128)
 
     def matrix(self, coefficients: Sequence[Complexes], chosen: Sequence[Numbers]) -> Complexes:
-        """Return the full matrix of coefficients of chosen modes, by diagonal.
-
-        Real parts on the main diagonal are dropped.
-        """
+        """Return the matrix of coefficients of modes, by diagonal; real parts on the main diagonal are dropped."""
         W = np.zeros((self.N, self.N), dtype=np.complex128)
         for d, (c, numbers) in enumerate(zip(coefficients, chosen, strict=True)):
             if not len(numbers):
@@ -95,7 +92,6 @@ class Harmonics(ModeBasis):
 
     @property
     def diagonals(self) -> int:
-        """Number of diagonals, N."""
         return self.N
 
     def numbers(self, d: int) -> Numbers:

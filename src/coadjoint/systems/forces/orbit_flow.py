@@ -73,7 +73,6 @@ class Exponential(NamedTuple):
 
     @classmethod
     def of(cls, bracket: Bracket, v: Floats, x: Floats) -> Exponential:
-        """Compute the series."""
         D = bracket.generator(v)
         norm = float(np.abs(D).sum(axis=0).max(initial=0.0))
         substeps = max(1, math.ceil(norm))

@@ -37,10 +37,7 @@ class _NumPy:
 
 
 def with_new_arrays(function: Any, convert: Callable[[Any], Any]) -> Any:
-    """Return a copy of a function of the user in which it and functions that it calls convert the arrays they create.
-
-    These can then be filled with objects, which arrays of floats cannot.
-    """
+    """Return a copy of a function of the user; it and functions that it calls convert the arrays they create."""
     numpy, copies = _NumPy(convert), dict[int, Any]()
 
     def names_in(code: CodeType) -> set[str]:

@@ -194,10 +194,7 @@ def separated(
     first_noncommuting: Callable[[Collection[int]], Pair | None],
     refusal: Callable[[Pair], ValueError],
 ) -> tuple[Term, ...]:
-    """Return a function of n coordinates as a polynomial and functions of commuting coordinates, which add up to it.
-
-    Raise `refusal` of the coordinates if a summand of noncommuting ones is no polynomial.
-    """
+    """Return a function as a polynomial and functions of commuting coordinates, which add up to it, or `refusal`."""
     # Constants and functions of the time alone are omitted. Monomials, quadratic functions, and summands of
     # noncommuting coordinates are part of the polynomial.
     recorded = RecordedFunction(term.value, len(term.coordinates), term.timed)

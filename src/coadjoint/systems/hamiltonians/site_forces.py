@@ -234,10 +234,8 @@ def site_forces(tables: SiteTables) -> Hamiltonian:
         return result
 
     def added(slope: Any, second: Any, d: Any, lever: Any, g: Any, h: Any, factor: Any) -> None:
-        """Add derivatives of a function of |p|, p_i = d_i = sum of lever and coordinates, for those of two bodies.
-
-        `g` is its derivative over |p|, and `h` that of `g`; second derivatives are multiplied by a factor.
-        """
+        """Add derivatives of a function of |p|, p_i = d_i = sum of lever and coordinates, for those of two bodies."""
+        # `g` is its derivative over |p|, and `h` that of `g`; second derivatives are multiplied by a factor.
         for c in range(24):
             i, one = c % 12 // 4, lever[c // 12, c % 4]
             slope[c] += g * d[i] * one

@@ -48,7 +48,6 @@ class SumOfHamiltonians(Summable):
         return type(self)([factor * summand for summand in self.summands])
 
     def linear_part(self) -> npt.NDArray[np.float64]:
-        """Return the sum of the linear parts of the summands, (n,)."""
         assert self.dim is not None
         parts = [summand.linear_part() for summand in self.summands if getattr(summand, "has_linear", False)]
         return np.asarray(sum(parts) + np.zeros(self.dim))
@@ -67,15 +66,12 @@ class SumOfHamiltonians(Summable):
                 summand.check_commuting(algebra)
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
-        """Return H(x, t)."""
         return sum(summand.value(x, t) for summand in self.summands)
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the gradient, shape (n,)."""
         return np.asarray(sum(summand.gradient(x, t) for summand in self.summands))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the second derivatives, shape (n, n)."""
         return np.asarray(sum(summand.hessian(x, t) for summand in self.summands))
 
     def terms(self) -> tuple[Term, ...]:

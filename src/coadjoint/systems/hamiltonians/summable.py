@@ -157,28 +157,22 @@ class PolynomialHamiltonian(Summable):
         return PolynomialHamiltonian(self.polynomial + bound.to_polynomial())
 
     def to_polynomial(self) -> Polynomial:
-        """Return the polynomial."""
         return self.polynomial
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> Any:
-        """Return the value of the polynomial at x."""
         return self.polynomial(read_point(x, self.dim))
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the gradient, shape (n,)."""
         return self.polynomial.gradient(read_point(x, self.dim))
 
     def hessian(self, x: npt.ArrayLike, t: float = 0.0) -> npt.NDArray[Any]:
-        """Return the second derivatives, shape (n, n)."""
         return self.polynomial.hessian(read_point(x, self.dim))
 
     def gradient_and_size(self, x: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], npt.NDArray[Any], int]:
-        """Return that of the polynomial."""
         return self.polynomial.gradient_and_size(x)
 
     @property
     def _written_names(self) -> tuple[str, ...] | None:
-        """Those of the polynomial."""
         return self.polynomial._written_names
 
     def named(self, names: Sequence[str]) -> PolynomialHamiltonian:
@@ -189,7 +183,6 @@ class PolynomialHamiltonian(Summable):
     has_linear = True
 
     def linear_part(self) -> npt.NDArray[np.float64]:
-        """Return the coefficients of the linear term, (n,)."""
         linear = np.zeros(self.polynomial.dim)
         for exponents, coefficient in self.polynomial.monomials.items():
             if sum(exponents) == 1:
@@ -205,7 +198,6 @@ class PolynomialHamiltonian(Summable):
         return PolynomialHamiltonian(self.polynomial._with_monomials(monomials))
 
     def terms(self) -> tuple[Term, ...]:
-        """Return the single `PolynomialTerm`."""
         return (PolynomialTerm(self.polynomial),)
 
     def __repr__(self) -> str:

@@ -199,22 +199,18 @@ class RepeatedTerm(QuadraticTerm):
 
     @property
     def repeated(self) -> RepeatedRows:
-        """The rows of M."""
         return self.matrix
 
     @property
     def indptr(self) -> npt.NDArray[np.int64]:  # type: ignore[override]
-        """Starts of the rows of M."""
         return self.matrix.start
 
     @property
     def indices(self) -> npt.NDArray[np.uint32]:  # type: ignore[override]
-        """Columns of the entries of M."""
         return self.matrix.coordinate
 
     @property
     def values(self) -> npt.NDArray[np.float64]:  # type: ignore[override]
-        """The entries of M."""
         return self.matrix.value
 
     @property

@@ -135,10 +135,7 @@ class Graph:
         return sorted(found)
 
     def gradient(self, result: Any, variables: Sequence[Traced], ends: Collection[int] = ()) -> list[Any]:
-        """Return the derivatives of a result by variables, Traced or constants, by differentiation in reverse.
-
-        The entries `ends` count as independent of their arguments.
-        """
+        """Return the derivatives of a result by variables, in reverse; the entries `ends` count as independent."""
         last = self.entry(result)
         slopes: dict[int, Any] = {last: 1}
         for index in range(last, -1, -1):
@@ -264,7 +261,6 @@ def _folded(operation: str, a: Any, b: Any) -> Any:
 
 def _binary(operation: str, swapped: bool = False) -> Callable[[Traced, Any], Any]:
     def apply(self: Traced, other: Any) -> Any:
-        """Record the operation."""
         if isinstance(other, np.ndarray):
             if other.ndim:
                 return NotImplemented
@@ -279,7 +275,6 @@ def _binary(operation: str, swapped: bool = False) -> Callable[[Traced, Any], An
 
 def _unary(operation: str) -> Callable[[Traced], Traced]:
     def apply(self: Traced) -> Traced:
-        """Record the function."""
         return self.graph.record(operation, self)
 
     return apply
@@ -326,10 +321,7 @@ for _name in UNARY:
 
 
 def traced(function: Callable[..., Any], n: int, timed: bool, in_place: bool = False) -> Graph:
-    """Record a function of (x) or (x, t), x of shape (n,); raise TracingError, with the reason, if impossible.
-
-    With `in_place` the function may fill arrays that it creates, such as those of np.zeros.
-    """
+    """Record a function of (x) or (x, t), x (n,); TracingError if impossible; `in_place`, it may fill its arrays."""
     graph, x = Graph(n, timed), np.empty(n, dtype=object)
     x[:] = graph.variables
     function = getattr(function, "py_func", function)

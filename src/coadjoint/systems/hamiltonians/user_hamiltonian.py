@@ -64,7 +64,6 @@ class JaxFunction:
         return result
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the function without its compiled form."""
         return JaxFunction, (self.function, self.order, self.timed)
 
 
@@ -155,12 +154,10 @@ class ParsedFunction:
         self._function = recorded.value()
 
     def __call__(self, x: Any) -> Any:
-        """Return the value at x."""
         return self._function(x)
 
     @property
     def __name__(self) -> str:
-        """The text."""
         return self.text
 
     def __reduce__(self) -> tuple[Any, ...]:

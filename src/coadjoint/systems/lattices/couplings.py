@@ -184,11 +184,10 @@ MAX_HESSIAN_SITES = 341  # largest number of spins with second derivatives, whic
 
 @dataclass(frozen=True, eq=False)
 class DipolarFunction:
-    """The dipolar energy of an open lattice, or its derivative of order 1 or 2; the loops call it in Python.
+    """The dipolar energy of an open lattice, or its derivative of order 1 or 2; the loops call it in Python."""
 
-    The energy is `strength` times the sum over pairs of ``(S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``, r in distances
-    of neighbours: a convolution, padded with zeros, with `tensors`, the transforms of (1 - 3 e e) / r^3.
-    """
+    # The energy is `strength` times the sum over pairs of ``(S_i . S_j - 3 (S_i . e) (S_j . e)) / r^3``, r in distances
+    # of neighbours: a convolution, padded with zeros, with `tensors`, the transforms of (1 - 3 e e) / r^3.
 
     lattice: str
     sizes: tuple[int, ...]
@@ -200,7 +199,6 @@ class DipolarFunction:
 
     @property
     def __name__(self) -> str:
-        """Name in the representation of the Hamiltonian."""
         return ("dipolar energy", "its gradient", "its second derivatives")[self.order]
 
     def __call__(self, x: Any, _time: float = 0.0) -> Any:

@@ -22,10 +22,9 @@ COS_60, SIN_60 = 0.5, math.sqrt(0.75)  # directions of bonds of triangles and he
 
 
 class Cell(NamedTuple):
-    """Edges of a cell, positions of its sites, corners of a path in reciprocal space, in reciprocal edges, and bonds.
+    """Edges of a cell, positions of its sites, corners of a path in reciprocal edges, and bonds."""
 
-    A bond is (site, site of the other cell, offset of the other cell along the edges); all have length one.
-    """
+    # A bond is (site, site of the other cell, offset of the other cell along the edges); all have length one.
 
     edges: tuple[tuple[float, ...], ...]
     sites: tuple[tuple[float, ...], ...]
@@ -108,11 +107,9 @@ def _cells(shape: Any) -> Floats:
 
 
 def graph(lattice: Any, shape: Any, periodic: Any) -> tuple[int, Integers]:
-    """Return the number of sites of a lattice (a name of `NAMES`, or pairs of sites), and its edges, (edges, 2) int64.
-
-    `shape` counts cells along each axis, or sites if edges are given; `periodic` joins the last cell to the first.
-    Cells are numbered with the last axis fastest, sites by cells; edges are ordered by bonds, then by their first cell.
-    """
+    """Return the number of sites of a lattice (a name of `NAMES`, or pairs of sites), and its edges, (edges, 2)."""
+    # `shape` counts cells along each axis, or sites if edges are given; `periodic` joins the last cell to the first.
+    # Cells are numbered with the last axis fastest, sites by cells; edges are ordered by bonds, then by first cell.
     what, advice = "lattice", ""
     if not isinstance(lattice, str):
         count = read_integer(shape, "shape, the number of sites where edges are given,", 1, MAX_SITES)

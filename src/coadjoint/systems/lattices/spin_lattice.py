@@ -278,10 +278,8 @@ def _plain_parameters(*arguments: Any) -> dict[str, Any] | None:
 def precession(
     sites: int, edges: npt.NDArray[np.int64], J: Floats, T: Floats, K: Floats, B: Floats
 ) -> Callable[..., Any] | None:
-    """Return the closed form ``exact(x0, t, attitude)`` of spins without Dzyaloshinskii-Moriya coupling, or None.
-
-    J is () or (edges,), B (3,) or (sites, 3); T, K (..., 3, 3) are tensors of exchange (zero if uncoupled) and sites.
-    """
+    """Return the closed form ``exact(x0, t, attitude)`` of spins without Dzyaloshinskii-Moriya coupling, or None."""
+    # J is () or (edges,), B (3,) or (sites, 3); T, K (..., 3, 3) are tensors of exchange (zero if uncoupled) and sites.
     if np.any(K != K[..., :1, :1] * np.eye(3)):
         return None
     if not np.any(T):

@@ -50,7 +50,6 @@ def _particles(dim: int) -> dict[str, Any]:
 
 
 def _sampled_velocities(dim: int) -> range:
-    """Return the coordinates b of some sites."""
     return range(0, dim // 2, max(1, dim // 16))
 
 

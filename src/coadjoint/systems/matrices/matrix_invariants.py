@@ -40,11 +40,9 @@ class MatrixEnergy:
         return f"energy of {self._system!r}"
 
     def bind(self, n: int) -> MatrixEnergy:
-        """Return this energy."""
         return self
 
     def value(self, x: npt.ArrayLike, t: float = 0.0) -> float:
-        """Return H(x, t)."""
         return float(self._system.energy(x, t))
 
     def gradient(self, x: npt.ArrayLike, t: float = 0.0) -> Floats:

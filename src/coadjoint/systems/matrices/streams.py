@@ -211,11 +211,9 @@ class Inverse:
         return self.of.inverse(W)
 
     def inverse(self, P: Matrix) -> Matrix:
-        """Return P of W."""
         return self.of(P)
 
     def on_modes(self, modes: Any, d: int, numbers: Numbers) -> Floats:
-        """Return the eigenvalues of the stream on modes of a diagonal."""
         return 1.0 / self.of.on_modes(modes, d, numbers)
 
 
