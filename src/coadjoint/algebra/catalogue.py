@@ -256,10 +256,6 @@ def A3_7(a: float) -> LieAlgebra:
     return low_dimensional("A3_7", a=a)
 
 
-def _sp_by_half(n: int) -> LieAlgebra:
-    return sp(2 * read_integer(n, "n of sp(2n)"))
-
-
 # pattern -> constructor, and the names of its numbers
 _FAMILIES: Mapping[str, tuple[Callable[..., LieAlgebra], tuple[str, ...]]] = {
     "e(n)": (e, ("n",)),
@@ -269,7 +265,7 @@ _FAMILIES: Mapping[str, tuple[Callable[..., LieAlgebra], tuple[str, ...]]] = {
     "sl(n)": (sl, ("n",)),
     "so(n)": (so, ("n",)),
     "so(p,q)": (so, ("p", "q")),
-    "sp(2n)": (_sp_by_half, ("n",)),
+    "sp(2n)": (lambda n: sp(2 * read_integer(n, "n of sp(2n)")), ("n",)),
     "su(n)": (su, ("n",)),
     "u(n)": (u, ("n",)),
 }

@@ -69,7 +69,8 @@ def parse_constants(constants: Any, dim: int | None) -> tuple[int, Triples, bool
         if any(column.shape != columns[3].shape or column.ndim != 1 for column in columns):
             raise ValueError("the four columns i, j, k, c of the triples must be one-dimensional and of equal length")
         return _from_columns(columns, dim)
-    if isinstance(constants, list | tuple) and any(isinstance(v, str) for row in constants[:1] for v in _entries(row)):
+    first = constants[0] if isinstance(constants, list | tuple) and constants else None
+    if isinstance(first, list | tuple) and any(isinstance(entry, str) for entry in first):
         raise TypeError("structure constants use indices from 0; give brackets by names to LieAlgebra.from_brackets")
     numbers = read_numbers(constants, "structure constants")
     if numbers.ndim == 3:
@@ -93,10 +94,6 @@ def _from_dense(numbers: Floats, dim: int | None) -> tuple[int, Triples, bool]:
     values = numbers[i, j, k]
     _check_finite_constants(i, j, k, values)
     return n, Triples(i, j, k, values), True
-
-
-def _entries(row: Any) -> tuple[Any, ...]:
-    return tuple(row) if isinstance(row, list | tuple) else ()
 
 
 def _from_columns(columns: list[Floats], dim: int | None) -> tuple[int, Triples, bool]:

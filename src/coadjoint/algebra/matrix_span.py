@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from coadjoint.algebra.exact.elimination import Span, Vector, add_multiple
 from coadjoint.algebra.exact.numbers import (
     Roots,
+    ball,
     exact_number,
     is_finite,
+    midpoint,
     product_of_roots,
     recognized_roots,
     rounded,
@@ -227,7 +229,7 @@ class NearestSpan:
         """Return the first `count` matrices as the rows of a matrix."""
         from flint import arb_mat
 
-        return arb_mat([[_to_arb(value) for value in row] for row in self._rows[:count]])
+        return arb_mat([[ball(value) for value in row] for row in self._rows[:count]])
 
     def _projection(self, count: int) -> tuple[Any, Any]:
         """Return the transposed matrices, and the map from a matrix to its coordinates."""
@@ -244,11 +246,11 @@ class NearestSpan:
             return [], math.hypot(*map(float, row)) / scale
         with ctx.workprec(PRECISION):
             transposed, projection = self._projection(count)
-            target = arb_mat([[_to_arb(value)] for value in row])
+            target = arb_mat([[ball(value)] for value in row])
             found = (projection * target).mid()
             rest = (target - transposed * found).mid()
             square = sum((value * value for value in rest.entries()), start=arb(0))
-            return [_from_arb(value) for value in found.entries()], float(square.mid().sqrt()) / scale
+            return [midpoint(value) for value in found.entries()], float(square.mid().sqrt()) / scale
 
 
 def _exponent(entries: Entries) -> int:
@@ -262,17 +264,6 @@ def _flat(entries: Entries, size: int, exponent: int) -> list[Fraction]:
     for (a, b), value in entries.items():
         row[a * size + b] = Fraction(value[1]) / Fraction(2) ** exponent
     return row
-
-
-def _to_arb(value: Fraction) -> Any:
-    from flint import arb
-
-    return arb(value.numerator) / arb(value.denominator)
-
-
-def _from_arb(value: Any) -> Fraction:
-    mantissa, exponent = value.mid().man_exp()
-    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
 
 
 @long_operation("from_matrices")

@@ -66,6 +66,19 @@ def rational(value: Any) -> Any:
     return fmpq(exact.numerator, exact.denominator)
 
 
+def ball(value: Any) -> Any:
+    """Convert a finite number to `flint.arb`, a ball of the current precision."""
+    from flint import arb
+
+    return arb(rational(value))
+
+
+def midpoint(value: Any) -> Fraction:
+    """Return the midpoint of a ball exactly."""
+    mantissa, exponent = value.mid().man_exp()
+    return Fraction(int(mantissa)) * Fraction(2) ** int(exponent)
+
+
 def rounded(value: int | float | Fraction) -> float:
     """Round a number to float64; raise a ValueError if it overflows."""
     try:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from fractions import Fraction
+from itertools import combinations
 
 from coadjoint.algebra.constants import check_algebra_memory
-from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, pairs, real_form, traceless
+from coadjoint.algebra.families.matrix_bases import Entry, Form, matrix_algebra, real_form, traceless
 from coadjoint.algebra.lie_algebra import LieAlgebra
 from coadjoint.caching import shared
 from coadjoint.keyword_hints import suggest_keywords
@@ -146,7 +147,7 @@ def sp(size: int) -> LieAlgebra:
 def _antihermitian(n: int) -> tuple[list[Entry], list[Entry], list[Entry]]:
     """Return for j < k the elements -(i/2)(E_jk + E_kj) and -(1/2)(E_jk - E_kj): real, imaginary, weights."""
     real, imaginary, weights = [], [], []
-    for number, (j, k) in enumerate(pairs(n)):
+    for number, (j, k) in enumerate(combinations(range(n), 2)):
         imaginary += [(2 * number, j, k, -0.5), (2 * number, k, j, -0.5)]
         real += [(2 * number + 1, j, k, -0.5), (2 * number + 1, k, j, 0.5)]
         weights += [(2 * number, j + n, k, -2.0), (2 * number + 1, j, k, -2.0)]
@@ -244,7 +245,7 @@ def rotations(p: int, q: int = 0) -> tuple[list[Entry], list[Entry]]:
         weights = [(k, j, i, 1.0) for k, i, j in cyclic]  # hat(e_k) e_i = e_j
         return weights + [(k, i, j, -1.0) for k, i, j in cyclic], weights
     sign = [1.0] * p + [-1.0] * q
-    upper = list(enumerate(pairs(p + q)))
+    upper = list(enumerate(combinations(range(p + q), 2)))
     basis = [entry for k, (i, j) in upper for entry in ((k, i, j, sign[j]), (k, j, i, -sign[i]))]
     return basis, [(k, i, j, sign[j]) for k, (i, j) in upper]
 
@@ -297,7 +298,7 @@ def so(n: int, q: int = 0) -> LieAlgebra:
     casimirs: dict[str, Form] = {}
     if size > 2:
         name = "quadratic" if q else "|x|^2"
-        casimirs[name] = [(k, k, sign[i] * sign[j]) for k, (i, j) in enumerate(pairs(size))]
+        casimirs[name] = [(k, k, sign[i] * sign[j]) for k, (i, j) in enumerate(combinations(range(size), 2))]
     if size == 4:
         casimirs["Pfaffian"] = [(0, 5, 1), (1, 4, -1), (2, 3, 1)]
     name = f"so({n},{q})" if q else f"so({n})"

@@ -119,11 +119,6 @@ def linear(entries: Mapping[int, Coefficient], dim: int) -> Polynomial:
     return Polynomial._from_valid({exponents_of((i,), dim): value for i, value in entries.items()}, dim)
 
 
-def pairs(n: int) -> list[tuple[int, int]]:
-    """Return all (i, j) with i < j < n in lexicographic order."""
-    return [(i, j) for i in range(n) for j in range(i + 1, n)]
-
-
 def traceless(n: int, begin: int, scale: int) -> Form:
     """Return the inverse of the trace form on E_kk - E_(k+1)(k+1), the Cartan matrix of sl(n), times `scale`."""
     return [

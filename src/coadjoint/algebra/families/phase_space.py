@@ -85,7 +85,7 @@ def moments(degree: int = 4) -> LieAlgebra:
     # x20, x11 and x02 act on the (q, p) plane by traceless matrices.
     plane = [(0, 0, 1, -2.0), (1, 0, 0, -1.0), (1, 1, 1, 1.0), (2, 1, 0, 2.0)]
     rho = matrices(sparse_matrices(plane), 3, 2) if degree == 2 else None
-    names = tuple(moment_name(i, j) for i, j in powers)
+    names = tuple(f"x{i}{j}" if max(i, j) < 10 else f"x{i},{j}" for i, j in powers)
     # The bracket is that of polynomials in q and p, so the Jacobi identity holds.
     return LieAlgebra._from_valid(constants, n, names, f"moments({degree})", rho, _casimirs(degree, n))
 
@@ -93,11 +93,6 @@ def moments(degree: int = 4) -> LieAlgebra:
 def powers_of(degree: int) -> list[tuple[int, int]]:
     """Return the powers (i, j) of q and p of all moments, in order."""
     return [(d - j, j) for d in range(2, degree + 1, 2) for j in range(d + 1)]
-
-
-def moment_name(i: int, j: int) -> str:
-    """Return the name of the moment of q^i p^j."""
-    return f"x{i}{j}" if max(i, j) < 10 else f"x{i},{j}"
 
 
 def _casimirs(degree: int, n: int) -> dict[str, Polynomial]:

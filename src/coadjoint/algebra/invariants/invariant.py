@@ -18,9 +18,7 @@ from coadjoint.short_repr import function_name, short
 from coadjoint.validation import read_number
 
 HOLD, QUOTIENT, LOGARITHM, ANGLE, SINH, SINH_SQUARED, COSH = 0, 1, 2, 3, 4, 5, 6
-MAX_PERIOD_DENOMINATOR = (
-    1000  # two angles have a common period if their ratio is a fraction with at most this denominator
-)
+MAX_PERIOD_DENOMINATOR = 1000  # of the ratio of two angles with a common period
 
 Number = int | Fraction
 

@@ -10,7 +10,7 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Any
 
-from coadjoint.algebra.exact.numbers import Constant, checked, exact_number, is_finite, quotient, too_large
+from coadjoint.algebra.exact.numbers import Constant, ball, checked, exact_number, is_finite, quotient, too_large
 from coadjoint.algebra.invariants.invariant import LogarithmicSum
 from coadjoint.algebra.polynomials.formula_tree import (
     FUNCTIONS,
@@ -99,11 +99,6 @@ def condition_holds(text: str, parameters: Mapping[str, Number]) -> bool:
         raise tree.refused(f"is no condition; {notation}")
 
     return holds(node)
-
-
-def too_high(what: str, degree: int) -> ValueError:
-    """Return the error for a degree beyond the range of float64."""
-    return ValueError(f"{what} has the degree {short(degree)}; there are degrees up to {MAX_DEGREE}; {TOO_HIGH}")
 
 
 def add_term(total: dict[Exponents, Constant], exponents: Exponents, coefficient: Constant) -> None:
@@ -204,7 +199,8 @@ class Expansion:
 
     def _check_size(self, degree: int, terms: int = 0, products: int = 0) -> None:
         if degree > MAX_DEGREE:
-            raise too_high(short(self.tree.text, MAX_QUOTED), degree)
+            limit = f"there are degrees up to {MAX_DEGREE}; {TOO_HIGH}"
+            raise ValueError(f"{short(self.tree.text, MAX_QUOTED)} has the degree {short(degree)}; {limit}")
         self._work += products * (self.dim + 8)
         if terms > MAX_TERMS:
             raise self.tree.refused(f"has about {short(terms)} terms when it is multiplied out, beyond {MAX_TERMS}")
@@ -257,7 +253,7 @@ class Expansion:
                 return self._checked(float(exact) if is_finite(exact) else math.inf, "a power")
             return checked(exact.numerator if exact.denominator == 1 else exact)
         exponent = Fraction(power)
-        return self._checked(_portable(base, lambda x: x ** _ball(exponent)), "a power")
+        return self._checked(_portable(base, lambda x: x ** ball(exponent)), "a power")
 
     def _checked(self, value: float, what: str) -> float:
         if not math.isfinite(value):
@@ -322,17 +318,10 @@ class ExactExpansion(Expansion):
         return self._function(LogarithmicSum.logarithm(*found) if count == 1 else LogarithmicSum.angle(*found))
 
 
-def _ball(value: Constant) -> Any:
-    from flint import arb, fmpq
-
-    exact = Fraction(value)
-    return arb(fmpq(exact.numerator, exact.denominator))
-
-
 def _portable(value: Constant, function: Callable[[Any], Any]) -> float:
     """Return a function of a number, rounded to float64 with the same bits on every machine; NaN where undefined."""
     from flint import ctx
 
     with ctx.workprec(BITS_OF_CONSTANTS):
-        result = function(_ball(value))
+        result = function(ball(value))
         return float(result) if result.is_finite() else math.nan
